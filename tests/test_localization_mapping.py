@@ -11,6 +11,7 @@ from localization_samples import ROOM, loop_poses, room_run
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
+from sensorgraph.localization.locate import locate
 from sensorgraph.localization.loop_closures import LoopCloser
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.matching import Match
@@ -226,6 +227,27 @@ def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds() -> None:
     found = map_run(replace(run, stamps=stamps, odom_stamps=stamps))
     assert found.notes == ("2 scans have the stamp of the one before: taken in the order of the log",)
     assert rms(found, poses) < 0.01
+
+
+def test_scans_of_a_clock_that_is_too_coarse_are_spread_over_its_steps() -> None:
+    poses = loop_poses(80, laps=0.5)
+    run = room_run(poses)
+    run = replace(run, odom_stamps=run.stamps + 1e-3)  # odometry of its own
+    step = 4 * float(np.median(np.diff(run.stamps)))
+    coarse = replace(run, stamps=step * np.floor(run.stamps / step + 1e-6))
+    found = locate(coarse)
+    assert found.notes == ("60 scans have the stamp of the one before: spread evenly up to the next",)
+    assert rms(found, poses) < 0.01 and set(found.status) == {"ok"}
+    assert (found.t == coarse.stamps).all()
+
+
+def test_covered_laser_is_lost_not_standing() -> None:
+    poses = loop_poses(80, laps=0.5)
+    run = room_run(poses)
+    ranges = run.ranges.copy()
+    ranges[30:] = 0.06  # a hand in front of it, to the end
+    found = map_run(replace(run, ranges=ranges))
+    assert set(found.status[:30]) == {"ok"} and "ok" not in found.status[31:]
 
 
 def test_nothing_is_said_of_a_good_log(located: Localization) -> None:

@@ -61,3 +61,13 @@ def test_one_jump_does_not_make_the_odometry_useless() -> None:
     jumped[40:] = compose(np.array([3.0, -2.0, 1.0]), jumped[40:])
     run, notes = with_checked_odometry(replace(RUN, odometry=jumped))
     assert notes == () and len(run.odometry)
+
+
+def test_jumps_that_add_up_to_a_unit_are_no_unit() -> None:
+    way, jumped = drive(RUN).sum(), RUN.odometry.copy()
+    for at in (30, 60):  # together 3.28 times the way: as if in feet
+        apart = np.array([1.14 * way, 0.0, 0.0])
+        jumped[at:] = compose(np.broadcast_to(apart, jumped[at:].shape), jumped[at:])
+    jumped_run = replace(RUN, odometry=jumped)
+    run, notes = with_checked_odometry(jumped_run)
+    assert run is jumped_run and notes == ()

@@ -120,7 +120,7 @@ class Tracker:
     def _place(self, k: int) -> None:
         state, s = self.state, self.settings
         if not state.key_frames:
-            if self.scans.first[k + 1] > self.scans.first[k]:
+            if not self._is_covered(k):
                 self._add_key_frame(k, np.zeros((3, 3)))
             self.poses[k] = state.pose
             self.matched[k] = bool(state.key_frames)
@@ -175,6 +175,8 @@ class Tracker:
         """Return the best match, None where none is good enough."""
         s = self.settings
         assert self.state.surfaces is not None
+        if self._is_covered(k):
+            return None
         points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
         if deviations is None:
             first = match(points, normals, self.state.surfaces, predicted, settings=self.matching)
@@ -190,6 +192,11 @@ class Tracker:
         if self._is_good(first, s.usual_after_failure if self.state.failures else 0.0):
             return first
         return self._other_starts(points, normals, predicted, first)
+
+    def _is_covered(self, k: int) -> bool:
+        """Tell whether a scan has no return from beyond the radius of a match: what covers the laser moves with it."""
+        ranges = self.scans.ranges[self.scans.of(k)]
+        return bool((ranges < MATCH.first_radius).all())
 
     def _other_starts(self, points: Floats, normals: Floats, predicted: Floats, first: Match) -> Match | None:
         """Return the best match from starts around the prediction and around the last pose."""
@@ -256,11 +263,7 @@ class Tracker:
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]
         is_long = self.stamps[k] - self.stamps[first] > s.patience or np.hypot(*moved) > s.patience_way
-        if (
-            len(state.failures) < s.patience_scans
-            or not is_long
-            or self.scans.first[k + 1] == self.scans.first[k]
-        ):
+        if len(state.failures) < s.patience_scans or not is_long or self._is_covered(k):
             return
         loose = np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0
         state.last_matched = k

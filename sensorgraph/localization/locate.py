@@ -18,6 +18,7 @@ from sensorgraph.intake import check_rays
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
+from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
@@ -59,13 +60,18 @@ def locate(
         raise SensorgraphError(
             "no ray of the run ever returned; check the topic of the scans (sensorgraph inspect)"
         )
+    given, run = run, with_spread_stamps(run)
+    is_spread = run is not given
     run, notes = with_checked_odometry(run)
+    if is_spread:
+        n = int((np.diff(given.stamps) == 0).sum())
+        notes = (f"{n} scans have the stamp of the one before: spread evenly up to the next", *notes)
     if place is None:
         found = map_run(run, progress=progress)
     else:
         walls, normals, seen = place_of(place)
         found = locate_in_map(run, walls, seen=seen, normals=normals, name=name, progress=progress)
-    return replace(found, notes=(*notes, *found.notes)) if notes else found
+    return replace(found, t=given.stamps, notes=(*notes, *found.notes)) if notes else found
 
 
 def place_of(place: Arena | Sensorgraph) -> tuple[Floats, Floats | None, SeenSpace | None]:

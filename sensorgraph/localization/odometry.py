@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from logs.motion import Motion
@@ -41,6 +43,26 @@ def odometry_at_scans(run: Run, motion: Motion) -> Floats:
 
     Scans that share their stamps with as many odometry poses take these in their order.
     """
-    if len(motion.stamps) == run.n_scans and np.array_equal(motion.stamps, run.stamps):
+    if _has_own_poses(run, motion):
         return motion.poses
     return motion.at(run.stamps)
+
+
+def with_spread_stamps(run: Run) -> Run:
+    """Return the run with scans that share a stamp spread evenly up to the next stamp: its clock was too coarse.
+
+    A run whose scans have each their own odometry pose is left as it is.
+    """
+    motion, n = odometry_of(run), run.n_scans
+    if (np.diff(run.stamps) > 0).all() or (motion is not None and _has_own_poses(run, motion)):
+        return run
+    first = np.flatnonzero(np.concatenate([[True], np.diff(run.stamps) > 0]))  # of each group
+    counts = np.diff(np.append(first, n))
+    lengths = np.append(np.diff(run.stamps[first]), counts[-1] / run.sensor.rate)
+    group = np.repeat(np.arange(len(first)), counts)
+    share = (np.arange(n) - first[group]) / counts[group]
+    return replace(run, stamps=run.stamps + share * lengths[group])
+
+
+def _has_own_poses(run: Run, motion: Motion) -> bool:
+    return len(motion.stamps) == run.n_scans and np.array_equal(motion.stamps, run.stamps)

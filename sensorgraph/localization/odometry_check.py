@@ -74,7 +74,7 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
     if turns is not None and np.abs(turns[0][:, 2]).sum() > s.least_turn:
         seen, driven = turns[0][:, 2], turns[1][:, 2]
-        turn_factor = _factor(np.abs(seen).sum(), np.abs(driven).sum(), "turns", TURN_UNITS, notes, s)
+        turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
             raise SensorgraphError(
@@ -87,7 +87,7 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
         if seen.sum() > s.least_way:
-            way_factor = _factor(seen.sum(), driven.sum(), "ways", WAY_UNITS, notes, s)
+            way_factor = _factor(_ratio(seen, driven, s.moving_way, s), "ways", WAY_UNITS, notes, s)
         if not _agrees(seen, way_factor * driven, s.moving_way, s):
             return _without_odometry(run), (_disagreement(seen, driven, "ways", "metres"),)
     return (_scaled(run, motion, way_factor, turn_factor), tuple(notes)) if notes else (run, ())
@@ -149,16 +149,19 @@ def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
     )
 
 
+def _ratio(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> float:
+    """Return how many times less the scans say than the odometry: of a usual step, as one jump is more than all others."""
+    seen, driven = np.abs(seen), np.abs(driven)
+    is_moving = seen > moving
+    if is_moving.sum() < settings.least_moving:
+        return float(seen.sum() / max(driven.sum(), 1e-9))
+    return float(1.0 / max(np.median(driven[is_moving] / seen[is_moving]), 1e-9))
+
+
 def _factor(
-    seen: float,
-    driven: float,
-    what: str,
-    units: dict[float, str],
-    notes: list[str],
-    settings: OdometryCheckSettings,
+    measured: float, what: str, units: dict[float, str], notes: list[str], settings: OdometryCheckSettings
 ) -> float:
     """Return what ways or turns must be multiplied by, and note it; 1 where they are in none of the units."""
-    measured = seen / max(driven, 1e-9)
     for factor, name in units.items():
         if abs(np.log(measured / factor)) < settings.tolerance:
             notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: taken as {name}")
