@@ -137,9 +137,14 @@ def design(
     SensorgraphError : the robot cannot do what is asked, the graph is not of faces, or no place is that far from a wall
     """
     task.check(robot)
-    if not isinstance(graph.model, Faces) or not 1 <= degree <= 4 or not inputs:
-        what = f"a graph of {graph.model.name}, degree {degree} and {len(inputs)} inputs"
-        raise SensorgraphError(f"{what}: expected a graph of faces, degree 1 to 4 and an input or more")
+    if not isinstance(graph.model, Faces):
+        raise SensorgraphError(
+            f"the graph is of {graph.model.name}; build one of faces, whose walls stop the robot"
+        )
+    if not 1 <= degree <= 4 or not inputs:
+        raise SensorgraphError(
+            f"degree {degree} of {len(inputs)} inputs: expected 1 to 4, and an input or more"
+        )
     walls = arena_of(graph)
     clearance = WallDistance(walls)
     starts = start_poses(clearance, walls, robot, task.wall_distance, settings.n_starts)
