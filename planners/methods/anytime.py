@@ -84,7 +84,7 @@ class _AnytimeDrive:
         self.parts.append(part)
         self.clock += part.curve.duration
         self.interrupted |= part.interrupted
-        if task.progress:
+        if task.progress and task.budget is None:  # a budget leaves most bins out
             task.progress(self.total - int(self.missing.sum()), self.total)
 
     def look(self, until: float, growth: float) -> bool:
@@ -94,7 +94,8 @@ class _AnytimeDrive:
             for part in overview(task, task.survey, self.here, driven=self.clock, until=until, growth=growth):
                 self.add(part)
                 self._mark(part)
-                task.say(f"overview, {self.clock / 60:.0f} min of driving so far")
+                of = "" if task.budget is None else f" of {task.budget / 60:.0f}"
+                task.say(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
                 if self.is_enough:
                     return True
         return False
@@ -130,7 +131,7 @@ class _AnytimeDrive:
     def _progress(self, wanted: int) -> Progress | None:
         """Return the progress of a level that completes so many bins, as a part of the whole."""
         tick, done, total = self.task.progress, self.total - int(self.missing.sum()), self.total
-        if tick is None:
+        if tick is None or self.task.budget is not None:
             return None
         whole = tick  # known to be a function, also within the next one
         return lambda n, of: whole(done + round(n * wanted / max(of, 1)), total)
