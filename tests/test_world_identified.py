@@ -19,6 +19,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.behaviour import behaviour, lyapunov, table
 from sensorgraph.models.faces.observed_space import ObservedSpace
+from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.planning.plan_folder import save
 from sensorgraph.recording.identified_world import ArenaWorld, IdentifiedWorld
 from sensorgraph.world.drive import ExecutedDrive
@@ -85,6 +86,32 @@ def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: Robot) ->
     np.testing.assert_array_equal(whole[511], other.scan(511, poses[0]))
     assert (IdentifiedWorld(graph, robot, seed=3).scans(0, poses) != whole).mean() > 0.5
     assert len(np.unique(whole[:, 30])) > 20  # other scans, other noise
+
+
+def test_with_a_memory_a_place_stays_off_whoever_looks_and_scans_belong_to_their_number(
+    graph: Sensorgraph, robot: Robot
+) -> None:
+    for_ever = ResidualMemory(
+        sizes=np.array([0.2]),
+        lifetimes=np.array([1.0]),
+        events=np.array([[0.0, 0.5]]),
+        noise=np.array([[0.0, 0.8]]),
+    )
+    keeping = replace(graph, memory=for_ever)
+    poses = np.tile([1.3, 1.4, 0.2], (400, 1))
+    poses[::2, 2] += 0.3
+    world = IdentifiedWorld(keeping, robot, seed=3)
+    readings = world.scans(0, poses)
+    assert np.array_equal(IdentifiedWorld(keeping, robot, seed=3).scan(7, poses[7]), readings[7])
+    said = keeping.predict(poses[:2])
+    sure = said.answered & (said.p_off < 1e-4)
+    off = (readings[1::2] - said.mode[1])[:, sure[1]]
+    kept = np.var(off.mean(axis=0)) / np.mean(off**2)
+    assert kept == pytest.approx(0.8, abs=0.2)
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(0.01, rel=0.3)  # as large as without
+    each = np.broadcast_to(poses[:5, None], (5, keeping.sensor.n_rays, 3))
+    swept = IdentifiedWorld(keeping, robot, seed=3).scans(0, each)
+    np.testing.assert_allclose(swept, readings[:5], atol=1e-9)
 
 
 def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: Robot) -> None:
