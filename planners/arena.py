@@ -37,6 +37,8 @@ class Arena:
     """(n_walls,) what the wall is made of; `wall` unless the file says otherwise."""
     notes: tuple[str, ...] = ()
     """How the file was understood, where it leaves room for doubt: one line each."""
+    is_identified: bool = False
+    """Whether the walls were found in a log, which has seen them on its day, and not drawn or measured."""
 
     def __post_init__(self) -> None:
         n_walls = len(self.names)

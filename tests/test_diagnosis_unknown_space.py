@@ -45,21 +45,39 @@ def with_hole_in_east_wall(room: Arena) -> Arena:
 
 def test_walls_all_round_leave_nothing_unknown(room: Arena) -> None:
     data, _ = prepare_scans(looking_about(room), room, ROBOT)
-    same, share = without_unknown_space(data)
+    same, notes = without_unknown_space(data)
     assert len(open_borders(room)) == 0
-    assert share == 0.0
+    assert notes["into_unknown_share"] == 0.0
     np.testing.assert_array_equal(same.ranges, data.ranges)
 
 
 def test_only_rays_that_leave_known_space_are_left_out(room: Arena) -> None:
     part = with_hole_in_east_wall(room)
     data, _ = prepare_scans(looking_about(room), part, ROBOT)
-    judged, share = without_unknown_space(data)
+    judged, notes = without_unknown_space(data)
     met = cast(room, data.poses, data.sensor).wall
     east = (room.walls[met, :, 0] == 4.0).all(axis=2) & (met >= 0)
-    assert 0.02 < share < 0.5
+    assert 0.02 < notes["into_unknown_share"] < 0.5
     np.testing.assert_array_equal(np.isnan(judged.ranges), east & ~np.isnan(data.ranges))
     np.testing.assert_array_equal(judged.ranges[~east], data.ranges[~east])
+
+
+def test_what_came_since_a_log_found_the_walls_is_a_change_of_the_building_and_no_effect(room: Arena) -> None:
+    corners = np.array([(1.5, 2.1), (1.9, 2.1), (1.9, 2.5), (1.5, 2.5)])
+    box = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    since = replace(
+        room,
+        walls=np.concatenate([room.walls, box]),
+        names=(*room.names, *(f"box/edge_{i}" for i in range(4))),
+        surfaces=(*room.surfaces, *["wall"] * 4),
+    )
+    data, _ = prepare_scans(looking_about(since), room, ROBOT)
+    judged, notes = without_unknown_space(data, with_changes=False)
+    (thing,) = notes["changes"]
+    assert thing["kind"] == "new" and np.hypot(*(thing["xy"] - corners.mean(axis=0))) < 0.4
+    at_box = cast(since, data.poses, data.sensor).wall >= room.n_walls
+    assert np.isnan(judged.ranges[at_box]).mean() > 0.9 and not np.isnan(judged.ranges[~at_box]).any()
+    np.testing.assert_array_equal(without_unknown_space(data)[0].ranges, data.ranges)
 
 
 def test_a_wall_just_behind_the_rim_still_takes_the_ray(room: Arena) -> None:

@@ -155,7 +155,9 @@ def _prepare(
     if pixels is not None:
         data, notes["map_of_pixels"] = pixels.judged(data)
     else:
-        data, notes["into_unknown_share"] = without_unknown_space(data)
+        is_uncommissioned = arena.is_identified and baseline is None
+        data, said = without_unknown_space(data, with_changes=not is_uncommissioned)
+        notes |= said | {"arena_is_identified": is_uncommissioned}
     return data if baseline is None else baseline.apply_to(data), dict(notes)
 
 

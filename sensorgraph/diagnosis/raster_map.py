@@ -92,10 +92,7 @@ class RasterMap:
         return replace(robot, tolerances=replace(t, map=max(t.map, self.tolerance)))
 
     def judged(self, data: ScanData) -> tuple[ScanData, dict[str, Any]]:
-        """Leave out rays into unknown space and those that show a change; return what to say of them.
-
-        Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
-        """
+        """Leave out rays into unknown space and those that show a change; return what to say of them."""
         if data.sensor.is_composite or measures_cones(
             data.sensor
         ):  # rays from several places, and no thin ones
@@ -104,19 +101,30 @@ class RasterMap:
                 "walls": self.arena.n_walls,
                 "map_tolerance_m": self.tolerance,
             }
-        border, unknown = looks_into_unknown(data, self.borders)
-        things, rays = changes(data, border)
-        if rays.mean() > MAX_CHANGED:
-            things, rays = [], np.zeros_like(rays)
-        data = replace(data, ranges=np.where(rays | unknown, np.nan, data.ranges), memo={})
+        data, said = known_and_unchanged(data, self.borders)
         return data, {
             "pixel_m": self.pixel,
             "walls": self.arena.n_walls,
             "map_tolerance_m": self.tolerance,
-            "into_unknown_share": float(unknown.mean()),
-            "changes": [one.to_dict() for one in things],
-            "changes_share": float(rays.mean()),
+            **said,
         }
+
+
+def known_and_unchanged(data: ScanData, borders: Floats) -> tuple[ScanData, dict[str, Any]]:
+    """Leave out rays into unknown space, beyond borders (n, 2, 2) [m], and those that show a change; say which they were.
+
+    Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
+    """
+    border, unknown = looks_into_unknown(data, borders)
+    things, rays = changes(data, border)
+    if rays.mean() > MAX_CHANGED:
+        things, rays = [], np.zeros_like(rays)
+    data = replace(data, ranges=np.where(rays | unknown, np.nan, data.ranges), memo={})
+    return data, {
+        "into_unknown_share": float(unknown.mean()),
+        "changes": [one.to_dict() for one in things],
+        "changes_share": float(rays.mean()),
+    }
 
 
 def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:

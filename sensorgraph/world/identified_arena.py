@@ -50,6 +50,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
         walls=walls[order],
         names=tuple(names),
         surfaces=("wall",) * len(walls),
+        is_identified=True,
     )
 
 

@@ -215,7 +215,7 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
 
 
 def map_sentences(finding: Finding) -> list[str]:
-    """Say where the building is not as its map of pixels, and what of the run was not judged."""
+    """Say where the building is not as its map, what of the run was not judged, and where the map is from a log."""
     notes = finding.intake.get("map_of_pixels", finding.intake)
     out = []
     if notes.get("changes"):
@@ -229,6 +229,11 @@ def map_sentences(finding: Finding) -> list[str]:
     if notes.get("into_unknown_share", 0.0) > 0.005:
         out.append(
             f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space that the map does not know: not judged."
+        )
+    if finding.intake.get("arena_is_identified"):
+        out.append(
+            "The walls were found in a log: what it has wrong counts as an effect here; runs known to be good "
+            "(--commissioning) tell the two apart."
         )
     return out
 
