@@ -136,15 +136,21 @@ class CellModel:
 
         `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes. The least
         uniform numbers have no return, those above it are off the mode, as often as `predict` says by what was seen, the
-        farthest first; a reading that is not lies about the mode with the cells' sigma.
+        farthest first and last those that only noise put there; a reading that is not off lies about the mode with the
+        cells' sigma, as near as that.
         """
         out = np.full(uniform.shape, np.inf)
         bearings = self.sensor.bearings[rays]
         lasers = laser_poses(poses, self.mount)
         said, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
-        by_noise = math.erfc(OFF_DISTANCE / (math.sqrt(2.0) * self.table.sigma))
+        from scipy.special import ndtr, ndtri  # takes long to import, for drawing only
+
+        sigma_here = self.table.sigma
+        by_noise = max(math.erfc(OFF_DISTANCE / (math.sqrt(2.0) * sigma_here)), 1e-300)
         p_off = np.interp(said[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
-        p_off = np.maximum(p_off - by_noise, 0.0) / (1.0 - by_noise)
+        chance = ndtr(normal)
+        near = sigma_here * ndtri(0.5 * by_noise + (1.0 - by_noise) * chance)
+        far = sigma_here * np.where(chance < 0.5, ndtri(by_noise * chance), -ndtri(by_noise * (1.0 - chance)))
         for i, pose in enumerate(lasers):
             r, w, sigma, left = (part[0] for part in list_candidates(self.table, pose[None], bearings))
             mode = said[i, :, MODE]
@@ -154,14 +160,18 @@ class CellModel:
             nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
             off = np.where(np.abs(r - mode[:, None]) > OFF_DISTANCE, w, 0.0)
             to_end = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]  # (n_rays, n_most) of this and all farther
+            by_cells = to_end[:, 0]
+            all_off = by_cells + by_noise * np.maximum(w.sum(axis=1) - by_cells, 0.0)
             rest = (uniform[i] - nothing) / np.maximum(1.0 - nothing, 1e-300)
-            is_off = (rest >= 0) & (rest < p_off[i]) & (to_end[:, 0] > 0)
-            is_on = (rest >= 0) & ~is_off & (w > 0).any(axis=1)
-            share = to_end[is_off, 0] * rest[is_off] / p_off[i, is_off]
-            k = (to_end[is_off] > share[:, None]).sum(axis=1) - 1
-            rows = np.flatnonzero(is_off)
+            is_there = (rest >= 0) & (w > 0).any(axis=1)
+            is_off = is_there & (rest < p_off[i]) & (all_off > 0)
+            share = np.where(is_off, all_off * rest / np.maximum(p_off[i], 1e-300), np.inf)
+            rows = np.flatnonzero(share < by_cells)
+            k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
+            by_chance, is_on = is_off & ~(share < by_cells), is_there & ~is_off
             out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
-            out[i, is_on] = mode[is_on] + self.table.sigma * normal[i, is_on]
+            out[i, by_chance] = mode[by_chance] + far[i, by_chance]
+            out[i, is_on] = mode[is_on] + near[i, is_on]
         return out
 
     def equation(self, ray: int) -> str:
