@@ -110,14 +110,15 @@ class RasterMap:
         }
 
 
-def known_and_unchanged(data: ScanData, borders: Floats) -> tuple[ScanData, dict[str, Any]]:
+def known_and_unchanged(data: ScanData, borders: Floats, *, few: int = 0) -> tuple[ScanData, dict[str, Any]]:
     """Leave out rays into unknown space, beyond borders (n, 2, 2) [m], and those that show a change; say which they were.
 
-    Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
+    Two thirds of what is left must be the building as mapped, or nothing is said to have changed. So `few` changes are left
+    in, to be found and sized as effects.
     """
     border, unknown = looks_into_unknown(data, borders)
     things, rays = changes(data, border)
-    if rays.mean() > MAX_CHANGED:
+    if rays.mean() > MAX_CHANGED or len(things) <= few:
         things, rays = [], np.zeros_like(rays)
     data = replace(data, ranges=np.where(rays | unknown, np.nan, data.ranges), memo={})
     return data, {

@@ -9,6 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.raster_map import known_and_unchanged, looks_into_unknown
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.world.open_borders import open_borders
 
@@ -18,13 +19,14 @@ def without_unknown_space(data: ScanData, *, with_changes: bool = True) -> tuple
 
     Parameters
     ----------
-    with_changes : keep what shows that the building has changed since its walls were found; False: leave it out, too
+    with_changes : keep what shows that the building has changed since its walls were found; False: leave it out, too, where
+        it is more things than a diagnosis may name
     """
     if data.sensor.is_composite or measures_cones(data.sensor):
         return data, {"into_unknown_share": 0.0}
     borders = open_borders(data.arena)
     if not with_changes:
-        return known_and_unchanged(data, borders)
+        return known_and_unchanged(data, borders, few=SCAN.selection.max_effects)
     if not len(borders):
         return data, {"into_unknown_share": 0.0}
     _, unknown = looks_into_unknown(data, borders)
