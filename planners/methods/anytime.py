@@ -1,8 +1,9 @@
 """The anytime order of a coverage plan: a drive of which every prefix is worth its minutes, and whose end is complete.
 
-It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. Then it completes single
-cells evenly over the floor, one in every block of 3 m, unless a graph of earlier runs says where to look; then it looks where
-least was seen for further rounds; and at last it completes all cells. What was met before counts, so that the whole takes little longer than the order `fast`.
+It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. Then it completes
+single cells evenly over the floor, one in every block of 3 m, unless a graph of earlier runs says where to look; then
+it looks where least was seen for further rounds; and at last it completes all cells. What was met before counts, so
+that the whole takes little longer than the order `fast`.
 """
 
 from __future__ import annotations

@@ -82,16 +82,21 @@ def plan(
 
     Ctrl-C keeps what is planned so far as a shorter plan.
     """
+    import logs
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder, parse_pose
+    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose
     from sensorgraph.cli.progress import told_progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
     _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
-    place = _place(arena, resume, graph or priority)
-    driven = resume if resume is None or views is not None else _located(resume, place, poses)
+    run = None
+    if resume is not None and views is None:
+        check_poses(poses)
+        run = logs.read(resume)
+    place = _place(arena, resume, run, graph or priority)
+    driven = resume if resume is None or run is None else _located(run, resume, place, poses)
     counted = "bins" if planner == "coverage" and views is None else "stops"
     with told_progress("planning", counted) as (tick, say):
         made = make_plan(
@@ -126,35 +131,31 @@ def _quieten(*names: str) -> None:
             log.addHandler(logging.NullHandler())
 
 
-def _place(arena: str | None, resume: Path | None, graph: Path | None) -> Arena | str:
+def _place(arena: str | None, resume: Path | None, run: Run | None, graph: Path | None) -> Arena | str:
     """Return the arena given, else the one that the run to resume keeps, else the walls of the graph."""
-    import logs
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in
 
     if arena is not None:
         return arena
-    if resume is not None and (kept := arena_in(logs.read(resume))) is not None:
+    if run is not None and (kept := arena_in(run)) is not None:
         return kept
     if graph is not None:
         return str(graph)
     raise SensorgraphError(
         "no arena given, expected a *.geojson, a map_server *.yaml, a *.sensorgraph, or a shipped one: square, office"
-        if resume is None
+        if run is None
         else f"{resume} keeps no arena; give the one it was driven in, or a --graph"
     )
 
 
-def _located(resume: Path, place: Arena | str, poses: str | None) -> Run | Path:
+def _located(run: Run, resume: Path, place: Arena | str, poses: str | None) -> Run | Path:
     """Return the run to resume from: its file, or the run with the poses that were found for it."""
-    import logs
-    from sensorgraph.cli.inputs import check_poses, with_poses, with_poses_of_graph
+    from sensorgraph.cli.inputs import with_poses, with_poses_of_graph
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.localization.kept import KEY
 
-    check_poses(poses)
-    run = logs.read(resume)
     if isinstance(place, str) and place.endswith(".sensorgraph"):
         run = with_poses_of_graph(run, resume, poses, Sensorgraph.load(Path(place)), place, {})
     elif isinstance(place, str):

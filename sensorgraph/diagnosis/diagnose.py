@@ -157,7 +157,7 @@ def _prepare(
     else:
         is_uncommissioned = arena.is_identified and baseline is None
         data, said = without_unknown_space(data, with_changes=not is_uncommissioned)
-        notes |= said | {"arena_is_identified": is_uncommissioned}
+        notes |= said | {"is_uncommissioned_graph": is_uncommissioned}
     return data if baseline is None else baseline.apply_to(data), dict(notes)
 
 

@@ -230,7 +230,7 @@ def map_sentences(finding: Finding) -> list[str]:
         out.append(
             f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space that the map does not know: not judged."
         )
-    if finding.intake.get("arena_is_identified"):
+    if finding.intake.get("is_uncommissioned_graph"):
         out.append(
             "The walls were found in a log: what it has wrong counts as an effect here; runs known to be good "
             "(--commissioning) tell the two apart."
