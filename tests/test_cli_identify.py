@@ -102,6 +102,10 @@ BAD = {
         "at most, or auto",
     ),
     "degree": (["--output", "speed", "--inputs", "volts", "--degree", "9"], "--degree"),
+    "auto with a degree": (
+        ["--output", "speed", "--inputs", "volts", "--auto", "--lags", "3", "--degree", "3"],
+        "leave --lags and --degree out",
+    ),
 }
 
 

@@ -38,6 +38,7 @@ MIN_P_VALUE = 0.001
 
 
 def identify(
+    context: typer.Context,
     file: IdentifyFile,
     output: IdentifyOutput,
     out: IdentifyOut,
@@ -75,6 +76,8 @@ def identify(
     from sensorgraph.show.figures.identified import identified_picture
 
     check_output(out, file)
+    if auto:
+        _check_left_to_auto(context)
     if out.suffix != ".json":
         raise SensorgraphError(
             f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}"
@@ -92,6 +95,20 @@ def identify(
     picture = out.with_suffix(".png")
     identified_picture(found, picture)
     typer.echo(f"wrote {out}, {picture}")
+
+
+def _check_left_to_auto(context: typer.Context) -> None:
+    """Refuse options that `--auto` would not use."""
+    from sensorgraph.errors import SensorgraphError
+
+    sources = {name: context.get_parameter_source(name) for name in ("lags", "output_lags", "degree")}
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name, source in sources.items()
+        if source is not None and source.name == "COMMANDLINE"
+    ]
+    if given:
+        raise SensorgraphError(f"--auto chooses lags and degree; leave {' and '.join(given)} out")
 
 
 def _one_output(given: Sequence[str]) -> str:
