@@ -20,10 +20,6 @@ ORDERS = ("fast", "anytime")
 class Survey(Protocol):
     """What the sensor has seen so far, as an anytime plan asks for it."""
 
-    @property
-    def asks_a_graph(self) -> bool:
-        """Whether gains say what a graph of earlier runs does not know."""
-
     def gain(self, poses: Floats) -> Floats:
         """Return (n,) what a scan at each pose (n, 3) [m, m, rad] alone would add."""
 

@@ -23,7 +23,6 @@ class DiscSurvey:
 
     radius: float = 0.8
     seen: set[tuple[int, int]] = field(default_factory=set)
-    asks_a_graph: bool = False
 
     def _around(self, pose: Floats) -> set[tuple[int, int]]:
         i, k = np.mgrid[0:40, 0:30]
@@ -38,7 +37,7 @@ class DiscSurvey:
             self.seen |= self._around(pose)
 
     def copy(self) -> DiscSurvey:
-        return DiscSurvey(self.radius, set(self.seen), self.asks_a_graph)
+        return DiscSurvey(self.radius, set(self.seen))
 
 
 def planned(order: str = "anytime", radius: float = 0.8, **given: object) -> Plan:
@@ -112,16 +111,25 @@ def test_what_has_no_order_is_refused(given: dict[str, object], said: str) -> No
         plan(door_arena(9.0), vehicle, **GRID, **given)  # type: ignore[arg-type]
 
 
-def test_the_rounds_after_the_spins_see_more_than_a_room_filled_as_long(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def seen_until(later_share: float, seconds: float) -> int:
-        monkeypatch.setattr(
-            anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, later_share=later_share, growth=1.0)
-        )
+def test_rounds_of_spins_see_more_than_a_room_filled_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    def seen_until(spin_share: float, seconds: float) -> int:
+        monkeypatch.setattr(anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, spin_share=spin_share))
         made, survey = planned(radius=0.3, budget=seconds), DiscSurvey(0.3)
         survey.mark(made.curve.log(10.0))
         return len(survey.seen)
 
     monkeypatch.setattr(overview, "OVERVIEW", replace(OVERVIEW, first_round=10.0))
     assert seen_until(0.5, 120.0) > 1.3 * seen_until(0.0, 120.0)
+
+
+def test_the_search_at_the_end_leaves_out_what_rounds_of_spins_have_completed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The rounds cost their ways, not their whole length."""
+
+    def made(spin_share: float) -> Plan:
+        monkeypatch.setattr(anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, spin_share=spin_share))
+        return planned(radius=0.3)
+
+    without, share = made(0.0), 0.4
+    assert made(share).curve.duration < without.curve.duration + 0.6 * share * without.report["t_ref_s"]

@@ -1,9 +1,9 @@
 """The anytime order of a coverage plan: a drive of which every prefix is worth its minutes, and whose end is complete.
 
-It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. Then it completes
-single cells evenly over the floor, one in every block of 3 m, unless a graph of earlier runs says where to look; then
-it looks where least was seen for further rounds; and at last it completes all cells. What was met before counts, so
-that the whole takes little longer than the order `fast`.
+It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. For the first minutes
+a round is of views. Then it is of spins, chosen alike: each completes a cell, which the search at the end leaves out, so
+that such a round costs the plan only its ways. Without a survey, one cell is completed in every block of 3 m. At last
+all cells are completed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from planners import order
 from planners.curve import join_curves
 from planners.errors import PlanError
 from planners.methods.coverage_spins import plan_spins
-from planners.methods.overview import overview
+from planners.methods.overview import choose_spins, overview
 from planners.methods.settings import ANYTIME, OVERVIEW
 from planners.methods.stop_and_spin import StopAndSpinPlanner, bins_to_visit, standing_places
 from planners.order import CellGraph
 from planners.report import reference_time
 from planners.search.log_phases import met
-from planners.task import PlannedDrive, Task
+from planners.task import PlannedDrive, Survey, Task
 from planners.types import Bools, Floats, Ints, Progress
 
 
@@ -38,15 +38,14 @@ def plan_anytime(task: Task) -> PlannedDrive:
         raise PlanError("a priority is an order of its own; leave out the order anytime")
     drive = _AnytimeDrive(task, bins_to_visit(task))
     try:
-        reference = reference_time(task.coverage, task.vehicle)
-        if drive.look(OVERVIEW.share * reference, OVERVIEW.growth):
-            return drive.planned()
-        is_informed = task.survey is not None and task.survey.asks_a_graph
-        for level in () if is_informed else ANYTIME.blocks:
-            if drive.complete(level) and drive.is_enough:
-                return drive.planned()
-        if not drive.look(OVERVIEW.later_share * reference, OVERVIEW.later_growth):
-            drive.complete(task.reach.cell)
+        reference, survey = reference_time(task.coverage, task.vehicle), task.survey
+        if survey is None:
+            drive.spin(_one_in_each(drive.missing, ANYTIME.block, task))
+        else:
+            drive.look(survey, OVERVIEW.share * reference)
+            drive.spin_by_survey(survey, OVERVIEW.spin_share * reference)
+        if not drive.is_enough:
+            drive.complete()
     except KeyboardInterrupt:
         if not drive.parts:
             raise
@@ -58,7 +57,7 @@ class _AnytimeDrive:
     """The drive so far, and what it has met."""
 
     def __init__(self, task: Task, todo: Bools) -> None:
-        self.task, self.missing = task, todo
+        self.task, self.todo, self.missing = task, todo, todo.copy()
         self.total = int(todo.sum())
         self.parts: list[PlannedDrive] = []
         self.interrupted = False
@@ -79,58 +78,63 @@ class _AnytimeDrive:
         return np.asarray(curve.sample(np.array([curve.duration]))[0][0])
 
     def add(self, part: PlannedDrive) -> None:
-        """Append a drive that begins where this one ends."""
-        task = self.task
-        self.missing &= ~met(part.curve, task.coverage, task.rate, self.clock).all(axis=0)
+        """Append a drive that begins where this one ends, and count what it shows as seen."""
+        task, curve = self.task, part.curve
+        self.missing &= ~met(curve, task.coverage, task.rate, self.clock).all(axis=0)
         self.parts.append(part)
-        self.clock += part.curve.duration
+        self.clock += curve.duration
         self.interrupted |= part.interrupted
         if task.progress and task.budget is None:  # a budget leaves most bins out
             task.progress(self.total - int(self.missing.sum()), self.total)
 
-    def look(self, until: float, growth: float) -> bool:
-        """Drive rounds of an overview until so many seconds of the drive; True if nothing more need be planned."""
-        task = self.task
-        if task.survey is not None:
-            for part in overview(task, task.survey, self.here, driven=self.clock, until=until, growth=growth):
-                self.add(part)
-                self._mark(part)
-                of = "" if task.budget is None else f" of {task.budget / 60:.0f}"
-                task.say(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
-                if self.is_enough:
-                    return True
-        return False
+    def _mark(self, survey: Survey) -> None:
+        """Count what the last part shows as seen, and say how far the overview is."""
+        curve = self.parts[-1].curve
+        survey.mark(curve.sample(np.arange(0.0, curve.duration, OVERVIEW.look_period))[0])
+        budget = self.task.budget
+        of = "" if budget is None else f" of {budget / 60:.0f}"
+        self.task.say(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
 
-    def _mark(self, part: PlannedDrive) -> None:
-        """Count what a part shows as seen."""
-        if self.task.survey is not None:
-            seen = np.arange(0.0, part.curve.duration, OVERVIEW.look_period)
-            self.task.survey.mark(part.curve.sample(seen)[0])
+    def look(self, survey: Survey, until: float) -> None:
+        """Drive rounds of views until so many seconds of the drive, or until nothing more need be planned."""
+        for part in overview(self.task, survey, self.here, driven=self.clock, until=until):
+            self.add(part)
+            self._mark(survey)
+            if self.is_enough:
+                return
 
-    def complete(self, block: float) -> bool:
-        """Complete one cell in every block of that side [m]; False if there is none to complete."""
-        task = self.task
-        wanted = self.missing & _one_in_each(
-            self._whole(), self.missing, max(round(block / task.reach.cell), 1), task
-        )
-        if not wanted.any():
-            return False
-        if block > task.reach.cell:
-            task.say(f"a spin in every {block:g} m, after {self.clock / 60:.0f} min of driving")
-        grid = replace(task.coverage, counts=np.where(wanted, 0, 1))
-        part = replace(task, coverage=grid, start=self.here, progress=self._progress(int(wanted.sum())))
-        is_last = block <= task.reach.cell
-        self.add(plan_spins(part) if is_last else _SpinTour(part, wanted).run())
-        if not is_last:
-            self._mark(self.parts[-1])
-        return True
+    def spin_by_survey(self, survey: Survey, until: float) -> None:
+        """Drive rounds of spins likewise, which complete cells."""
+        rng = np.random.default_rng(self.task.seed)
+        while (here := self.here) is not None and not self.is_enough and self.clock < until:
+            length = min(max(OVERVIEW.first_round, OVERVIEW.spin_growth * self.clock), until - self.clock)
+            cells = choose_spins(self.task, survey, here, self.missing & self._open(), length, rng)
+            if not cells.any():
+                return
+            self.spin(cells)
+            self._mark(survey)
 
-    def _whole(self) -> Bools:
-        """(nx, ny) cells that count and miss nothing."""
-        return np.asarray(self.task.coverage.reachable.any(axis=2) & ~self.missing.any(axis=2))
+    def spin(self, cells: Bools) -> None:
+        """Complete cells (nx, ny, 1) by a spin in each."""
+        wanted = np.asarray(self.missing & cells)
+        self.add(_SpinTour(self._part(wanted), wanted).run())
+
+    def complete(self) -> None:
+        """Complete all cells. Those of which least is met are covered anew: scattered bins would cost a search more than all."""
+        self.add(plan_spins(self._part(np.asarray(self.missing | self.todo & self._open()))))
+
+    def _open(self) -> Bools:
+        """Return (nx, ny, 1) cells of which more than half of the bins are missing."""
+        return np.asarray(2 * self.missing.sum(axis=2, keepdims=True) > self.todo.sum(axis=2, keepdims=True))
+
+    def _part(self, wanted: Bools) -> Task:
+        """Return the task to meet some bins (nx, ny, n_phi), from where the drive so far ends."""
+        grid = replace(self.task.coverage, counts=np.where(wanted, 0, 1))
+        left = int((self.missing & wanted).sum())
+        return replace(self.task, coverage=grid, start=self.here, progress=self._progress(left))
 
     def _progress(self, wanted: int) -> Progress | None:
-        """Return the progress of a level that completes so many bins, as a part of the whole."""
+        """Return the progress of a part that meets so many bins, as a part of the whole."""
         tick, done, total = self.task.progress, self.total - int(self.missing.sum()), self.total
         if tick is None or self.task.budget is not None:
             return None
@@ -170,21 +174,19 @@ class _SpinTour(StopAndSpinPlanner):
         return np.array([k for k, _ in found if k < len(cells.index)])
 
 
-def _one_in_each(whole: Bools, missing: Bools, size: int, task: Task) -> Bools:
-    """Return (nx, ny, 1) one cell with missing bins of every block of `size` x `size` cells that has no whole cell yet.
+def _one_in_each(missing: Bools, block: float, task: Task) -> Bools:
+    """Return (nx, ny, 1) one cell with missing bins of every block of that side [m].
 
     It is the roomiest, and of these the nearest to the middle of its block.
     """
-    cells = np.asarray(missing.any(axis=2))
-    if size == 1:
-        return np.asarray(cells[:, :, None])
+    cells, size = np.asarray(missing.any(axis=2)), max(round(block / task.reach.cell), 1)
     row, column = np.indices(cells.shape, dtype=np.int64)
-    block: Ints = row // size * -(-cells.shape[1] // size) + column // size
+    number: Ints = row // size * -(-cells.shape[1] // size) + column // size
     off = np.asarray(np.hypot(row % size - (size - 1) / 2, column % size - (size - 1) / 2))
-    choice = np.flatnonzero(cells & ~np.asarray(np.isin(block, block[whole])))
+    choice = np.flatnonzero(cells)
     area = task.reach.areas().ravel()[choice].round(1)
-    best = choice[np.lexsort((off.ravel()[choice], -area, block.ravel()[choice]))]
-    _, first = np.unique(block.ravel()[best], return_index=True)
+    best = choice[np.lexsort((off.ravel()[choice], -area, number.ravel()[choice]))]
+    _, first = np.unique(number.ravel()[best], return_index=True)
     out = np.zeros(cells.size, dtype=np.bool_)
     out[best[first]] = True
     return out.reshape(*cells.shape, 1)

@@ -21,11 +21,11 @@ from planners.methods.stop_and_spin import standing_places
 from planners.rooms import shortest_sequence
 from planners.settings import LOG
 from planners.task import JoinCounts, PlannedDrive, Survey, Task
-from planners.types import Floats, Ints
+from planners.types import Bools, Floats, Ints
 
 
 def overview(
-    task: Task, survey: Survey, here: Floats | None, *, driven: float, until: float, growth: float
+    task: Task, survey: Survey, here: Floats | None, *, driven: float, until: float
 ) -> Iterator[PlannedDrive]:
     """Yield rounds, each from the end of the one before; whoever takes them marks what they show.
 
@@ -35,15 +35,14 @@ def overview(
     here : (3,) where that drive ends; None: there is none, and the rounds begin at the view of most gain
     driven : [s] that it takes
     until : [s] that it may take with the rounds
-    growth : length of a round, as a share of the drive before
     """
-    views = _Views(task)
+    views = _views(task)
     if here is None:
-        here = views.poses[int(survey.gain(views.poses).argmax())]
+        here = views.poses[int(views.gains(survey).argmax())]
     survey.mark(here[None])
     while driven < until:
-        length = min(max(OVERVIEW.first_round, growth * driven), until - driven)
-        chosen = _choose(views, survey.copy(), survey.gain(views.poses), here, length)
+        length = min(max(OVERVIEW.first_round, OVERVIEW.growth * driven), until - driven)
+        chosen = views.poses[_choose(views, survey.copy(), views.gains(survey), here, length)]
         drive = _drive(chosen, here, task) if len(chosen) else None
         if drive is None:
             return
@@ -52,16 +51,57 @@ def overview(
         driven += drive.curve.duration
 
 
-class _Views:
-    """Random poses to choose from, and the driving time between them."""
+def _views(task: Task) -> _Stops:
+    """Return random poses to choose from, at which the robot stands still for a scan."""
+    rng, reach = np.random.default_rng(task.seed), task.reach
+    nodes = np.nonzero(reach.mask)
+    pick = rng.integers(len(nodes[0]), size=OVERVIEW.candidates)
+    places = reach.nodes((nodes[0][pick], nodes[1][pick]))
+    poses = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
+    return _Stops(task, poses, poses[:, None], OVERVIEW.turn)
 
-    def __init__(self, task: Task) -> None:
-        rng, reach = np.random.default_rng(task.seed), task.reach
-        nodes = np.nonzero(reach.mask)
-        pick = rng.integers(len(nodes[0]), size=OVERVIEW.candidates)
-        places = reach.nodes((nodes[0][pick], nodes[1][pick]))
-        self.poses = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
-        """(n, 3) [m, m, rad]"""
+
+def choose_spins(
+    task: Task, survey: Survey, here: Floats, todo: Bools, seconds: float, rng: np.random.Generator
+) -> Bools:
+    """Choose cells to complete by a spin each in so many seconds, ways from `here` (3,) included.
+
+    Parameters
+    ----------
+    survey : what the drive so far has shown; is not marked
+    todo : (nx, ny, n_phi) bins; their cells are to choose from
+
+    Returns
+    -------
+    (nx, ny, 1) cells
+    """
+    cells = standing_places(task.reach, task.barriers, todo)
+    pick = rng.permutation(len(cells.index))[: OVERVIEW.candidates // OVERVIEW.looks]
+    turn = np.arange(OVERVIEW.looks) * 2 * np.pi / OVERVIEW.looks
+    looks = np.empty((len(pick), len(turn), 3))
+    looks[:, :, :2] = cells.places[pick, None]
+    looks[:, :, 2] = turn
+    stops = _Stops(task, looks[:, 0], looks, 2 * np.pi)
+    chosen = cells.index[pick[_choose(stops, survey.copy(), stops.gains(survey), here, seconds)]]
+    out = np.zeros((*todo.shape[:2], 1), dtype=np.bool_)
+    out[tuple(chosen.T)] = True
+    return out
+
+
+class _Stops:
+    """Poses to choose from, what is scanned at each, and the driving time between them."""
+
+    def __init__(self, task: Task, poses: Floats, looks: Floats, turn: float) -> None:
+        """Prepare the ways.
+
+        Parameters
+        ----------
+        poses : (n, 3) [m, m, rad] of the robot on arrival
+        looks : (n, k, 3) of its scans at each
+        turn : [rad] that it turns there, and on its way there
+        """
+        reach, limits = task.reach, task.vehicle.limits
+        self.poses, self.looks, places = poses, looks, poses[:, :2]
         cells = standing_places(reach, task.barriers, reach.cells()[:, :, None])
         self.places, n = cells.places, len(cells.places)
         lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
@@ -69,13 +109,17 @@ class _Views:
         number = np.full(reach.shape, -1)
         number[tuple(cells.index.T)] = np.arange(n)
         at = np.floor((places - reach.origin) / reach.cell).astype(np.int64)
-        self.near = number[tuple(at.T)]  # (n,) place of the cell that each view lies in
+        self.near = number[tuple(at.T)]  # (n,) place of the cell that each pose lies in
         lone = self.near < 0
         self.near[lone] = [((cells.places - place) ** 2).sum(axis=1).argmin() for place in places[lone]]
-        limits = task.vehicle.limits
         self.speed = limits.v
-        self.stop = limits.v / limits.a + OVERVIEW.turn / limits.omega + limits.omega / limits.alpha
+        self.stop = limits.v / limits.a + turn / limits.omega + limits.omega / limits.alpha
         """[s] that a stop adds to the way: to brake, to turn, and to get going."""
+
+    def gains(self, survey: Survey) -> Floats:
+        """Return (n,) what a stop at each alone would add."""
+        n, k, _ = self.looks.shape
+        return np.asarray(survey.gain(self.looks.reshape(-1, 3)).reshape(n, k).sum(axis=1))
 
     def ways_from(self, place: Floats) -> _Ways:
         """Return the ways from a place (2,) to each view."""
@@ -103,8 +147,8 @@ class _Ways:
     """(n places,) the place before each on the shortest way; negative: none."""
 
 
-def _choose(views: _Views, survey: Survey, gains: Floats, here: Floats, seconds: float) -> Floats:
-    """Return the views (k, 3) of one round, in order.
+def _choose(views: _Stops, survey: Survey, gains: Floats, here: Floats, seconds: float) -> Ints:
+    """Return the views (k,) of one round, in order.
 
     Parameters
     ----------
@@ -119,11 +163,11 @@ def _choose(views: _Views, survey: Survey, gains: Floats, here: Floats, seconds:
         if len(tour) > 1:
             cost = np.array([rows[k].seconds[tour] for k in tour])
             tour = [tour[k] for k in shortest_sequence(cost, rows[-1].seconds[tour]).tolist()]
-    return views.poses[tour]
+    return np.array(tour, dtype=np.int64)
 
 
 def _insert(
-    tour: list[int], rows: dict[int, _Ways], bound: Floats, views: _Views, survey: Survey, seconds: float
+    tour: list[int], rows: dict[int, _Ways], bound: Floats, views: _Stops, survey: Survey, seconds: float
 ) -> None:
     """Insert views into the tour, the one of most gain first, as long as the tour takes no more than `seconds`.
 
@@ -142,10 +186,10 @@ def _insert(
             k = int(bound_now.argmax())
             if bound_now[k] <= 0.0:
                 return
-            bound[k] = bound_now[k] = survey.gain(views.poses[k][None])[0]
+            bound[k] = bound_now[k] = survey.gain(views.looks[k]).sum()
             if bound_now[k] >= bound_now.max():
                 break
-        survey.mark(views.poses[k][None])
+        survey.mark(views.looks[k])
         bound[k] = 0.0
         at = int(where[k])
         tour.insert(at, k)

@@ -95,17 +95,19 @@ class OverviewSettings:
     """The first minutes of an anytime plan; set by `python -m benchmarks.error_by_minutes --arena office` (seed 1)."""
 
     share: float = 0.03
-    """Of the reference time that the first rounds take together, before the spins."""
-    later_share: float = 0.08
-    """Of the reference time at which the last round after the spins ends."""
+    """Of the reference time that the rounds of views take together."""
+    spin_share: float = 0.135
+    """Of the reference time at which the last round of spins ends: with more the office takes more than 1.25 of it."""
     first_round: float = 100.0
     """[s] of the first round."""
     growth: float = 1.0
-    """Length of each later round of the first ones, as a share of all that was driven before."""
-    later_growth: float = 0.5
-    """The same of those after the spins: a cut within a tour costs less, the shorter it is."""
+    """Length of each later round of views, as a share of all that was driven before."""
+    spin_growth: float = 0.5
+    """The same of rounds of spins."""
     candidates: int = 2500
-    """Views to choose from."""
+    """Scans to choose from."""
+    looks: int = 4
+    """Scans of a spin that count when it is chosen."""
     turn: float = 3.0
     """[rad] by which a robot turns at a view and on its way there, on average."""
     look_period: float = 0.2
@@ -114,10 +116,10 @@ class OverviewSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class AnytimeSettings:
-    """How an anytime plan goes from coarse to fine; set by `python -m benchmarks.coverage_planners --order anytime`."""
+    """How an anytime plan begins that knows no sensor; set by `python -m benchmarks.coverage_planners --order anytime`."""
 
-    blocks: tuple[float, ...] = (3.0,)
-    """[m] sides of blocks: at each level, one cell of every block is completed, before all cells are at the last."""
+    block: float = 3.0
+    """[m] side of blocks: without a survey, one cell of each is completed before all cells are."""
 
 
 COVERAGE = CoverageSettings()

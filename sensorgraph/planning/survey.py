@@ -36,11 +36,6 @@ class LaserSurvey:
         self.surface = np.zeros(np.ceil(size / SURFACE_CELL).astype(int) + 1, dtype=np.uint16)
         self._weights: dict[bytes, Floats] = {}
 
-    @property
-    def asks_a_graph(self) -> bool:
-        """Whether rays count by what a sensorgraph does not know of them."""
-        return self.worth is not None
-
     def gain(self, poses: Floats) -> Floats:
         """Return (n,) what a scan at each pose (n, 3) [m, m, rad] alone would add."""
         return self._scan(poses, self._weight(poses), False)
