@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from logs import Run
+from logs import Run, pair
 from planners.arena import Arena
 from sensorgraph import build
 from sensorgraph.graph import Sensorgraph
@@ -227,10 +227,14 @@ def windows_in_graph(log: Run, arena: Arena) -> Iterator[LogWindow]:
 
 
 def scans_alone(log: Run) -> Run:
-    """Return a located log without its wheels."""
-    none = np.zeros(0)
+    """Return the scans of a located log that have a pose, without its wheels; pose k is that of scan k."""
+    none, located = np.zeros(0), pair(log)
     return replace(
         log,
+        stamps=log.stamps[located.paired],
+        ranges=log.ranges[located.paired],
+        pose_stamps=log.stamps[located.paired],
+        poses=located.poses[located.paired],
         odom_stamps=none,
         odometry=np.zeros((0, 3)),
         odom_twists=np.zeros((0, 2)),
