@@ -30,6 +30,9 @@ SPARSE_WINDOW = 72  # scans of a window of such a log
 MAP_CELL = 0.08  # [m]
 RANGE_SIGMA = 0.015  # [m]
 SCANS_IN_GRAPH, N_SCANS_IN_GRAPH = 200, 100  # of a window against a graph, and how many of them are taken
+MAX_WINDOWS = (
+    20  # of a log, evenly spread over its second half: commissioning takes longer than it tells beyond
+)
 MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 
 
@@ -214,7 +217,8 @@ def windows_in_graph(log: Run, arena: Arena) -> Iterator[LogWindow]:
     """Cut the second half of a located log into windows of some 100 scans; those mostly in unknown space are left out."""
     borders = open_borders(arena)
     second = np.arange(log.n_scans // 2, log.n_scans)
-    for part in np.array_split(second, max(2, round(len(second) / SCANS_IN_GRAPH))):
+    parts = np.array_split(second, max(2, round(len(second) / SCANS_IN_GRAPH)))
+    for part in parts[:: -(-len(parts) // MAX_WINDOWS)]:
         scans = part[:: max(1, len(part) // N_SCANS_IN_GRAPH)]
         run = measurement(log, scans)
         lasers = laser_poses(run.poses, run.sensor.mount)

@@ -27,6 +27,7 @@ from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
+from sensorgraph.diagnosis.scan.spread_evidence import must_be_spread, spread_evidence
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
@@ -246,7 +247,8 @@ def clutter_gains(
         if is_rough(got.model[-1]):
             got = searched(data, got, bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model
-        gain = got.j - null.j - price(effect, data)
+        gained = spread_evidence(data, got, null) if must_be_spread(effect) else got.j - null.j
+        gain = gained - price(effect, data)
         if effect.effect.place is None and gain > gains.get(effect.name, -np.inf):
             sizes[effect.name] = {k: effect[k] for k in effect.effect.sizes}
         kind = clutter_kind(effect, data)

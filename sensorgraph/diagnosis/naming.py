@@ -14,6 +14,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
+from sensorgraph.diagnosis.scan.ranking import n_parameters
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
@@ -86,25 +87,42 @@ def name_scan_effects(
         notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
     return ScanNames(
-        result=without_close_calls(result),
+        result=without_close_calls(
+            result, {complete[i].name: _margin(data, complete[i], a) for i, a, _ in rivals}
+        ),
         accepted=tuple(final.model[i] for i in accepted),
         rivals=tuple(rival for _, rival, _ in rivals),
     )
 
 
-def without_close_calls(result: ChannelResult) -> ChannelResult:
-    """Take the name from effects that a rival explains as well, unless the rival is itself named."""
+def without_close_calls(result: ChannelResult, margins: Mapping[str, float] | None = None) -> ChannelResult:
+    """Take the name from effects that a rival explains as well, unless the rival is itself named.
+
+    Parameters
+    ----------
+    margins : effect -> [nats] by which it must be ahead of its rival; default: `SCAN.naming.rival_margin`
+    """
     names = {a.name for a in result.effects}
+    margins = margins or {}
     rivals = [rival for rival in result.rivals if rival.name not in names]
-    close = [a for a in result.effects if any(_is_close(a, rival) for rival in rivals)]
+    close = [a for a in result.effects if any(_is_close(a, rival, margins) for rival in rivals)]
     named = tuple(a for a in result.effects if a not in close)
     return replace(result, effects=named, undecided=(*result.undecided, *close))
 
 
-def _is_close(a: Amendment, rival: Rival) -> bool:
+def _is_close(a: Amendment, rival: Rival, margins: Mapping[str, float]) -> bool:
     """Tell whether evidence does not choose; where a rival is well ahead, something else chose with reason."""
     margin = abs((a.evidence or 0.0) - rival.evidence_nats)
-    return rival.instead_of == a.name and margin < SCAN.naming.rival_margin
+    return rival.instead_of == a.name and margin < margins.get(a.name, SCAN.naming.rival_margin)
+
+
+def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
+    """Return by how much evidence must choose [nats]: at a site known by good runs, by more than its clutter brings."""
+    usual = data.baseline_intervals.get(rival.name)
+    is_special = n_parameters(rival) > n_parameters(a)  # a warm-up that is over at once is a bias
+    if a.name not in data.clutter_leads or usual is None or usual.contains(rival) or is_special:
+        return SCAN.naming.rival_margin
+    return max(SCAN.naming.rival_margin, data.clutter_leads[a.name], data.clutter_leads.get(rival.name, 0.0))
 
 
 def located(amendment: Amendment, data: ScanData) -> Amendment:
@@ -139,10 +157,15 @@ def _is_blurred_corner(amendment: Amendment) -> bool:
 
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there."""
+    """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there, or is a wall.
+
+    A disc that is as large as discs may be has been fitted to something flat.
+    """
     if amendment.effect.place != "spot":
         return False
     data, values = fitted.solver.data, amendment.parameters
+    if values["r"] >= amendment.effect.parameter("r").high:
+        return True
     place = np.array([[values["x"], values["y"]]])
     if data.arena.contains(place)[0]:
         return False

@@ -96,16 +96,10 @@ class SiteBaseline:
         effect that no good run gave a reason to try may still be tried in the next: where clutter has brought others more
         than a name takes, it pays the least of these.
         """
-        gained: dict[str, list[float]] = {}
-        for w in windows:
-            size = float(np.sqrt(n_readings / w.n_readings))
-            for kind, gain in w.gains.items():
-                name = effect_of(kind)
-                if not (name in intervals and EFFECTS[name].nuisances):
-                    gained.setdefault(kind, []).append(gain if _is_local(name) else gain * size)
         nats = {
-            kind: max(values) * self._clutter_factor(effect_of(kind), np.array(values))
-            for kind, values in gained.items()
+            kind: most
+            for kind, most in self._most_nats(windows, n_readings).items()
+            if not _has_sharper_test(effect_of(kind), intervals)
         }
         if self.n_runs < SCAN.site.min_windows:  # too few to tell what stands free from what leans at walls
             for kind in list(nats):
@@ -117,9 +111,21 @@ class SiteBaseline:
         looked_for = [
             name
             for name, effect in EFFECTS.items()
-            if effect.channel == "scan" and not (name in intervals and effect.nuisances)
+            if effect.channel == "scan" and not _has_sharper_test(name, intervals)
         ]
         return {**{kind: least for name in looked_for for kind in kinds_of(name)}, **nats}
+
+    def _most_nats(self, windows: Sequence[WindowEstimate], n_readings: int) -> dict[str, float]:
+        """Return, per kind of clutter, what it may gain in a run of so many readings though nothing is wrong [nats]."""
+        gained: dict[str, list[float]] = {}
+        for w in windows:
+            size = float(np.sqrt(n_readings / w.n_readings))
+            for kind, gain in w.gains.items():
+                gained.setdefault(kind, []).append(gain if _is_local(effect_of(kind)) else gain * size)
+        return {
+            kind: max(values) * self._clutter_factor(effect_of(kind), np.array(values))
+            for kind, values in gained.items()
+        }
 
     def _clutter_factor(self, name: str, gained: Floats) -> float:
         """Return what a name takes, over the most that clutter alone has brought: more, where windows differ much.
@@ -151,7 +157,19 @@ class SiteBaseline:
         floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
         clutter = {kind: max(nats - SCAN.selection.threshold, 0.0) for kind, nats in floors.items()}
         clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
-        return replace(data, laser_frame=False, clutter_nats=clutter, baseline_intervals=intervals, memo={})
+        leads = {
+            kind: nats
+            for kind, nats in self._most_nats(windows, data.ranges.size).items()
+            if _has_sharper_test(effect_of(kind), intervals)
+        }
+        return replace(
+            data,
+            laser_frame=False,
+            clutter_nats=clutter,
+            clutter_leads=leads,
+            baseline_intervals=intervals,
+            memo={},
+        )
 
     def discount(self, doubt: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
         """Take back a doubt that is no larger than the good runs' own, and count only the misfit beyond that."""
@@ -163,6 +181,11 @@ class SiteBaseline:
         if beyond > 0 and is_clear:
             return replace(doubt, misfit=site.doubt_share * beyond)
         return replace(doubt, statement="", deviation=None, misfit=0.0, failed=frozenset())
+
+
+def _has_sharper_test(name: str, intervals: Mapping[str, BaselineInterval]) -> bool:
+    """Tell whether an effect is a smooth one of the whole sensor, whose size is held against those of good runs."""
+    return name in intervals and bool(EFFECTS[name].nuisances)
 
 
 def _is_local(name: str) -> bool:

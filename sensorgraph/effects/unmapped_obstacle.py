@@ -15,6 +15,8 @@ from sensorgraph.world.scene import Scene
 
 CELL, MAX_CELLS = 0.25, 1500
 """[m] of the raster of free space, and about how many cells it may have."""
+MAX_RADIUS = 0.8
+"""[m] beyond which something round is no longer told from a wall."""
 N_SCANS = 60
 """Scans that the raster is looked at from."""
 MAX_BLIND = 0.03
@@ -75,7 +77,7 @@ def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:
             rows = np.column_stack([-off / far[:, None], -np.ones(len(far))])
             a = rows.T @ (rows * w[:, None]) + np.diag([1e-3, 1e-3, 1e-3]) * len(far)
             step = np.linalg.solve(a, -rows.T @ (w * e))
-            centre, radius = centre + step[:2], float(np.clip(radius + step[2], 0.01, 0.8))
+            centre, radius = centre + step[:2], float(np.clip(radius + step[2], 0.01, MAX_RADIUS))
         spread = float(np.median(np.abs(np.hypot(*(points - centre).T) - radius)))
         if best is None or spread < best[0] - 1e-4:
             best = (spread, centre, radius)
@@ -128,7 +130,14 @@ UNMAPPED_OBSTACLE = Effect(
         Parameter(name="x", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
         Parameter(name="y", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
         Parameter(
-            name="r", unit="m", doc="radius", materiality=0.02, low=0.0, step=1e-4, hidden=half_map_error
+            name="r",
+            unit="m",
+            doc="radius",
+            materiality=0.02,
+            low=0.0,
+            high=MAX_RADIUS,
+            step=1e-4,
+            hidden=half_map_error,
         ),
     ),
     transform=transform,

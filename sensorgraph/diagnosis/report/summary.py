@@ -208,7 +208,7 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
     for a in (*finding.undecided, *finding.effects):
         for result in finding.channels.values():
             for rival in result.rivals:
-                close = (a.evidence or 0.0) - rival.evidence_nats < MIN_LEAD
+                close = a in finding.undecided or (a.evidence or 0.0) - rival.evidence_nats < MIN_LEAD
                 if rival.instead_of == a.name and rival.name not in names and close:
                     out.append((a, rival))
     return out

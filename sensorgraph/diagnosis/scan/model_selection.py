@@ -10,7 +10,6 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
-    bare_cast,
     fit,
     polish,
     start_state,
@@ -18,15 +17,16 @@ from sensorgraph.diagnosis.scan.fit import (
     thin_state,
 )
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
+from sensorgraph.diagnosis.scan.ranking import n_parameters, ranked
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.places import named_walls
-from sensorgraph.types import Bools, Progress, ProgressBars, no_progress
+from sensorgraph.types import Progress, ProgressBars, no_progress
 from sensorgraph.world.sensor_parts import sensor_of_rays
 
 logger = logging.getLogger(__name__)
@@ -61,10 +61,7 @@ def price(amendment: Amendment, data: ScanData) -> float:
     )
     if amendment.place and amendment.effect.place is None:
         places = len(np.unique(sensor_of_rays(data.sensor)))
-    counted = [
-        v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
-    ]
-    paid = SCAN.selection.price * max(sum(counted), 1) + float(np.log(max(places, 1)))
+    paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
     if not data.clutter_nats:
         return paid
     return paid + data.clutter_nats.get(clutter_kind(amendment, data), 0.0)
@@ -91,13 +88,13 @@ def explain(
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
             break
-        order = _ranked(without_ends(data, tried))
+        order = ranked(data, tried, threshold)
         best, gain = order[0]
         if gain >= threshold:
             again = fit(data, current.model, best.state, noise_bounds, outer=1, inner=4)
             if again.j > current.j:
                 current = again
-            gain = best.j - current.j - price(best.model[-1], data)
+            gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
@@ -113,7 +110,7 @@ def explain(
         others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
         if others:
             rival, nats = max(others, key=lambda t: t[1])
-            rivals[_key(best.model[-1])] = (rival, order[0][1] - nats)
+            rivals[_key(mine)] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
         current = _pruned(data, best, noise_bounds, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
@@ -126,7 +123,8 @@ def explain(
         for index in range(n):
             tick(index, n + 1)
             rest = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
-            gains[index] = current.j - rest.j - price(current.model[index], data)
+            one = current.model[index]
+            gains[index] = evidence(data, one, current, rest) - price(one, data)
         tick(n, n + 1)
         errors = standard_errors(current, noise_bounds)
     kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
@@ -201,7 +199,8 @@ def _try(
             outer=3,
             inner=3 if strained else 2,
         )
-        quick.append(((got.j - base.j) * every - price(candidate.amendment, data), got))
+        gain = evidence(few, got.model[-1], got, base) * every
+        quick.append((gain - price(candidate.amendment, data), got))
     quick.sort(key=lambda pair: -pair[0])
     for k, (gain, got) in enumerate(quick[: SCAN.selection.max_searched]):
         if gain > SCAN.selection.searched_share * quick[0][0] - SCAN.selection.gain_margin and is_rough(
@@ -226,7 +225,7 @@ def _try(
         full = fit(data, got.model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
         if is_rough(full.model[-1]):
             full = searched(data, full, noise_bounds, rounds=2, first=0.25, turns=1)
-        out.append((full, full.j - current.j - price(full.model[-1], data)))
+        out.append((full, evidence(data, full.model[-1], full, current) - price(full.model[-1], data)))
     return out, also
 
 
@@ -303,67 +302,6 @@ def _same(a: Amendment, b: Amendment) -> bool:
     return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
 
 
-def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
-    """Order by gain; an absorber yields to a material deterministic effect with more than half its gain."""
-    order = sorted(tried, key=lambda pair: -pair[1])
-    best, gain = order[0]
-    if best.model[-1].effect.absorber:
-        for pair in order[1:]:
-            last = pair[0].model[-1]
-            if (
-                not last.effect.absorber
-                and last.ratio >= 1
-                and pair[1] > SCAN.selection.absorber_share * gain
-                and pair[1] > SCAN.selection.threshold
-            ):
-                order.remove(pair)
-                return [pair, *order]
-    elif best.model[-1].ratio < 1:
-        for pair in order[1:]:
-            last = pair[0].model[-1]
-            if (
-                not last.effect.absorber
-                and last.ratio >= 1
-                and pair[1] > max(gain - SCAN.selection.material_margin, SCAN.selection.threshold)
-            ):
-                order.remove(pair)
-                return [pair, *order]
-    return order
-
-
-def without_ends(data: ScanData, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
-    """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
-
-    A ray next to an end may be on either side of it. That costs a law of certain loss more than one of likely loss.
-    """
-    order = sorted(tried, key=lambda pair: -pair[1])
-    best, gain = order[0]
-    if not best.model[-1].effect.on_part_of_wall:
-        return tried
-    out = [order[0]]
-    for got, nats in order[1:]:
-        a = got.model[-1]
-        if a.effect.on_part_of_wall and a.place == best.model[-1].place:
-            clear = ~(_near_ends(data, best) | _near_ends(data, got))
-            nats = gain - float(
-                (best.solution.responsibilities.log_p - got.solution.responsibilities.log_p)[clear].sum()
-            )
-        out.append((got, nats))
-    return out
-
-
-def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
-    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within a few blurs of one of its ends."""
-    a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
-    bare = bare_cast(scene)
-    on = np.isin(bare.wall, named_walls(data.arena, a.place))
-    blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
-    with np.errstate(invalid="ignore"):
-        along = bare.along(scene.walls)
-        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.selection.end_blur * blur
-    return np.asarray(on & near)
-
-
 def _pruned(
     data: ScanData, best: Fitted, noise_bounds: NoiseBounds, threshold: float, struck: set[tuple[str, str]]
 ) -> Fitted:
@@ -371,7 +309,8 @@ def _pruned(
     index = 0
     while len(best.model) > 1 and index < len(best.model) - 1:
         rest = fit(data, _without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
-        if best.j - rest.j - price(best.model[index], data) < threshold:
+        one = best.model[index]
+        if evidence(data, one, best, rest) - price(one, data) < threshold:
             struck.add((best.model[index].name, best.model[index].place))
             best = rest
             index = 0

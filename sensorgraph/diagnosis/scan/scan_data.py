@@ -50,6 +50,9 @@ class ScanData:
     """Effects that are part of the simulator already."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
     """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`); inf: do not look."""
+    clutter_leads: Mapping[str, float] = field(default_factory=dict)
+    """Smooth effect of the whole sensor -> [nats] that clutter alone may bring it: a smaller lead over another that is out
+    of its own interval, too, does not choose between them."""
     baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> the sizes that the site shows though nothing is wrong."""
     memo: dict[bytes, object] = field(default_factory=dict)

@@ -434,6 +434,8 @@ class SiteSettings:
     """Parts of a run, in time, for the jackknife."""
     confidence: float = 0.999
     """Of the t and F quantiles."""
+    disagreement: float = 0.05
+    """Chance, if clutter speaks for an effect of the sensor as often as against it, below which parts of the way agree."""
     min_windows: int = 4
     """Windows that a spread takes."""
     prior_windows: float = 3.0

@@ -1,0 +1,119 @@
+"""Which of the effects tried comes first: by evidence, save where a little more of it does not choose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.places import named_walls
+from sensorgraph.types import Bools
+
+Tried = list[tuple[Fitted, float]]
+"""Fits, the effect tried last in their model, with its gain [nats]."""
+
+
+def n_parameters(amendment: Amendment) -> int:
+    """Count the parameters that an effect pays for."""
+    effect = amendment.effect
+    counted = [v != 0.0 or not effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()]
+    return max(sum(counted), 1)
+
+
+def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
+    """Order what was tried, the one to choose first.
+
+    Parameters
+    ----------
+    threshold : [nats] that a name takes
+    """
+    order = _by_gain(without_ends(data, tried))
+    if not data.clutter_nats:
+        return order
+    first = _at_known_site(data, order, threshold)
+    return [first, *(pair for pair in order if pair is not first)]
+
+
+def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitted, float]:
+    """Return the one to choose at a site that is known by its good runs.
+
+    What clutter brings an effect of the sensor says whether it has a name, not which of two is right.
+    """
+
+    def whole(pair: tuple[Fitted, float]) -> float:
+        return pair[1] + data.clutter_nats.get(clutter_kind(pair[0].model[-1], data), 0.0)
+
+    if not _is_plain(order[0][0].model[-1]):
+        return order[0]
+    alike = [pair for pair in order if pair[1] >= threshold and _is_plain(pair[0].model[-1])]
+    return max(alike, key=whole, default=order[0])
+
+
+def _is_plain(amendment: Amendment) -> bool:
+    """Tell whether an effect is of the sensor, and none that absorbs what others leave."""
+    return is_of_sensor(amendment) and not amendment.effect.absorber
+
+
+def _by_gain(tried: Tried) -> Tried:
+    """Order by gain; an absorber yields to a material deterministic effect with more than half its gain."""
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if best.model[-1].effect.absorber:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if (
+                not last.effect.absorber
+                and last.ratio >= 1
+                and pair[1] > SCAN.selection.absorber_share * gain
+                and pair[1] > SCAN.selection.threshold
+            ):
+                order.remove(pair)
+                return [pair, *order]
+    elif best.model[-1].ratio < 1:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if (
+                not last.effect.absorber
+                and last.ratio >= 1
+                and pair[1] > max(gain - SCAN.selection.material_margin, SCAN.selection.threshold)
+            ):
+                order.remove(pair)
+                return [pair, *order]
+    return order
+
+
+def without_ends(data: ScanData, tried: Tried) -> Tried:
+    """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
+
+    A ray next to an end may be on either side of it. That costs a law of certain loss more than one of likely loss.
+    """
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if not best.model[-1].effect.on_part_of_wall:
+        return tried
+    out = [order[0]]
+    for got, nats in order[1:]:
+        a = got.model[-1]
+        if a.effect.on_part_of_wall and a.place == best.model[-1].place:
+            clear = ~(_near_ends(data, best) | _near_ends(data, got))
+            nats = gain - float(
+                (best.solution.responsibilities.log_p - got.solution.responsibilities.log_p)[clear].sum()
+            )
+        out.append((got, nats))
+    return out
+
+
+def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
+    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within a few blurs of one of its ends."""
+    a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
+    bare = bare_cast(scene)
+    on = np.isin(bare.wall, named_walls(data.arena, a.place))
+    blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
+    with np.errstate(invalid="ignore"):
+        along = bare.along(scene.walls)
+        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.selection.end_blur * blur
+    return np.asarray(on & near)
