@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -105,9 +106,9 @@ def bent_by_place(run: Run) -> Run:
     return replace(run, poses=poses)
 
 
-def worn_half_way(run: Run) -> Run:
-    """Return the run as wheels report it that lose 6 % of their radius at 35 s."""
-    grown = np.where(run.odom_stamps > 35.0, 1.06, 1.0)[:, None]
+def worn_half_way(run: Run, at: float = 35.0) -> Run:
+    """Return the run as wheels report it that lose 6 % of their radius at 35 s, or at another time [s]."""
+    grown = np.where(run.odom_stamps > at, 1.06, 1.0)[:, None]
     odometry = run.odometry.copy()
     step = np.diff(odometry[:, :2], axis=0, prepend=0.0)
     turn = np.asarray(wrap(np.diff(odometry[:, 2], prepend=0.0)))
@@ -134,6 +135,14 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
     assert result.unknown.deviation is not None
     assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
     assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
+
+
+@pytest.mark.parametrize(("seed", "at"), [(11, 52.6), (13, 52.6), (14, 37.3)])
+def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(seed: int, at: float) -> None:
+    result = diagnose_odometry(worn_half_way(make_run(seed), at), ROBOT)
+    assert result.effects == () and result.unknown is not None
+    moment = re.search(r"changes once, from (\d+) s on", result.unknown.statement)
+    assert moment is not None and abs(float(moment[1]) - at) <= 1.0
 
 
 def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:

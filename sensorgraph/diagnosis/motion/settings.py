@@ -116,7 +116,9 @@ class OdometryStructureSettings:
     n_pieces: int = 6
     """Pieces of the run, each with its own scales."""
     n_jumps: int = 15
-    """Moments of a run at which something may change once."""
+    """Moments of a run at which something may change once, tried first."""
+    n_nearer_jumps: int = 5
+    """Moments to each side of the best of them, tried next, and again about the best of these."""
     n_clock_pieces: int = 5
     """Pieces of the run, each with its own clock offset."""
     speed_cuts: tuple[float, ...] = (0.12, 0.22, 0.32)

@@ -40,6 +40,8 @@ class StructureFamily:
     """[nats] for having been chosen among several of its kind."""
     materiality: float = float("inf")
     """Of its one coefficient: an effect of the library that is this large takes a name."""
+    moment: float = float("nan")
+    """[s] at which something changes, where it is of that kind."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +59,13 @@ class AcceptedStructure:
     """Statements of the families that explain most after it."""
 
 
+Noise = tuple[WhiteningFilter, WhiteningFilter]
+"""Of translation and of rotation."""
+MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
+"""Noises of earlier fits that a fit may begin at, times that columns and noise are fitted in turn, and times that rows
+are weighed anew by what the columns leave."""
+MIN_GAIN = 0.5
+"""[nats] with less, another round changes nothing."""
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
 """Fits the noise of a residual (n,) of translation (0) or rotation (1) to its valid part."""
 
@@ -75,6 +84,7 @@ class StructureTest:
         """
         self.nuisances = np.zeros((len(y), 0)) if nuisances is None else nuisances
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
+        self._noises: list[Noise] = []
         white = WhiteningFilter.white(0, 1.0)
         self.whitener = Whitener.plain((white, white), valid)
         self.residual = y
@@ -133,20 +143,38 @@ class StructureTest:
         return self._evidence(more) - self._evidence(fewer)
 
     def _evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
-        """Fit columns and noise in turn; return the evidence, without constants [nats]."""
-        residual = self.y
-        for _ in range(2):
-            self._fit_noise(residual)
-            residual, price = self._fit_columns(own, family)
-        self._fit_noise(residual)
-        self.residual = residual
-        parts = zip(self.whitener.filters, both_kinds(residual, self.n), strict=True)
-        return sum(robust_log_likelihood(noise, part, self.valid) for noise, part in parts) - price
+        """Fit columns and noise in turn; return the evidence, without constants [nats].
 
-    def _fit_noise(self, residual: Floats) -> None:
+        Where that ends hangs on where it begins: on a noise that takes structure for noise, the structure is never
+        found. So it begins at the noise under which these columns are likeliest, of all that were fitted so far.
+        """
+        noises = [self._noise(self.y), *self._noises]
+        evidence, k = max((self._evidence_under(noise, own, family), k) for k, noise in enumerate(noises))
+        noise = noises[k]
+        for _ in range(MAX_ROUNDS):
+            self._evidence_under(noise, own, family)
+            further = self._noise(self.residual)
+            gained = self._evidence_under(further, own, family) - evidence
+            if gained > 0:
+                evidence, noise = evidence + gained, further
+            if gained < MIN_GAIN:
+                break
+        self._noises = [noise, *self._noises[: MAX_NOISES - 1]]
+        return self._evidence_under(noise, own, family)
+
+    def _noise(self, residual: Floats) -> Noise:
         translation, rotation = both_kinds(residual, self.n)
-        filters = self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
-        self.whitener = Whitener.robust(filters, self.valid, residual, EVIDENCE.huber_limit)
+        return self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
+
+    def _evidence_under(self, noise: Noise, own: Floats, family: StructureFamily | None) -> float:
+        """Fit columns by rows that noise whitens; leave whitener and residual as fitted."""
+        self.whitener = Whitener.plain(noise, self.valid)
+        for _ in range(N_REWEIGHTED):
+            self.residual, price = self._fit_columns(own, family)
+            self.whitener = Whitener.robust(noise, self.valid, self.residual, EVIDENCE.huber_limit)
+        self.residual, price = self._fit_columns(own, family)
+        parts = zip(noise, both_kinds(self.residual, self.n), strict=True)
+        return sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
 
     def _parts(self, own: Floats, family: StructureFamily | None) -> list[tuple[Floats, Floats]]:
         """Return columns (2 n, .) and their scales (.), which bring them to units of their norm or prior."""

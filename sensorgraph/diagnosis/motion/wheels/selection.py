@@ -23,9 +23,17 @@ from sensorgraph.diagnosis.motion.structure_test import (
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
-from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
+from sensorgraph.diagnosis.motion.wheels.structure import (
+    JUMP,
+    jump_spacing,
+    nearer_jumps,
+    odometry_families,
+)
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
+
+N_REFINED = 2
+"""Times that the moment of a change is looked for more nearly."""
 
 
 def select(model: WheelModel, rng: np.random.Generator) -> list[WheelTerm]:
@@ -113,7 +121,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
-    family, gain = test.best(own, families)
+    family, gain = _best_structure(model, test, own, families)
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
@@ -146,6 +154,23 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     _take_back(model, terms)
 
 
+def _best_structure(
+    model: WheelModel, test: StructureTest, own: Floats, families: Sequence[StructureFamily]
+) -> tuple[StructureFamily, float]:
+    """Return the family that explains most beside columns (2 n, k), and its evidence; a change at its very moment."""
+    family, gain = test.best(own, families)
+    if gain <= 0:
+        return family, gain
+    jump, most = test.best(own, [one for one in families if one.kind == JUMP])
+    reach = jump_spacing(model.motion)
+    for _ in range(N_REFINED):
+        nearer, more = test.best(own, nearer_jumps(model.rows, model.motion, jump.moment, reach))
+        if more > most:
+            jump, most = nearer, more
+        reach /= ODOMETRY.structure.n_nearer_jumps
+    return (jump, most) if most > gain else (family, gain)
+
+
 def _size(model: WheelModel, missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
     """Return by how much a simulation, or the reference, is off that misses rows (2 n,)."""
     distance = model.rows.D_along @ model.motion.distance
@@ -164,17 +189,11 @@ def _in_stead_of_patches(
     families: Sequence[StructureFamily],
 ) -> StructureCandidate:
     """Return the better candidate of structure beside the patches and structure in their stead."""
-    family, gain = beside.family, test.gain(model.A, beside.family)
-    if len(model.patches) > 1:  # what several patches mimic need not be what they leave
-        family, gain = test.best(model.A, families)
-    gain -= test.log_likelihood_ratio(own, model.A)
-    better = (
-        beside
-        if gain <= beside.evidence
-        else StructureCandidate(family=family, evidence=gain, replaces_patches=False)
-    )
-    is_instead = gain + PATCH_PRICE * len(model.patches) > beside.evidence
-    return StructureCandidate(family=better.family, evidence=better.evidence, replaces_patches=is_instead)
+    family, total = _best_structure(model, test, model.A, families)  # patches need not leave what they mimic
+    gain = total - test.log_likelihood_ratio(own, model.A)
+    if gain + PATCH_PRICE * len(model.patches) > beside.evidence:
+        return StructureCandidate(family=family, evidence=total, replaces_patches=True)
+    return beside
 
 
 def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:

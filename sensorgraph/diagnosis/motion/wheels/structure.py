@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -18,6 +19,8 @@ Part = Literal["way", "turn", "way and turn"]
 PARTS: tuple[Part, Part] = ("way", "turn")
 Scale = tuple[str, Part, Bools]
 """Label, what is scaled, and (n_increments,) which increments."""
+JUMP = "jump"
+"""Kind of the families of a scale that changes once."""
 HIGHEST_WAVE = 5
 """Half waves of a distorted yaw along each axis, 0 to 4."""
 HIGHEST_WAVES = 7
@@ -85,23 +88,43 @@ def _pieces(wheels: WheelIncrements) -> list[Scale]:
 
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
-    """Return one family for each moment at which scales may change once."""
-    n, whole = ODOMETRY.structure.n_jumps, np.ptp(wheels.middle)
+    """Return one family for each of some moments, spread over the run, at which scales may change once."""
+    n = ODOMETRY.structure.n_jumps
+    share = np.arange(1, n + 1) / (n + 1)
+    return _changes_at(rows, wheels, wheels.start[0] + share * np.ptp(wheels.middle), n)
+
+
+def nearer_jumps(
+    rows: OdometryRows, wheels: WheelIncrements, moment: float, reach: float
+) -> list[StructureFamily]:
+    """Return families of moments within `reach` [s] of one, itself among them."""
+    n = 2 * ODOMETRY.structure.n_nearer_jumps + 1
+    moments = moment + reach * np.linspace(-1, 1, n)
+    inside = (moments > wheels.start[0]) & (moments < wheels.middle[-1])
+    return _changes_at(rows, wheels, moments[inside], ODOMETRY.structure.n_jumps * n)
+
+
+def jump_spacing(wheels: WheelIncrements) -> float:
+    """Return the time [s] between the moments that are tried first."""
+    return float(np.ptp(wheels.middle)) / (ODOMETRY.structure.n_jumps + 1)
+
+
+def _changes_at(
+    rows: OdometryRows, wheels: WheelIncrements, moments: Floats, n_tried: int
+) -> list[StructureFamily]:
     out = []
-    for k in range(1, n + 1):
-        moment = wheels.start[0] + k / (n + 1) * whole
+    for moment in moments.tolist():
         begin = f"from {moment:.0f} s on"
         later = wheels.middle > moment
-        out.append(
-            _scales(
-                rows,
-                wheels,
-                "jump",
-                f"by a scale that changes once, {begin}",
-                [(begin, part, later) for part in PARTS],
-                choice_price=float(np.log(n)),
-            )
+        family = _scales(
+            rows,
+            wheels,
+            JUMP,
+            f"by a scale that changes once, {begin}",
+            [(begin, part, later) for part in PARTS],
+            choice_price=float(np.log(n_tried)),
         )
+        out.append(replace(family, moment=moment))
     return out
 
 
