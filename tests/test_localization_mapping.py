@@ -133,6 +133,15 @@ def test_wheels_are_told_apart_by_steps_that_differ() -> None:
         assert sd < 0.01
 
 
+@pytest.mark.parametrize("times", [0.5, 2.0, 3.0])
+def test_odometry_far_from_what_is_believed_is_told_by_its_factor_after_few_steps(times: float) -> None:
+    rng = np.random.default_rng(1)
+    moved = np.column_stack([rng.normal(0.3, 0.05, 20), np.zeros(20), rng.normal(0, 0.1, 20)])
+    found = identify_wheels(moved * [times, times, 1.0] * (1 + 0.02 * rng.normal(size=(20, 1))), moved)
+    assert found.way_scale == pytest.approx(1 / times, abs=4 * found.way_scale_sd)
+    assert found.way_scale_sd < 0.02 / times and found.turn_scale == pytest.approx(1.0, abs=0.02)
+
+
 def test_slip_of_the_wheels_does_not_make_their_scales_small() -> None:
     rng = np.random.default_rng(2)
     moved = np.column_stack([rng.normal(0.2, 0.05, 600), np.zeros(600), rng.normal(0, 0.05, 600)])

@@ -113,14 +113,21 @@ def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = W
 def _regress(
     rows: Floats, values: Floats, before: Floats, before_sd: Floats, settings: WheelSettings
 ) -> tuple[Floats, Floats]:
-    """Return robust coefficients and their covariance (k, k), starting from what is believed before (k,)."""
+    """Return robust coefficients and their covariance (k, k) with what is believed before (k,).
+
+    The scatter is first that around the line of least deviations, which heeds no prior: around the prior, where that is far
+    off, it would be so great that the prior stays.
+    """
     kept = np.isfinite(values) & np.isfinite(rows).all(axis=1)
     prior = np.diag(before_sd**-2.0)
-    theta, scale = before, 1.0
-    information = prior
+    theta, information = _least_deviations(rows[kept], values[kept], before), prior
+    least = (
+        settings.least_scatter if kept.sum() >= settings.stretches else 1.0
+    )  # a few steps may agree by chance
+    scale = 1.0
     for _ in range(4):
         off = np.abs(values - rows @ theta)
-        scale = 1.4826 * float(np.median(off[kept])) + 1e-12 if kept.any() else 1.0
+        scale = max(1.4826 * float(np.median(off[kept])), least) if kept.any() else 1.0
         kept = off < settings.outlier * scale
         information = rows[kept].T @ rows[kept] / scale**2 + prior
         moment = rows[kept].T @ values[kept] / scale**2 + prior @ before
@@ -132,3 +139,13 @@ def _regress(
     n = len(np.unique(stretch[kept]))
     meat = sums.T @ sums * (n / (n - 1)) if n > 1 else information - prior
     return theta, np.asarray(inverse @ (meat + prior) @ inverse, dtype=np.float64)
+
+
+def _least_deviations(rows: Floats, values: Floats, before: Floats) -> Floats:
+    """Return the coefficients (k,) of least absolute deviations, by weights anew; where rows say nothing, those before."""
+    theta = before
+    for _ in range(20):
+        off = values - rows @ theta
+        root = 1.0 / np.sqrt(np.maximum(np.abs(off), 1e-3))
+        theta = theta + np.linalg.lstsq(rows * root[:, None], off * root, rcond=1e-6)[0]
+    return np.asarray(theta, dtype=np.float64)
