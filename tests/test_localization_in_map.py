@@ -71,6 +71,26 @@ def test_robot_carried_elsewhere_is_lost_at_once_or_found_again_and_never_wrong(
     assert len(again) and again[0] - found.t[60] < 5.0
 
 
+def test_robot_carried_into_the_twin_of_its_room_is_not_followed_in_the_old_one() -> None:
+    twin = [
+        (x0 + 20.0, y0, x1 + 20.0, y1) for x0, y0, x1, y1 in [*ROOM[:4], (5, 6, 0, 6), *ROOM[9:]]
+    ]  # without niche
+    walls = [*ROOM, *twin]
+    way = np.array([[2.1, 4.4], [2.1, 1.2], [6.4, 1.2]])
+    along = np.linspace(0, 2, 60)
+    ahead = np.column_stack([np.interp(along, range(3), column) for column in way.T])
+    one = np.column_stack([ahead, np.full(60, 0.3)])
+    two = one[np.r_[[-1] * 5, -1:-61:-1]] + [20.1, 0.15, 0.15]  # the arm of the room shows no difference
+    run = after(room_run(one, walls=walls), room_run(two, walls=walls, seed=1))
+    truth = np.concatenate([one, two])
+    found = locate_in_map(run, np.array(walls).reshape(-1, 2, 2))
+    ok = np.array(found.status) == "ok"
+    off = np.hypot(*errors(found.poses, truth)[:, :2].T)
+    assert ok[:60].all() and off[ok].max() < 0.05
+    rivals = found.rivals[60]
+    assert np.hypot(*(rivals[:, :2] - truth[60, :2]).T).min() < 0.05
+
+
 def test_place_that_looks_the_same_twice_is_ambiguous_and_names_the_rival() -> None:
     square = np.array([[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]], dtype=float)
     still = np.tile([1.0, 1.5, 0.3], (6, 1))

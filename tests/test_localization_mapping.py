@@ -133,6 +133,15 @@ def test_wheels_are_told_apart_by_steps_that_differ() -> None:
         assert sd < 0.01
 
 
+def test_view_goes_on_while_a_robot_drives_and_breaks_where_it_is_carried() -> None:
+    one, two = room_run(TRUTH[:60]), room_run(TRUTH[60:] + [2.0, -1.0, 1.0], seed=1)
+    odometry = np.concatenate([one.odometry, compose(one.odometry[-1], two.odometry)])
+    carried = replace(room_run(TRUTH), ranges=np.concatenate([one.ranges, two.ranges]), odometry=odometry)
+    for run, first in ((room_run(TRUTH), []), (carried, [60])):
+        tracked = track(scan_points(run), run.stamps, run.odometry, lambda done, total: None)
+        assert np.flatnonzero(~tracked.goes_on)[:1].tolist() == first
+
+
 @pytest.mark.parametrize("times", [0.5, 2.0, 3.0])
 def test_odometry_far_from_what_is_believed_is_told_by_its_factor_after_few_steps(times: float) -> None:
     rng = np.random.default_rng(1)

@@ -28,6 +28,9 @@ class ScanTrack:
     """(n_scans, 3) [m, m, rad] base_link from the first scan's."""
     matched: Bools
     """(n_scans,) the scan fits the key frames before it, or was too near to the last that does."""
+    goes_on: Bools
+    """(n_scans,) what it sees goes on from the scan before. Else the way from there is not known, or only seems to be: in a
+    place that looks like the last one much fits."""
     key_frames: Ints
     """(n_key,) scans that make the map."""
     piece: Ints
@@ -54,10 +57,14 @@ class _State:
     surfaces: LineMap | None = None
     last_matched: int = 0
     """Scan."""
+    agreement: float = 0.0
+    """Share of that scan's points that fit the key frames."""
     usual: float = 0.5
     """Share of a scan's points that fit the key frames, on average lately."""
     failures: list[int] = field(default_factory=list)
     """Scans since then that fit nowhere."""
+    unplaced: tuple[int, LineMap] | None = None
+    """The last of these, and the surfaces that it saw."""
     velocity: Floats = field(default_factory=lambda: np.zeros(3))
     """[m/s, m/s, rad/s] in base_link, of the last two matches."""
 
@@ -96,6 +103,7 @@ class Tracker:
         self.interval = float(np.median(ahead)) if len(ahead) else 0.0  # [s] stamps that repeat are no speed
         self.poses = np.zeros((scans.n_scans, 3))
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
+        self.goes_on = np.ones(scans.n_scans, dtype=np.bool_)
         self.noise = np.full(scans.n_scans, np.nan)
         self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
 
@@ -109,6 +117,7 @@ class Tracker:
         return ScanTrack(
             poses=self.poses,
             matched=self.matched,
+            goes_on=self.goes_on,
             key_frames=np.array(state.key_frames, dtype=np.intp),
             piece=np.array(state.piece, dtype=np.intp),
             edge_information=np.array(state.edges).reshape(-1, 3, 3),
@@ -126,7 +135,9 @@ class Tracker:
             self.matched[k] = bool(state.key_frames)
             state.last_matched = k
             return
-        predicted, deviations = self._predict(k)
+        predicted, deviations = self._predict(k, state.last_matched)
+        if deviations is None:
+            state.jumps.append(k)
         moved = compose(invert(self.poses[state.last_matched]), predicted)
         since = self.stamps[k] - self.stamps[state.last_matched]
         is_still = np.hypot(moved[0], moved[1]) < s.still_way and abs(moved[2]) < s.still_turn
@@ -136,6 +147,7 @@ class Tracker:
         found = self._match(k, predicted, deviations)
         self.matched[k] = found is not None
         if found is not None:
+            state.agreement = found.agreement
             state.usual += self.settings.usual_rate * (found.agreement - state.usual)
         self.poses[k] = predicted if found is None else found.pose
         if found is None:
@@ -146,16 +158,16 @@ class Tracker:
             state.velocity = compose(invert(self.poses[state.last_matched]), found.pose) / since
         state.last_matched = k
         state.failures.clear()
+        state.unplaced = None
         way = compose(invert(self.poses[state.key_frames[-1]]), found.pose)
         if np.hypot(way[0], way[1]) > s.way or abs(way[2]) > s.turn:
             self._learn(k, way)
             odometry = None if deviations is None else deviations
             self._add_key_frame(k, self._edge(found, predicted, odometry))
 
-    def _predict(self, k: int) -> tuple[Floats, Floats | None]:
-        """Return where scan k should be, and the standard deviations of that; None: nobody knows (a jump)."""
+    def _predict(self, k: int, last: int) -> tuple[Floats, Floats | None]:
+        """Return where scan k should be, from the last one, and how sure that is [m, m, rad]; None: the odometry jumped."""
         state = self.state
-        last = state.last_matched
         dt = max(float(self.stamps[k] - self.stamps[last]), 0.0)
         if self.odometry is None or state.wheels is None:
             deviations = np.array(
@@ -166,7 +178,6 @@ class Tracker:
         way, limits = float(np.hypot(step[0], step[1])), state.wheels.settings
         took = max(dt, self.interval)
         if way > limits.max_speed * took + 0.1 or abs(step[2]) > limits.max_turn_rate * took + 0.2:
-            state.jumps.append(k)
             return compose(self.poses[last], state.velocity * dt), None
         corrected = state.wheels.corrected(step)
         return compose(self.poses[last], corrected), state.wheels.deviations(way, float(corrected[2]))
@@ -189,9 +200,17 @@ class Tracker:
                 prior_information=information_at(predicted, deviations),
                 settings=self.matching,
             )
+        off = np.zeros(3) if deviations is None else compose(invert(predicted), first.pose) / deviations
+        is_other = first.agreement < s.going_on * self.state.agreement or bool(
+            (np.abs(off) > s.most_slip).any()
+        )
         if self._is_good(first, s.usual_after_failure if self.state.failures else 0.0):
-            return first
-        return self._other_starts(points, normals, predicted, first)
+            found: Match | None = first
+        else:
+            found = self._other_starts(points, normals, predicted, first)
+        if is_other and (found is not None or self.state.unplaced is None):
+            self.goes_on[[self.state.last_matched + 1, k]] = False  # between the two nobody looked
+        return found
 
     def _is_covered(self, k: int) -> bool:
         """Tell whether a scan has no return from beyond the radius of a match: what covers the laser moves with it."""
@@ -259,6 +278,8 @@ class Tracker:
         state, s = self.state, self.settings
         if not state.failures:  # scans since the last match were placed by the wheels, as if it stood still
             self.matched[state.last_matched + 1 : k] = False
+        if not self._is_covered(k):
+            self._chain(k)
         state.failures.append(k)
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]
@@ -266,10 +287,28 @@ class Tracker:
         if len(state.failures) < s.patience_scans or not is_long or self._is_covered(k):
             return
         loose = np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0
-        state.last_matched = k
+        state.last_matched, state.agreement = k, 0.0
         state.failures.clear()
+        state.unplaced = None
         state.velocity = np.zeros(3)
         self._add_key_frame(k, np.diag(loose), is_new_piece=True)
+
+    def _chain(self, k: int) -> None:
+        """Place scan k, which fits no key frame, by the last one that fitted none."""
+        state, own = self.state, self.scans.of(k)
+        points, normals = self.scans.points[own], self.scans.normals[own]
+        if state.unplaced is not None:
+            last, surfaces = state.unplaced
+            predicted, deviations = self._predict(k, last)
+            prior = None if deviations is None else information_at(predicted, deviations)
+            found = match(
+                points, normals, surfaces, predicted, prior_information=prior, settings=self.matching
+            )
+            self.goes_on[k] = self._is_good(found, self.settings.going_on)
+            if self.goes_on[k]:
+                self.poses[k] = found.pose
+        seen = points_in(self.scans, [k], self.poses[[k]])
+        state.unplaced = k, line_map(*thinned(*seen), side=self.matching.first_radius)
 
 
 def track(

@@ -90,7 +90,9 @@ class MapTracker:
     ) -> None:
         n = scans.n_scans
         self.scans, self.stamps, self.track, self.place, self.settings = scans, stamps, track, place, settings
-        self.breaks = breaks_of(track)
+        self.breaks = ~track.goes_on
+        self.is_new_piece = np.zeros(n, dtype=np.bool_)
+        self.is_new_piece[track.key_frames[1:][np.diff(track.piece) != 0]] = True
         self.poses = np.full((n, 3), np.nan)
         self.information = np.zeros((n, 3, 3))
         self.rivals: dict[int, Floats] = {}
@@ -102,6 +104,8 @@ class MapTracker:
         """Place all scans, forwards and then backwards."""
         n = self.scans.n_scans
         for k in range(n):
+            if self.state.last_good < 0:  # nothing is believed that one scan could make doubtful
+                self.breaks[k] = self.is_new_piece[k]
             if self.breaks[k]:
                 self.state = _State()
             if self.state.last_good >= 0:
@@ -249,7 +253,10 @@ class MapTracker:
             self.rivals[k] = np.vstack([found.poses[:1], found.rivals])
             return False
         self.poses[k] = found.poses[0]
-        state = self.state
+        own, state = self.scans.of(k), self.state
+        self.information[k] = match(
+            self.scans.points[own], self.scans.normals[own], self.place.surfaces, self.poses[k]
+        ).information
         state.last_good = state.found_at = k
         state.sure_before, state.proof_fit = state.last_sure, self.settings.near_fit
         state.fit = state.usual_fit = float(found.fits[0])
@@ -274,24 +281,6 @@ def _is_within(pose: Floats, window: SearchWindow) -> bool:
     turn = abs(wrap(pose[2] - window.phi))
     is_near = abs(pose[0] - window.x) <= window.half_x and abs(pose[1] - window.y) <= window.half_y
     return bool(is_near and turn <= window.half_phi)
-
-
-def breaks_of(track: ScanTrack) -> Bools:
-    """Tell before which scans (n_scans,) the way from the scan before is not known.
-
-    Where a piece of track begins, that is the first scan that did not fit the piece before it, and the one that begins.
-    """
-    breaks = np.zeros(len(track.poses), dtype=np.bool_)
-    new = np.flatnonzero(np.diff(track.piece) != 0) + 1
-    for k in track.key_frames[new]:
-        breaks[k] = True
-        first = int(k)
-        while first > 0 and not track.matched[first - 1]:
-            first -= 1
-        breaks[first] = True
-    unmatched = [k for k in track.jumps if not track.matched[k]]
-    breaks[np.array(unmatched, dtype=np.intp)] = True
-    return breaks
 
 
 def rematch(
