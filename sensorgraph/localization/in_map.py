@@ -16,7 +16,7 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.seen_space import SeenSpace
-from sensorgraph.localization.smoothing import smooth
+from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
 
@@ -85,16 +85,11 @@ def _smoothed(
     settings: MapTrackingSettings,
 ) -> tuple[Floats, Floats]:
     """Return poses and covariances of the whole run."""
-    s = settings
-    relative = compose(invert(steps.poses[:-1]), steps.poses[1:])
-    way, turn = np.hypot(relative[:, 0], relative[:, 1]), np.abs(relative[:, 2])
-    sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
-    sd[~steps.matched[1:]] *= s.blind_step
-    sd[breaks[1:]] = s.broken_step
-    step_information = np.zeros((len(sd), 3, 3))
-    step_information[:, np.arange(3), np.arange(3)] = sd**-2.0
+    relative, step_information = steps_of(steps, breaks)
     values, vectors = np.linalg.eigh(information)  # a match may know less than nothing along a wall
-    weighted = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / s.correlation
+    weighted = (
+        (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / settings.correlation
+    )
     result = smooth(poses, relative, step_information, np.where(np.isfinite(places), places, 0.0), weighted)
     return result.poses, result.covariances
 

@@ -176,16 +176,6 @@ class MapTrackingSettings:
     as a whole."""
     map_turn: float = 0.3
     """[rad/m] the standard deviation of the heading, per that of the place."""
-    step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)
-    """[m, m, rad] standard deviations of the laser's odometry from scan to scan, however short."""
-    step_per_metre: float = 0.01
-    """[m/m, rad/m] the same per way."""
-    step_per_turn: float = 0.02
-    """[m/rad, rad/rad] the same per turn."""
-    blind_step: float = 10.0
-    """Times as much where the front end did not match a scan."""
-    broken_step: float = 100.0
-    """[m, rad] where the way is not known."""
     ok_within: float = 2.0
     """[s] from a scan that fits the map; a scan farther from any is lost."""
 

@@ -16,8 +16,12 @@ from sensorgraph.localization.refinement import FramePoints, Refined, refine
 from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
+from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
+
+LEAST = 1e-8
+"""[m², rad²] added to variances: of a single key frame they are 0."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -51,6 +55,9 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         refined = refine(frames, closed.poses, steps, (closed.steps, closed.closures), bar)
     with progress("placing scans", "scans") as bar:
         poses, covariances, matched = _place_all(scans, tracked, refined, np.random.default_rng(seed), bar)
+    poses = smooth(
+        poses, *steps_of(tracked), poses, np.linalg.inv(covariances + LEAST * np.eye(3)).astype(np.float64)
+    ).poses
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(poses, covariances, origin)
     joined = _joined(tracked, closed)

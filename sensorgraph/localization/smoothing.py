@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from logs.transforms import wrap
-from sensorgraph.types import Floats
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.front_end import ScanTrack
+from sensorgraph.localization.settings import SMOOTHING, SmoothingSettings
+from sensorgraph.types import Bools, Floats
 
 ITERATIONS = 6
 """Gauss-Newton steps; poses start within centimetres, so that two or three change anything."""
@@ -29,6 +31,26 @@ class SmoothedPoses:
     """(n, 3) [m, m, rad]"""
     covariances: Floats
     """(n, 3, 3) of x, y, phi in map."""
+
+
+def steps_of(
+    track: ScanTrack, breaks: Bools | None = None, settings: SmoothingSettings = SMOOTHING
+) -> tuple[Floats, Floats]:
+    """Return the laser's odometry as steps (n - 1, 3) from scan to scan, and their information (n - 1, 3, 3).
+
+    Parameters
+    ----------
+    breaks : (n,) the way from the scan before is not known; None: where the track does not go on
+    """
+    s = settings
+    steps = compose(invert(track.poses[:-1]), track.poses[1:])
+    way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
+    sd[~track.matched[1:]] *= s.blind_step
+    sd[(~track.goes_on if breaks is None else breaks)[1:]] = s.broken_step
+    information = np.zeros((len(sd), 3, 3))
+    information[:, _COLUMNS, _COLUMNS] = sd**-2.0
+    return steps, information
 
 
 def smooth(
