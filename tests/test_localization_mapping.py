@@ -153,6 +153,21 @@ def test_view_goes_on_while_a_robot_drives_and_breaks_where_it_is_carried() -> N
         assert np.flatnonzero(~tracked.goes_on)[:1].tolist() == first
 
 
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_robot_that_is_pushed_while_its_wheels_stand_is_followed_by_its_scans(speed: float) -> None:
+    box = [(-2, -1.2, 9, -1.2), (-2, 1.2, 9, 1.2), (-2, -1.2, -2, 1.2), (9, -1.2, 9, 1.2)]
+    posts = [(x, 1.2, x, 0.8) for x in (-1, 0.7, 1.9, 3.2, 5.0, 6.1, 7.5)]
+    posts += [(x, -1.2, x, -0.7) for x in (-0.4, 1.3, 2.6, 4.4, 5.6, 7.0)]
+    x = np.concatenate([np.arange(0, 3, 0.05), np.arange(3, 6, speed / 5)])
+    run = room_run(np.column_stack([x, np.zeros((len(x), 2))]), walls=[*box, *posts], n_rays=180)
+    odometry = run.odometry.copy()
+    odometry[60:] = odometry[60]
+    tracked = track(scan_points(run), run.stamps, odometry, lambda done, total: None)
+    assert (
+        np.abs(tracked.poses[:, 0] - x).max() < 0.5 * speed
+    )  # what it moves until a standing robot is looked at again
+
+
 @pytest.mark.parametrize("times", [0.5, 2.0, 3.0])
 def test_odometry_far_from_what_is_believed_is_told_by_its_factor_after_few_steps(times: float) -> None:
     rng = np.random.default_rng(1)

@@ -204,10 +204,10 @@ class Tracker:
         is_other = first.agreement < s.going_on * self.state.agreement or bool(
             (np.abs(off) > s.most_slip).any()
         )
-        if self._is_good(first, s.usual_after_failure if self.state.failures else 0.0):
-            found: Match | None = first
-        else:
-            found = self._other_starts(points, normals, predicted, first)
+        is_good = self._is_good(first, s.usual_after_failure if self.state.failures else 0.0)
+        found: Match | None = first if is_good else None
+        if is_other or not is_good:  # it may be elsewhere than the odometry has it
+            found = self._other_starts(points, normals, predicted, first) or found
         if is_other and (found is not None or self.state.unplaced is None):
             self.goes_on[[self.state.last_matched + 1, k]] = False  # between the two nobody looked
         return found
