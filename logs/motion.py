@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from logs.run import Pairing, PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, wrap
@@ -13,10 +14,16 @@ from logs.types import Floats, Ints
 MIN_ODOMETRY = 2
 """Odometry poses between two references, from which on the odometry says how the robot moved between them."""
 
+SAME_STAMP = 1e-6
+"""[s] Stamps nearer than this are one: rounding, between which there is no velocity."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """A track of poses in map, straight between neighbours."""
+    """A track of poses in map, with a steady velocity: monotone cubics between neighbours (Fritsch and Carlson 1980).
+
+    These never leave the box of two neighbours, so that stamps in bursts do not throw the robot about.
+    """
 
     stamps: Floats
     """(n,) [s] not decreasing."""
@@ -25,7 +32,14 @@ class Motion:
 
     def at(self, times: Floats) -> Floats:
         """Return the poses (..., 3) at times (...) [s]; before the first and after the last, these."""
-        return np.stack([np.interp(times, self.stamps, column) for column in self.poses.T], axis=-1)
+        new = np.concatenate(
+            [np.diff(self.stamps) > SAME_STAMP, [True]]
+        )  # of poses that share a stamp the last
+        stamps, poses = self.stamps[new], self.poses[new]
+        if len(stamps) == 1:
+            return np.broadcast_to(poses[0], (*np.shape(times), 3)).copy()
+        found: Floats = PchipInterpolator(stamps, poses)(np.clip(times, stamps[0], stamps[-1]))
+        return found
 
 
 def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
@@ -64,7 +78,7 @@ def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None 
     (n, n_rays, 3) [m, m, rad] pose of the run's `pose_frame` in map at the time of each ray of a sweep, moved to where
     the ray starts if several sensors are read as one; without either (n, 1, 3), one for all rays of a scan
     """
-    if run.sensor.sweep_time == 0:
+    if not run.sensor.has_ray_delays:
         return to_ray_starts(pairing.poses[scans][:, None], run.sensor, run.pose_frame)
     if len(scans) == 0:  # perhaps not one reference pose
         return np.zeros((0, run.sensor.n_rays, 3))

@@ -174,7 +174,7 @@ def test_rays_are_where_the_robot_was_between_references() -> None:
     pairing = pair(exact)
     found = ray_poses(exact, pairing, np.flatnonzero(pairing.paired))
     truth = path(run.stamps[pairing.paired, None] + run.sensor.ray_delays)
-    # between references of 30 Hz, a straight line: 1.3 rad/s times 0.5 rad/s, times T² / 8
+    # between references of 30 Hz
     np.testing.assert_allclose(found[..., :2], truth[..., :2], atol=1e-4)
     np.testing.assert_allclose(np.cos(found[..., 2] - truth[..., 2]), 1.0, atol=1e-7)
 
@@ -190,8 +190,9 @@ def test_odometry_fills_a_slow_reference() -> None:
         return float(np.abs(ray_poses(slow, pairing, scans, motion=motion)[..., :2] - truth[..., :2]).max())
 
     with_odometry = error(motion_of(slow))
-    assert with_odometry < 0.2 * error(motion_of(slow, use_odometry=False))
-    assert with_odometry < 2e-4
+    # cubics through poses of 5 Hz are off by 0.44 mm, where straight lines were off by 1.3 mm
+    assert with_odometry < 0.3 * error(motion_of(slow, use_odometry=False))
+    assert with_odometry < 1.2e-4
 
 
 def test_motion_of_laser_poses_takes_the_odometry_of_the_base() -> None:
