@@ -13,6 +13,8 @@ from logs.html_table import html_table
 from logs.types import Bools, Floats
 
 PoseFrame = Literal["base_link", "laser"]
+RARE_TIMES: Mapping[str, int | float] = {"interlaced_sweeps": 1, "sweep_period": 0.0, "first_ray_delay": 0.0}
+"""Fields of `RangeSensor` that files state only where they differ from these defaults."""
 
 
 def _empty(*shape: int) -> Floats:
@@ -38,7 +40,13 @@ class RangeSensor:
     rate: float = 10.0
     """[Hz] scans per second."""
     sweep_time: float = 0.0
-    """[s] from ray 0 to the last (plus one), negative for a clockwise sweep; a scan's stamp is the time of ray 0."""
+    """[s] from ray 0 to the last (plus one) of one sweep, negative for a clockwise one."""
+    interlaced_sweeps: int = 1
+    """Sweeps that make a scan, each of every n-th ray: 2 in a SICK LMS of 0.5°, whose mirror measures every 1°."""
+    sweep_period: float = 0.0
+    """[s] from one of the interlaced sweeps to the next, in general a turn of the mirror; negative: the last comes first."""
+    first_ray_delay: float = 0.0
+    """[s] from a scan's stamp to ray 0; negative where a driver stamps scans later, as they arrive."""
     height: float = 0.0
     """[m] of the scan plane above the floor."""
     origins: Floats = field(default_factory=lambda: _empty(0, 2))
@@ -67,9 +75,18 @@ class RangeSensor:
             )
         if not 0 < self.rate < np.inf:
             raise ValueError(f"the rate is {self.rate} Hz, expected a number above 0")
-        others = {name: getattr(self, name) for name in ("sigma", "resolution", "sweep_time", "height")}
+        others = {
+            name: getattr(self, name)
+            for name in ("sigma", "resolution", "sweep_time", "sweep_period", "first_ray_delay", "height")
+        }
         if not np.isfinite(list(others.values())).all():
             raise ValueError(f"the sensor has {others}, expected finite numbers")
+        k, period = self.interlaced_sweeps, self.sweep_period
+        if k < 1 or (k == 1) != (period == 0) or (k > 1 and abs(period) < abs(self.sweep_time)):
+            raise ValueError(
+                f"interlaced_sweeps is {k} and sweep_period {period:g} s, with a sweep_time of {self.sweep_time:g} s; expected "
+                "1 and 0, or 2 and more with the time from one sweep to the next, which is not below sweep_time"
+            )
 
     @property
     def n_rays(self) -> int:
@@ -77,9 +94,16 @@ class RangeSensor:
         return len(self.bearings)
 
     def take(self, rays: NDArray[np.integer] | slice) -> RangeSensor:
-        """Return the sensor with some of its rays, in increasing order."""
+        """Return the sensor with some of its rays, in increasing order.
+
+        Of interlaced sweeps, rays that do not come in turns any more count as one sweep.
+        """
+        turns = np.arange(self.n_rays)[rays] % self.interlaced_sweeps
+        is_in_turns = np.array_equal(turns, np.arange(len(turns)) % self.interlaced_sweeps)
         return replace(
             self,
+            interlaced_sweeps=self.interlaced_sweeps if is_in_turns else 1,
+            sweep_period=self.sweep_period if is_in_turns else 0.0,
             bearings=self.bearings[rays],
             origins=self.origins[rays] if len(self.origins) else self.origins,
             cones=self.cones[rays] if len(self.cones) else self.cones,
@@ -93,18 +117,48 @@ class RangeSensor:
     @property
     def ray_delays(self) -> Floats:
         """(n_rays,) [s] when each ray is taken, after the scan's stamp; all 0 without a sweep."""
-        return self.sweep_time * np.arange(self.n_rays) / self.n_rays
+        ray = np.arange(self.n_rays)
+        along = self.sweep_time * ray / self.n_rays
+        return self.first_ray_delay + along + self.sweep_period * (ray % self.interlaced_sweeps)
+
+    @property
+    def has_ray_delays(self) -> bool:
+        """Tell whether rays of a scan are taken at other times than its stamp."""
+        return self.sweep_time != 0 or self.sweep_period != 0 or self.first_ray_delay != 0
+
+    @property
+    def scan_duration(self) -> float:
+        """[s] from the first ray that is taken to the last (plus one)."""
+        return abs(self.sweep_time) + (self.interlaced_sweeps - 1) * abs(self.sweep_period)
 
     @property
     def has_ray_poses(self) -> bool:
         """Tell whether the rays of a scan are taken from different places on a moving robot."""
-        return self.sweep_time != 0 or self.is_composite
+        return self.has_ray_delays or self.is_composite
 
     @property
     def is_evenly_spaced(self) -> bool:
         """Tell whether all neighbouring bearings are equally far apart (to 1e-6 rad)."""
         steps = np.diff(self.bearings)
         return len(steps) == 0 or bool(np.ptp(steps) < 1e-6)
+
+
+def rare_times(sensor: RangeSensor) -> dict[str, int | float]:
+    """Return the fields of `RARE_TIMES` that differ from their defaults."""
+    return {
+        name: getattr(sensor, name) for name, usual in RARE_TIMES.items() if getattr(sensor, name) != usual
+    }
+
+
+def with_rare_times(sensor: RangeSensor, stated: Mapping[str, str | int | float]) -> RangeSensor:
+    """Return the sensor with the fields of `RARE_TIMES` that a file states."""
+    said = {**RARE_TIMES, **{name: stated[name] for name in RARE_TIMES if name in stated}}
+    return replace(
+        sensor,
+        interlaced_sweeps=int(said["interlaced_sweeps"]),
+        sweep_period=float(said["sweep_period"]),
+        first_ray_delay=float(said["first_ray_delay"]),
+    )
 
 
 def rate_of(stamps: Floats, otherwise: float = 10.0) -> float:
@@ -284,8 +338,9 @@ def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing
     poses[:, :2] = run.poses[left, :2] + share[:, None] * (run.poses[right, :2] - run.poses[left, :2])
     phi = run.poses[left, 2] + share * turn
     poses[:, 2] = np.pi - (np.pi - phi) % (2 * np.pi)
-    last_rays = run.stamps + (run.sensor.ray_delays[-1] if whole_sweep else 0.0)
-    beyond = ~(before | after | gap) & ((last_rays > run.pose_stamps[-1]) | (last_rays < run.pose_stamps[0]))
+    delays = run.sensor.ray_delays if whole_sweep else np.zeros(1)
+    late, early = run.stamps + delays.max(), run.stamps + delays.min()
+    beyond = ~(before | after | gap) & ((late > run.pose_stamps[-1]) | (early < run.pose_stamps[0]))
     paired = ~(before | after | gap | beyond)
     broken = paired & ~np.isfinite(poses).all(axis=1)
     paired &= ~broken

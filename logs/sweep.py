@@ -32,8 +32,13 @@ def differs(a: float, b: float) -> bool:
 def sweep_line(sensor: RangeSensor) -> str:
     """Say how long a sweep takes."""
     period = 1.0 / sensor.rate
-    if sensor.sweep_time == 0:
+    if not sensor.has_ray_delays:
         return f"no sweep: all rays of a scan at its stamp; a scan every {period:.3g} s"
+    if sensor.interlaced_sweeps > 1:
+        return (
+            f"{sensor.interlaced_sweeps} interlaced sweeps of {sensor.sweep_time:.3g} s, {sensor.sweep_period:.3g} s apart; "
+            f"a scan every {period:.3g} s"
+        )
     step = 1e3 * sensor.sweep_time / sensor.n_rays
     return f"a sweep of {sensor.sweep_time:.3g} s (time_increment {step:.3g} ms), a scan every {period:.3g} s"
 

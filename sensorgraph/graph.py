@@ -19,7 +19,7 @@ from logs.files import atomic_file
 from logs.html_table import html_table
 from logs.inflation import most_plain
 from logs.motion import to_ray_starts
-from logs.run import PoseFrame, RangeSensor
+from logs.run import PoseFrame, RangeSensor, rare_times, with_rare_times
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
@@ -168,7 +168,7 @@ class Sensorgraph:
         OSError : the file cannot be written
         """
         header, arrays = self.model.state()
-        sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS}
+        sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS} | rare_times(self.sensor)
         top = {
             "format": FORMAT,
             "version": VERSION,
@@ -219,13 +219,15 @@ class Sensorgraph:
         try:
             check_numbers(top["state"], arrays, may_be_nan=_MAY_BE_NAN)
             _check_origin(top)
+            scalars: dict[str, Any] = {name: float(top["sensor"][name]) for name in _SENSOR_FIELDS}
             sensor = RangeSensor(
                 bearings=arrays.pop("sensor.bearings"),
                 mount=arrays.pop("sensor.mount"),
                 origins=arrays.pop("sensor.origins", np.zeros((0, 2))),
                 cones=arrays.pop("sensor.cones", np.zeros(0)),
-                **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
+                **scalars,
             )
+            sensor = with_rare_times(sensor, top["sensor"])
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
             memory = ResidualMemory.restore(arrays)
             return cls(

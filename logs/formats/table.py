@@ -16,6 +16,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from logs.files import atomic_file
 from logs.formats.text import read_lines
 from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
-from logs.run import RangeSensor, Run, pair
+from logs.run import RangeSensor, Run, pair, with_rare_times
 from logs.transforms import interpolate, twists_of, wrap
 from logs.types import Floats, Mounts, Progress
 
@@ -184,7 +185,7 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: st
         raise LogError(
             f"{path} has {ranges.shape[1]} ray columns and {len(bearings)} bearings; expected as many"
         )
-    scalars = {name: float(stated[name]) for name in SENSOR_SCALARS if name in stated}
+    scalars: dict[str, Any] = {name: float(stated[name]) for name in SENSOR_SCALARS if name in stated}
     finite = ranges[np.isfinite(ranges)]
     if "range_max" not in scalars and len(finite):
         code = find_code(ranges) if no_return in (None, "range_max") else None
@@ -193,13 +194,14 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: st
             ranges[np.isfinite(ranges) & (ranges >= code)] = np.inf
     apply_no_return(ranges, scalars.get("range_max", np.inf), no_return)
     scalars.setdefault("range_min", 0.0)
-    return RangeSensor(
+    sensor = RangeSensor(
         bearings=bearings,
         mount=parse_numbers(stated.get("mount", "0 0 0")),
         origins=parse_numbers(stated.get("origins", "")).reshape(-1, 2),
         cones=parse_numbers(stated.get("cones", "")),
         **scalars,
     )
+    return with_rare_times(sensor, stated)
 
 
 def _part(names: Sequence[str], values: Floats, wanted: Sequence[str]) -> Floats | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from logs.ros.recording import (
     settle,
     track,
 )
-from logs.run import RangeSensor, Run
+from logs.run import RangeSensor, Run, rare_times, with_rare_times
 from logs.transforms import Stamps, to_planar
 from logs.types import Floats
 
@@ -48,6 +49,7 @@ def sensor_facts(
         **{name: repr(float(getattr(sensor, name))) for name in SENSOR_SCALARS},
         **({"origins": _numbers_text(sensor.origins)} if sensor.is_composite else {}),
         **({"cones": _numbers_text(sensor.cones)} if sensor.cones.any() else {}),
+        **{name: repr(value) for name, value in rare_times(sensor).items()},
         "pose_frame": pose_frame,
         "epoch_ns": str(int(epoch_ns)),
         "zero_ns": str(int(zero_ns)),
@@ -76,13 +78,15 @@ def is_own(recording: Recording, topics: Mapping[str, str] | None) -> bool:
 
 def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
     """Rebuild the sensor from the metadata record."""
-    return RangeSensor(
+    scalars: dict[str, Any] = {name: float(sensor_facts[name]) for name in SENSOR_SCALARS}
+    sensor = RangeSensor(
         bearings=parse_bearings(sensor_facts["bearings"]),
         mount=parse_numbers(sensor_facts["mount"]),
         origins=parse_numbers(sensor_facts.get("origins", "")).reshape(-1, 2),
         cones=parse_numbers(sensor_facts.get("cones", "")),
-        **{name: float(sensor_facts[name]) for name in SENSOR_SCALARS},
+        **scalars,
     )
+    return with_rare_times(sensor, sensor_facts)
 
 
 def to_run(recording: Recording, source: str, no_return: str | None = None) -> Run:

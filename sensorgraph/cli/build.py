@@ -166,9 +166,14 @@ def _say_what_is_ahead(logs: list[tuple[Path, LogStream]]) -> set[str]:
 
     said = set()
     for path, log in logs:
-        sweep = abs(log.head.sensor.sweep_time)
-        if sweep:
-            typer.echo(f"{path.name}: the laser sweeps for {sweep:.3g} s; each ray is taken at its own pose")
+        sensor = log.head.sensor
+        if sensor.has_ray_delays:
+            sweeps = (
+                f"{sensor.interlaced_sweeps} interlaced sweeps" if sensor.interlaced_sweeps > 1 else "sweeps"
+            )
+            typer.echo(
+                f"{path.name}: the laser {sweeps} for {sensor.scan_duration:.3g} s; each ray is taken at its own pose"
+            )
         for text in warnings_of(log.head):
             line = f"warning: {path.name}: {with_flags(text)}"
             said.add(line)

@@ -229,7 +229,7 @@ def predict_scans(
     SensorgraphError : the run is of another sensor
     """
     mount, rays = run.sensor.mount, _rays_of(graph, run)
-    if run.sensor.sweep_time == 0:  # where the rays of several sensors start knows the graph
+    if not run.sensor.has_ray_delays:  # where the rays of several sensors start knows the graph
         return graph.predict(
             poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), rays=rays, point=point
         )

@@ -69,7 +69,7 @@ def predict(
     progress: Progress | None = None,
 ) -> Prediction:
     """Predict some scans (n,) of a run from its reference poses; people are a chance of short readings."""
-    motion = motion_of(run) if sensor.sweep_time else _motion_of_scans(run)
+    motion = motion_of(run) if sensor.has_ray_delays else _motion_of_scans(run)
     if run.pose_frame == "laser":
         sensor = replace(sensor, mount=np.zeros(3))
     parts = []

@@ -43,7 +43,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
         left_out.append(
             "several sensors: the lidar is one fan at the mount, from the first bearing to the last"
         )
-    if sensor.sweep_time:
+    if sensor.has_ray_delays:
         left_out.append("the sweep: all rays of a scan are taken at one time")
     if world.robot.drive != "diff":
         left_out.append(f"{world.robot.drive} cars: the robot turns in place")

@@ -155,7 +155,7 @@ def plan(
     drive = planners.plan(
         without(world, no_go), machine, planner=planner if views is None else "views", cell=cell, headings=headings,
         seed=seed, start=start, end=end, dock=dock, budget=budget, battery=battery, duration=duration, margin=margin,
-        sweep_time=machine.sensor.sweep_time, rate=machine.sensor.rate, visited=visited, targets=targets,
+        sweep_time=machine.sensor.scan_duration, rate=machine.sensor.rate, visited=visited, targets=targets,
         priority=None if priority is None or targets is not None else partial(uncertainty, priority),
         order=order, survey=_survey(order, world, machine, graph, visited), join_planner=join_planner, progress=progress,
         status=status,

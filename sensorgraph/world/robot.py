@@ -105,6 +105,9 @@ SENSOR_DEFAULTS: dict[str, Any] = {
     "resolution": 0.001,
     "rate": 10.0,
     "sweep_time": 0.0,
+    "interlaced_sweeps": 1,
+    "sweep_period": 0.0,
+    "first_ray_delay": 0.0,
     "height": 0.30,
 }
 SECTIONS: dict[str, dict[str, Any]] = {
@@ -128,6 +131,7 @@ POSITIVE = {
     "a",
     "alpha",
     "n_rays",
+    "interlaced_sweeps",
     "fov",
     "range_max",
     "rate",
@@ -136,6 +140,7 @@ POSITIVE = {
     "base",
     "footprint_radius",
 }
+SIGNED = {"first_ray_delay"}
 
 
 ANGLES = ("fov", "cone", "first", "_yaw")
@@ -190,7 +195,11 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
         raise SensorgraphError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
     sensors = None if data.get("sensors") is None else parse_sensors(name, data["sensors"])
     if sensors is not None:
-        extra = [key for key in ("mount", "n_rays", "fov") if key in (data.get("sensor") or {})]
+        extra = [
+            key
+            for key in ("mount", "n_rays", "fov", "interlaced_sweeps")
+            if key in (data.get("sensor") or {})
+        ]
         if extra:
             raise SensorgraphError(
                 f"{name}: `sensor.{extra[0]}` does not go with `sensors`, which says it for each; `sensor` keeps what "
@@ -339,7 +348,7 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
             f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number{unit} such as {default}"
         )
     least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
-    if value < 0 or (value == 0 and least == "above 0"):
+    if (value < 0 and key.split(".")[-1] not in SIGNED) or (value == 0 and least == "above 0"):
         raise SensorgraphError(f"{name}: `{key}` is {value}, expected {least}")
     most = MOST.get(key.split(".")[-1], np.inf)
     if value > most:

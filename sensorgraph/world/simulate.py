@@ -24,8 +24,12 @@ SCANS_PER_STEP = 1000  # scans cast between two ticks of the progress
 
 
 def scan_stamps(driven: ExecutedDrive, sensor: RangeSensor) -> Floats:
-    """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last sweep ends in the run."""
-    return np.arange(0.0, driven.stamps[-1] - sensor.sweep_time + 1e-9, 1.0 / sensor.rate)
+    """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last scan ends in the run."""
+    return np.arange(
+        0.0,
+        driven.stamps[-1] - sensor.scan_duration - max(sensor.first_ray_delay, 0.0) + 1e-9,
+        1.0 / sensor.rate,
+    )
 
 
 def simulate(
@@ -58,7 +62,7 @@ def simulate(
     for start in range(0, len(stamps), SCANS_PER_STEP):
         part = stamps[start : start + SCANS_PER_STEP]
         if perceive is not None:
-            when = part if sensor.sweep_time == 0 else part[:, None] + sensor.ray_delays
+            when = part[:, None] + sensor.ray_delays if sensor.has_ray_delays else part
             parts.append(perceive(start, driven.at(when)))
         else:
             scene = Scene(

@@ -166,7 +166,7 @@ def prepare_scans(
         )
     laser_frame = run.pose_frame == "laser"
     sensor = _sensor(run, robot, laser_frame)
-    motion = motion_of(run, use_odometry=sensor.sweep_time > 0)
+    motion = motion_of(run, use_odometry=sensor.has_ray_delays)
     when = run.stamps[kept]
     data = ScanData(
         arena=arena,
