@@ -210,12 +210,14 @@ def compare_sharpness(data: Path) -> None:
         with cpu() as took:
             found = map_run(run)
         print(f"{name}: {run.duration / took[0]:.0f} x real time on one core; {found.wheels}")
+        print("\n".join(f"  {note}" for note in found.notes if "sweep" in note))
         chosen, theirs = published_poses(data, name, run)
         if not len(chosen):
             print("  the published log holds other rays")
             continue
         for label, poses in (("published", theirs), ("located", found.poses[chosen])):
-            d = 100 * sharpness(*in_map(run, chosen, poses))
+            timed = run if label == "published" else replace(run, sensor=found.sensor or run.sensor)
+            d = 100 * sharpness(*in_map(timed, chosen, poses))
             print(
                 f"  {label:10s} {len(chosen)} scans: median {np.median(d):.2f} cm, within 5 cm {np.mean(d < 5):.3f}, "
                 f"within 2 cm {np.mean(d < 2):.3f}"

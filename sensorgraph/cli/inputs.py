@@ -128,7 +128,7 @@ def with_poses(
     typer.echo(
         f"{path.name}: {why}: located {where} from scans and wheels (--poses log takes the log's poses)"
     )
-    found = located(path, run, place, name=name, options=settings, progress=progress)
+    found = located(path, run, place, name=name, options={**settings, **_ray_times(run)}, progress=progress)
     for line in found.lines:
         typer.echo(f"  {line}")
     if found.path is not None:
@@ -145,11 +145,20 @@ def with_poses_of_graph(
     if not needs_locating(run, run.n_scans, poses):
         return run
     if any(entry.get("name") == path.name for entry in graph.origin.get("inputs", ())):
-        own = kept_own(path, options)
+        own = kept_own(path, {**options, **_ray_times(run)})
         if own is not None:
             typer.echo(f"{path.name}: poses as located when {graph_name} was built from it")
             return own
     return with_poses(run, path, poses, graph, name=graph_name, options=options)
+
+
+def _ray_times(run: Run) -> dict[str, Any]:
+    """Return what a log or a robot file says of the times of rays: a run located without it was located otherwise."""
+    from logs.run import rare_times
+
+    return (
+        {"sweep_time": run.sensor.sweep_time, **rare_times(run.sensor)} if run.sensor.has_ray_delays else {}
+    )
 
 
 def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:

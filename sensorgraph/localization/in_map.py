@@ -7,14 +7,14 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.front_end import ScanTrack, track
+from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.global_search import LocalView, find_places, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
-from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, stretch_notes
-from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
@@ -46,12 +46,10 @@ def locate_in_map(
     """
     if run.n_scans == 0:
         raise SensorgraphError("the run has no scan to locate; record /scan")
-    motion = odometry_of(run)
-    scans = scan_points(run, motion)
-    odometry = None if motion is None else odometry_at_scans(run, motion)
     place = known_map(walls, seen, normals)
     with progress("following the scans", "scans") as tick:
-        steps = track(scans, run.stamps, odometry, tick)
+        followed = track_run(run, tick)
+    odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)
     if np.isnan(found.poses[:, 0]).all() and not found.rivals:
@@ -72,7 +70,8 @@ def locate_in_map(
         status=status,
         wheels=WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames]),
         rivals=found.rivals,
-        notes=(*notes, *stretch_notes(run.stamps, status, "lost", "ambiguous")),
+        notes=(*notes, *followed.notes, *stretch_notes(run.stamps, status, "lost", "ambiguous")),
+        sensor=followed.run.sensor,
     )
 
 

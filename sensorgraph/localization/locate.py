@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.run import Run
+from logs.run import RARE_TIMES, Run
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
@@ -93,7 +93,10 @@ def is_located(run: Run) -> bool:
 
 
 def located_run(run: Run, found: Localization) -> Run:
-    """Return the run with the poses of the scans that were located, and everything else as it was."""
+    """Return the run with the poses of the scans that were located, and everything else as it was.
+
+    Its sensor has the times of the rays, where these were found.
+    """
     ok = np.array(found.status) == "ok"
     if not ok.any():
         raise SensorgraphError(
@@ -101,6 +104,7 @@ def located_run(run: Run, found: Localization) -> Run:
         )
     return replace(
         run,
+        sensor=found.sensor or run.sensor,
         pose_stamps=run.stamps[ok],
         poses=found.poses[ok],
         pose_covariances=found.covariances[ok],
@@ -169,6 +173,9 @@ def summary(found: Localization) -> dict[str, Any]:
         "closures": {
             "kept": [_closure(one) for one in found.kept],
             "refused": [_closure(one) for one in found.refused],
+        },
+        "ray_times": None if found.sensor is None or not found.sensor.has_ray_delays else {
+            name: getattr(found.sensor, name) for name in ("sweep_time", *RARE_TIMES)
         },
         "notes": list(found.notes),
     }  # fmt: skip

@@ -7,14 +7,15 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.covariances import key_frame_covariances
-from sensorgraph.localization.front_end import ScanTrack, information_at, track
+from sensorgraph.localization.front_end import ScanTrack, information_at
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import ClosedTrack, close_loops, spread
 from sensorgraph.localization.matching import match
-from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.refinement import FramePoints, Refined, refine
+from sensorgraph.localization.point_rows import FramePoints
+from sensorgraph.localization.ray_times import track_run
+from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status, stretch_notes
-from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
@@ -40,11 +41,9 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     """
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
-    motion = odometry_of(run)
-    odometry = None if motion is None else odometry_at_scans(run, motion)
-    scans = scan_points(run, motion)
     with progress("tracking", "scans") as bar:
-        tracked = track(scans, run.stamps, odometry, bar)
+        followed = track_run(run, bar)
+    odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _nowhere(run, tracked)
     with progress("closing loops", "submaps") as bar:
@@ -77,7 +76,12 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         refused=closed.refused,
         wheels=steps.parameters(refined.poses),
         rivals=rivals,
-        notes=_notes(run, tracked, joined, odometry is None) + stretch_notes(run.stamps, status, "ambiguous"),
+        notes=(
+            *_notes(run, tracked, joined, odometry is None),
+            *followed.notes,
+            *stretch_notes(run.stamps, status, "ambiguous"),
+        ),
+        sensor=followed.run.sensor,
     )
 
 

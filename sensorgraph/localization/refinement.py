@@ -15,45 +15,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.patches import assign, cut_patches
+from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
 from sensorgraph.localization.wheel_edges import WheelEdges, WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FramePoints:
-    """The points of the key frames, one after the other."""
-
-    frame: Ints
-    """(n,) number of the key frame."""
-    points: Floats
-    """(n, 2) [m] in base_link."""
-    normals: Floats
-    """(n, 2) in base_link."""
-
-    @staticmethod
-    def of(scans: ScanPoints, key_frames: Ints) -> FramePoints:
-        """Take the points of some scans."""
-        slices = [scans.of(int(k)) for k in key_frames]
-        index = np.concatenate([np.arange(s.start, s.stop) for s in slices] or [np.zeros(0, np.intp)])
-        counts = [s.stop - s.start for s in slices]
-        return FramePoints(
-            frame=np.repeat(np.arange(len(key_frames)), counts),
-            points=scans.points[index],
-            normals=scans.normals[index],
-        )
-
-    def placed(self, poses: Floats) -> tuple[Floats, Floats]:
-        """Return points and normals (n, 2) in map."""
-        pose = poses[self.frame]
-        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        x, y = self.points.T
-        nx, ny = self.normals.T
-        points = np.column_stack([cos * x - sin * y + pose[:, 0], sin * x + cos * y + pose[:, 1]])
-        return points, np.column_stack([cos * nx - sin * ny, sin * nx + cos * ny])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,48 +108,37 @@ def linearise(
     settings: RefinementSettings = REFINEMENT,
 ) -> ReducedSystem:
     """Cut the surfaces into patches, and linearise all residuals at the poses (n_frames, 3)."""
-    n = len(poses)
-    points, normals = frames.placed(poses)
-    surface = points.copy()
-    patch_map = cut_patches(points, normals, side, settings.roundness)
-    patch = assign(points, normals, patch_map, gate)
-    used = np.flatnonzero(patch >= 0)
-    m = len(patch_map.middles)
-    patch, frame, points = patch[used], frames.frame[used], points[used]
-    weight, residual, along, normal, noise = _fit_patches(
-        points, patch, frame, patch_map.normals, sigma, settings
-    )
-    kept = weight > 0
-    surface[used[kept]] -= residual[kept, None] * normal[kept]
-    patch, frame, points = patch[kept], frame[kept], points[kept]
-    weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
-    lever = points - poses[frame, :2]
-    turn = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
-    jacobian = np.column_stack([normal, turn])  # (n_points, 3)
-    lines = np.column_stack([-np.ones(len(along)), -along])  # (n_points, 2)
+    return reduced_system(point_rows(frames, poses, side, gate, sigma, settings), poses, wheels)
+
+
+def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> ReducedSystem:
+    """Eliminate the lines of the points, and the parameters of the wheels."""
+    n, m = len(poses), rows.n_patches
+    frame, patch, weight, residual = rows.frame, rows.patch, rows.weight, rows.residual
+    jacobian, lines = rows.by_pose, rows.by_line
     blocks: Floats = np.stack(
-        [_sums(frame, weight * jacobian[:, i] * jacobian[:, j], n) for i in range(3) for j in range(3)],
+        [sums_by(frame, weight * jacobian[:, i] * jacobian[:, j], n) for i in range(3) for j in range(3)],
         axis=-1,
     ).reshape(n, 3, 3)
     keys, cluster = np.unique(frame * m + patch, return_inverse=True)
     cluster_frame, cluster_patch = keys // m, keys % m
     c = len(keys)
     mixed = np.stack(
-        [_sums(cluster, weight * jacobian[:, i] * lines[:, j], c) for i in range(3) for j in range(2)],
+        [sums_by(cluster, weight * jacobian[:, i] * lines[:, j], c) for i in range(3) for j in range(2)],
         axis=-1,
     ).reshape(c, 3, 2)
-    own = np.column_stack([_sums(patch, weight * lines[:, j] ** 2, m) for j in range(2)]).ravel()
+    own = np.column_stack([sums_by(patch, weight * lines[:, j] ** 2, m) for j in range(2)]).ravel()
     inverse = np.where(own > 0, 1.0 / np.where(own > 0, own, 1.0), 0.0)
-    scores = np.column_stack([_sums(cluster, weight * residual * jacobian[:, i], c) for i in range(3)])
-    line_scores = np.column_stack([_sums(cluster, weight * residual * lines[:, j], c) for j in range(2)])
+    scores = np.column_stack([sums_by(cluster, weight * residual * jacobian[:, i], c) for i in range(3)])
+    line_scores = np.column_stack([sums_by(cluster, weight * residual * lines[:, j], c) for j in range(2)])
     coupling = _block_matrix(cluster_frame, cluster_patch, mixed, (n, m))
-    rows, edge_residuals, wheel_matrix = edge_system(poses, wheels.edges)
+    edge_rows, edge_residuals, wheel_matrix = edge_system(poses, wheels.edges)
     weighted = np.einsum("eij,ej->ei", wheels.edges.information, edge_residuals)
     by = wheels.by_parameters
     weighted_by = np.einsum("eij,ejk->eik", wheels.edges.information, by)
-    wheel_coupling = rows.T @ weighted_by.reshape(-1, 3)
+    wheel_coupling = edge_rows.T @ weighted_by.reshape(-1, 3)
     wheel_inverse = np.linalg.inv(np.einsum("eji,ejk->ik", by, weighted_by) + wheels.prior)
-    wheel_gradient = rows.T @ weighted.ravel() - wheel_coupling @ (
+    wheel_gradient = edge_rows.T @ weighted.ravel() - wheel_coupling @ (
         wheel_inverse @ np.einsum("eji,ej->i", by, weighted)
     )
     gradient = _by_frame(scores, cluster_frame, n) - coupling @ (
@@ -203,69 +158,16 @@ def linearise(
         scores=scores,
         line_scores=line_scores,
         edges=wheels,
-        edge_rows=rows,
+        edge_rows=edge_rows,
         edge_residuals=edge_residuals,
-        noise=noise,
-        surface=surface,
+        noise=rows.noise,
+        surface=rows.surface,
     )
-
-
-def _sums(index: Ints, values: Floats, n: int) -> Floats:
-    """Add up values (k,) by index; (n,)."""
-    return np.asarray(np.bincount(index, values, n), dtype=np.float64)
 
 
 def _by_frame(values: Floats, index: Ints, n: int) -> Floats:
     """Add up rows (k, d) by index; (d n,)."""
-    return np.column_stack([_sums(index, column, n) for column in values.T]).ravel()
-
-
-def _fit_patches(
-    points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float, settings: RefinementSettings
-) -> tuple[Floats, Floats, Floats, Floats, float]:
-    """Fit each patch's line to its points, robustly.
-
-    Returns
-    -------
-    weights (n,) [1/m²], residuals (n,) [m], place along the patch (n,) [m], normals (n, 2), and the noise [m] of all
-    """
-    m = len(normals)
-    soft = np.ones(len(points))
-    scale = np.full(m, sigma**2)
-    noise = sigma
-    residual = along = np.zeros(len(points))
-    normal = normals[patch]
-    for _ in range(3):
-        total = np.bincount(patch, soft, m) + 1e-12
-        centre = np.column_stack([np.bincount(patch, soft * points[:, i], m) / total for i in range(2)])
-        off = points - centre[patch]
-        xx, xy, yy = (
-            np.bincount(patch, soft * off[:, i] * off[:, j], m) / total for i, j in ((0, 0), (0, 1), (1, 1))
-        )
-        angle = 0.5 * np.arctan2(2 * xy, xx - yy)
-        line_normals = np.column_stack([-np.sin(angle), np.cos(angle)])
-        half, spread = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-        across, length = np.maximum(half - spread, 0.0), half + spread
-        normal = line_normals[patch]
-        residual = np.einsum("ij,ij->i", off, normal)
-        along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
-        noise = min(
-            max(1.4826 * float(np.median(np.abs(residual))) if len(residual) else sigma, settings.min_sigma),
-            sigma,
-        )
-        count = np.bincount(patch, minlength=m)
-        scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
-        soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
-    # a patch with one frame says nothing of poses; a round one, nothing of where it is
-    pairs = np.unique(frame * m + patch)
-    n_frames = np.bincount(pairs % m, minlength=m)
-    good = (n_frames > 1) & (across < settings.roundness * length) & (count >= settings.min_points)
-    # centred by the last weights, so that offset and direction of a line are independent
-    total = np.bincount(patch, soft, m) + 1e-12
-    along = along - (np.bincount(patch, soft * along, m) / total)[patch]
-    residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
-    weight = np.where(good[patch], soft / np.maximum(scale, settings.min_sigma**2)[patch], 0.0)
-    return weight, residual, along, normal, noise
+    return np.column_stack([sums_by(index, column, n) for column in values.T]).ravel()
 
 
 def conjugate_gradients(
@@ -328,7 +230,7 @@ def refine(
         gate = settings.first_gate * (settings.last_gate / settings.first_gate) ** share
         sigma = settings.first_sigma * (settings.last_sigma / settings.first_sigma) ** share
         system = linearise(frames, poses, wheels.at(poses), side, gate, sigma, settings)
-        preconditioner = _preconditioner(system, poses, graph)
+        preconditioner = pose_graph_matrix(system, poses, graph)
         if iteration == settings.iterations:
             break
         step, _ = conjugate_gradients(
@@ -340,7 +242,7 @@ def refine(
     return Refined(poses=poses, system=system, preconditioner=preconditioner, frames=frames)
 
 
-def _preconditioner(
+def pose_graph_matrix(
     system: ReducedSystem, poses: Floats, graph: tuple[PoseEdges, PoseEdges]
 ) -> sparse.csc_array:
     """Return the pose graph's normal matrix, tied to the ground a little."""

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from logs.run import RangeSensor
 from sensorgraph.types import Floats
 
 Status = Literal["ok", "lost", "ambiguous"]
@@ -76,6 +77,8 @@ class Localization:
     """Scan -> (n, 3) other places that fit as well, of those that are ambiguous."""
     notes: tuple[str, ...] = ()
     """What a user should know, one line each."""
+    sensor: RangeSensor | None = None
+    """That of the run, with the times of its rays as they were found; None: as the run says."""
 
     def __post_init__(self) -> None:
         n = len(self.t)

@@ -32,6 +32,8 @@ class ScanPoints:
     """(n_points,) [m] length of the ray."""
     starts: Floats
     """(n_points, 2) [m] where the ray began, in base_link at the stamp of the scan."""
+    rays: Ints
+    """(n_points,) number of the ray."""
 
     @property
     def n_scans(self) -> int:
@@ -52,32 +54,46 @@ class ScanPoints:
         return slice(int(self.first[scan]), int(self.first[scan + 1]))
 
 
-def scan_points(run: Run, motion: Motion | None = None, settings: PointSettings = SCANS) -> ScanPoints:
+def scan_points(
+    run: Run,
+    motion: Motion | None = None,
+    settings: PointSettings = SCANS,
+    *,
+    delays: Floats | None = None,
+) -> ScanPoints:
     """Turn every return of a run into a point in base_link at its scan's stamp.
 
     Parameters
     ----------
     motion : of base_link in any frame, by which rays of a sweep are moved to their scan's stamp; None: not moved
+    delays : (n_rays,) [s] when each ray is taken, after the scan's stamp; None: as the sensor says
     """
     sensor = run.sensor
+    delays = sensor.ray_delays if delays is None else delays
     used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, settings.max_range))
     if sensor.resolution > 0:  # the last step before range_max is often "nothing seen" rounded down
         used &= run.ranges < sensor.range_max - sensor.resolution
     blocks = [
-        _block(run, slice(start, start + MANY), used[start : start + MANY], motion, settings)
+        _block(run, slice(start, start + MANY), used[start : start + MANY], motion, delays, settings)
         for start in range(0, max(run.n_scans, 1), MANY)
     ]
     counts = np.concatenate([block[0] for block in blocks])
     points, normals, ranges, starts = (np.concatenate([block[k] for block in blocks]) for k in range(1, 5))
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-    return ScanPoints(first=first, points=points, normals=normals, ranges=ranges, starts=starts)
+    return ScanPoints(
+        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp),
+        points=points,
+        normals=normals,
+        ranges=ranges,
+        starts=starts,
+        rays=np.concatenate([block[5] for block in blocks]),
+    )
 
 
 def _block(
-    run: Run, scans: slice, used: Bools, motion: Motion | None, settings: PointSettings
-) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Return counts (n,), and points, normals, ranges and starts of some scans."""
-    rays = laser_rays(run.sensor, run.stamps[scans], motion)  # (n or 1, n_rays, 3)
+    run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats, settings: PointSettings
+) -> tuple[Ints, Floats, Floats, Floats, Floats, Ints]:
+    """Return counts (n,), and points, normals, ranges, starts and rays of some scans."""
+    rays = laser_rays(run.sensor, run.stamps[scans], motion, delays)  # (n or 1, n_rays, 3)
     ranges = np.where(used, run.ranges[scans], 0.0)
     points = np.stack(
         [rays[..., 0] + ranges * np.cos(rays[..., 2]), rays[..., 1] + ranges * np.sin(rays[..., 2])], axis=-1
@@ -87,11 +103,15 @@ def _block(
     normals = np.zeros_like(points)
     _normals(points, np.ascontiguousarray(starts), used, settings.reach, settings.gap, normals)
     _thin(points, used, settings.spacing, kept)
-    return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept]
+    return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept], np.nonzero(kept)[1]
 
 
-def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None) -> Floats:
+def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None, delays: Floats) -> Floats:
     """Return where the rays of scans start and point, in base_link at each scan's stamp.
+
+    Parameters
+    ----------
+    delays : (n_rays,) [s] when each ray is taken, after the stamp
 
     Returns
     -------
@@ -102,10 +122,10 @@ def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None) -> Fl
     if len(sensor.origins):
         rays[0, :, :2] = sensor.origins
     rays = compose(np.broadcast_to(sensor.mount, rays.shape), rays)
-    if sensor.sweep_time == 0 or motion is None:
+    if motion is None or not delays.any():
         return rays
-    base = motion.at(stamps[:, None] + sensor.ray_delays)  # (n, n_rays, 3)
-    moved = compose(invert(base[:, :1]), base)
+    base = motion.at(stamps[:, None] + delays)  # (n, n_rays, 3)
+    moved = compose(invert(motion.at(stamps)[:, None]), base)
     return compose(moved, np.broadcast_to(rays, moved.shape))
 
 

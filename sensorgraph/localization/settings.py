@@ -314,6 +314,39 @@ REFINEMENT = RefinementSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
+class RayTimeSettings:
+    """When each ray of a scan was taken, where the log does not say."""
+
+    pieces: int = 40
+    """Pieces of track that are looked at: those in which the robot turned fastest."""
+    least_pieces: int = 8
+    """Fewer tell no standard errors."""
+    frames: int = 12
+    """Key frames of a piece: about two turns of the robot, or 4 m."""
+    fast: float = 1.0
+    """[rad/s] a robot that turns faster counts as one of this rate: wheels slip."""
+    least_rate: float = 0.1
+    """[rad/s] a robot that turns no faster shows nothing: 10 ms are 0.06° then."""
+    apart: float = 1000.0
+    """[m] between the maps of two pieces."""
+    steps: int = 4
+    """Gauss-Newton steps, the points moved anew before each: surfaces that are smeared themselves hide a fifth."""
+    short: float = 0.01
+    """[s] over which the velocity at a scan is taken."""
+    widest: float = 0.2
+    """[s] standard deviation of a delay before any scan."""
+    motion_error: float = 0.1
+    """Share by which velocities by the odometry may be off within a scan, and so the times."""
+    least_gain: float = 25.0
+    """Twice the log likelihood by which a laser must be better than no sweep, and than any other: five standard errors."""
+    most_distance: float = 18.5
+    """Squared standard errors between estimate and laser: 99.9 % of chi-squared with four degrees of freedom."""
+
+
+RAY_TIMES = RayTimeSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class FinalSettings:
     """Scans between key frames, placed in the refined map."""
 

@@ -86,7 +86,7 @@ def _returns(run: Run, found: Localization, shown: np.ndarray) -> Floats:
     """Return the end points (n, 2) of rays in map, thinned."""
     n_rays = run.sensor.n_rays
     scans = shown[:: max(1, len(shown) * n_rays // MOST_POINTS)]
-    rays = laser_rays(run.sensor, run.stamps[scans], None)[0]
+    rays = laser_rays(run.sensor, run.stamps[scans], None, run.sensor.ray_delays)[0]
     poses = found.poses[scans]
     cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
     x0 = poses[:, :1] + cos * rays[:, 0] - sin * rays[:, 1]

@@ -16,8 +16,9 @@ from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, Drivi
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
+from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.refinement import FramePoints, refine
+from sensorgraph.localization.refinement import refine
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress

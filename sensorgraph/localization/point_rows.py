@@ -1,0 +1,167 @@
+"""What the returns of key frames say of poses and surfaces: each point on a patch of surface, linearised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.localization.patches import assign, cut_patches
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.types import Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FramePoints:
+    """The points of the key frames, one after the other."""
+
+    frame: Ints
+    """(n,) number of the key frame."""
+    points: Floats
+    """(n, 2) [m] in base_link."""
+    normals: Floats
+    """(n, 2) in base_link."""
+
+    @staticmethod
+    def of(scans: ScanPoints, key_frames: Ints) -> FramePoints:
+        """Take the points of some scans."""
+        slices = [scans.of(int(k)) for k in key_frames]
+        index = np.concatenate([np.arange(s.start, s.stop) for s in slices] or [np.zeros(0, np.intp)])
+        counts = [s.stop - s.start for s in slices]
+        return FramePoints(
+            frame=np.repeat(np.arange(len(key_frames)), counts),
+            points=scans.points[index],
+            normals=scans.normals[index],
+        )
+
+    def placed(self, poses: Floats) -> tuple[Floats, Floats]:
+        """Return points and normals (n, 2) in map."""
+        pose = poses[self.frame]
+        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        x, y = self.points.T
+        nx, ny = self.normals.T
+        points = np.column_stack([cos * x - sin * y + pose[:, 0], sin * x + cos * y + pose[:, 1]])
+        return points, np.column_stack([cos * nx - sin * ny, sin * nx + cos * ny])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointRows:
+    """The points that lie on patches, with what each says of its frame's pose and of its patch's line."""
+
+    index: Ints
+    """(n,) of the points of all frames."""
+    frame: Ints
+    """(n,)"""
+    patch: Ints
+    """(n,)"""
+    n_patches: int
+    points: Floats
+    """(n, 2) [m] in map."""
+    normals: Floats
+    """(n, 2) of the patches' lines."""
+    weight: Floats
+    """(n,) [1/m²]"""
+    residual: Floats
+    """(n,) [m] from the line."""
+    by_pose: Floats
+    """(n, 3) derivative of the residual by the pose."""
+    by_line: Floats
+    """(n, 2) the same by offset and direction of the line."""
+    noise: float
+    """[m] of a point around its patch."""
+    surface: Floats
+    """(n_points, 2) [m] all points in map, moved onto the line of their patch where they have one."""
+
+
+def point_rows(
+    frames: FramePoints,
+    poses: Floats,
+    side: float,
+    gate: float,
+    sigma: float,
+    settings: RefinementSettings = REFINEMENT,
+) -> PointRows:
+    """Cut the surfaces into patches, and linearise the residuals of the points at the poses (n_frames, 3)."""
+    points, normals = frames.placed(poses)
+    surface = points.copy()
+    patch_map = cut_patches(points, normals, side, settings.roundness)
+    patch = assign(points, normals, patch_map, gate)
+    used = np.flatnonzero(patch >= 0)
+    patch, frame, points = patch[used], frames.frame[used], points[used]
+    weight, residual, along, normal, noise = _fit_patches(
+        points, patch, frame, patch_map.normals, sigma, settings
+    )
+    kept = weight > 0
+    surface[used[kept]] -= residual[kept, None] * normal[kept]
+    patch, frame, points = patch[kept], frame[kept], points[kept]
+    weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
+    lever = points - poses[frame, :2]
+    turn = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
+    return PointRows(
+        index=used[kept],
+        frame=frame,
+        patch=patch,
+        n_patches=len(patch_map.middles),
+        points=points,
+        normals=normal,
+        weight=weight,
+        residual=residual,
+        by_pose=np.column_stack([normal, turn]),
+        by_line=np.column_stack([-np.ones(len(along)), -along]),
+        noise=noise,
+        surface=surface,
+    )
+
+
+def _fit_patches(
+    points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float, settings: RefinementSettings
+) -> tuple[Floats, Floats, Floats, Floats, float]:
+    """Fit each patch's line to its points, robustly.
+
+    Returns
+    -------
+    weights (n,) [1/m²], residuals (n,) [m], place along the patch (n,) [m], normals (n, 2), and the noise [m] of all
+    """
+    m = len(normals)
+    soft = np.ones(len(points))
+    scale = np.full(m, sigma**2)
+    noise = sigma
+    residual = along = np.zeros(len(points))
+    normal = normals[patch]
+    for _ in range(3):
+        total = np.bincount(patch, soft, m) + 1e-12
+        centre = np.column_stack([np.bincount(patch, soft * points[:, i], m) / total for i in range(2)])
+        off = points - centre[patch]
+        xx, xy, yy = (
+            np.bincount(patch, soft * off[:, i] * off[:, j], m) / total for i, j in ((0, 0), (0, 1), (1, 1))
+        )
+        angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+        line_normals = np.column_stack([-np.sin(angle), np.cos(angle)])
+        half, spread = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        across, length = np.maximum(half - spread, 0.0), half + spread
+        normal = line_normals[patch]
+        residual = np.einsum("ij,ij->i", off, normal)
+        along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
+        noise = min(
+            max(1.4826 * float(np.median(np.abs(residual))) if len(residual) else sigma, settings.min_sigma),
+            sigma,
+        )
+        count = np.bincount(patch, minlength=m)
+        scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
+        soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
+    # a patch with one frame says nothing of poses; a round one, nothing of where it is
+    pairs = np.unique(frame * m + patch)
+    n_frames = np.bincount(pairs % m, minlength=m)
+    good = (n_frames > 1) & (across < settings.roundness * length) & (count >= settings.min_points)
+    # centred by the last weights, so that offset and direction of a line are independent
+    total = np.bincount(patch, soft, m) + 1e-12
+    along = along - (np.bincount(patch, soft * along, m) / total)[patch]
+    residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
+    weight = np.where(good[patch], soft / np.maximum(scale, settings.min_sigma**2)[patch], 0.0)
+    return weight, residual, along, normal, noise
+
+
+def sums_by(index: Ints, values: Floats, n: int) -> Floats:
+    """Add up values (k,) by index; (n,)."""
+    return np.asarray(np.bincount(index, values, n), dtype=np.float64)

@@ -1,0 +1,124 @@
+"""When each ray was taken, found from scans of a robot that turns: interlaced sweeps, one sweep, or none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localization_samples import seen
+
+from logs.run import RangeSensor, Run
+from sensorgraph.localization.locate import locate, located_run, summary
+from sensorgraph.localization.ray_times import TrackedRun, track_run
+from sensorgraph.types import Floats
+
+N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
+BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, N_RAYS)
+LMS = 1 / 75  # [s] a turn of the mirror
+HALF = LMS / 2 * N_RAYS / (N_RAYS - 1)  # [s] a sweep over 180°, plus a ray
+
+
+def path(t: Floats) -> Floats:
+    """Drive around the box of the room and look about: up to 1 rad/s, in both senses."""
+    x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
+    return np.stack([x, y, 0.2 * t + np.pi / 2 + 0.9 * np.sin(0.9 * t)], axis=-1)
+
+
+def run_of(times: Floats, seed: int = 0) -> Run:
+    """Return a run whose rays were taken at their times (n_rays,) [s] after the stamp, which the log does not say."""
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(0.0, SECONDS, 1 / RATE)
+    ranges = np.concatenate(
+        [seen(path(stamps + times[i]), BEARINGS[i : i + 1]) for i in range(N_RAYS)], axis=1
+    )
+    return Run(
+        sensor=RangeSensor(bearings=BEARINGS, range_max=20.0, sigma=SIGMA, rate=RATE),
+        stamps=stamps,
+        ranges=ranges + SIGMA * rng.normal(size=ranges.shape),
+        odom_stamps=stamps,
+        odometry=path(stamps),
+        odom_twists=np.zeros((len(stamps), 2)),
+    )
+
+
+def interlaced(way: float = 1.0) -> Floats:
+    ray = np.arange(N_RAYS)
+    return way * HALF * ray / N_RAYS + np.where(ray % 2 == 1, LMS, 0.0)
+
+
+def followed(run: Run) -> TrackedRun:
+    return track_run(run, lambda done, total: None)
+
+
+def scatter(found: TrackedRun) -> float:
+    """Return the scatter [m] of the returns of scans around the key frames before."""
+    return float(np.nanmedian(found.track.noise))
+
+
+@pytest.fixture(scope="module")
+def two_sweeps() -> TrackedRun:
+    return followed(run_of(interlaced()))
+
+
+def test_interlaced_sweeps_are_found_and_named(two_sweeps: TrackedRun) -> None:
+    sensor = two_sweeps.run.sensor
+    assert sensor.interlaced_sweeps == 2
+    assert sensor.sweep_period == pytest.approx(LMS)
+    assert sensor.sweep_time == pytest.approx(HALF)
+    # all but their mean, which scans alone do not tell
+    np.testing.assert_allclose(
+        sensor.ray_delays - sensor.ray_delays.mean(), interlaced() - interlaced().mean(), atol=1e-9
+    )
+    (line,) = two_sweeps.notes
+    assert line.startswith("2 interlaced sweeps of 6.7 ms, +13.3 ms apart, make a scan, as of SICK LMS 2xx")
+
+
+def test_with_its_times_the_scatter_is_the_noise_and_without_it_is_not(two_sweeps: TrackedRun) -> None:
+    at_once = scatter(followed(run_of(np.zeros(N_RAYS))))
+    assert scatter(two_sweeps) < 1.05 * at_once
+    blind = two_sweeps.run.sensor.take(slice(None))
+    run = replace(
+        run_of(interlaced()), sensor=replace(blind, sweep_time=1e-9, interlaced_sweeps=1, sweep_period=0.0)
+    )
+    assert scatter(followed(run)) > 1.12 * at_once
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("times", "sweep_time", "name"),
+    [
+        (-HALF * np.arange(N_RAYS) / N_RAYS, -HALF, "SICK LMS"),
+        (3 * HALF * np.arange(N_RAYS) / N_RAYS, 3 * HALF, "SICK PLS"),
+        (15 * HALF * np.arange(N_RAYS) / N_RAYS, 15 * HALF, "turns once a scan"),
+    ],
+    ids=["LMS upside down", "PLS", "spinning"],
+)
+def test_one_sweep_is_found_with_its_direction(times: Floats, sweep_time: float, name: str) -> None:
+    found = followed(run_of(times))
+    assert found.run.sensor.sweep_time == pytest.approx(sweep_time)
+    assert found.run.sensor.interlaced_sweeps == 1
+    assert name in found.notes[0]
+
+
+def test_rays_of_one_time_are_left_so() -> None:
+    found = followed(run_of(np.zeros(N_RAYS)))
+    assert found.notes == () and not found.run.sensor.has_ray_delays
+
+
+def test_times_that_the_log_says_are_taken_at_their_word() -> None:
+    run = run_of(interlaced())
+    said = replace(run, sensor=replace(run.sensor, sweep_time=0.02))
+    assert followed(said).run.sensor.sweep_time == 0.02
+
+
+@pytest.mark.slow
+def test_located_run_carries_the_times_and_poses_lie_where_they_were() -> None:
+    run = run_of(interlaced())
+    found = locate(run)
+    assert found.sensor is not None and located_run(run, found).sensor.interlaced_sweeps == 2
+    assert summary(found)["ray_times"]["sweep_period"] == pytest.approx(LMS)
+    truth = path(run.stamps + interlaced().mean())
+    truth[:, 2] -= truth[0, 2] - found.poses[0, 2]
+    off = (found.poses[:, 2] - truth[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    assert np.std(off) < np.radians(0.1)
