@@ -276,30 +276,47 @@ def check_of(place: Place) -> Run:
 
 
 def summary(rows: list[dict[str, Any]], path: Path) -> None:
-    """Print the mean share wrong of each way with its 95 % interval, over places and seeds, and draw it."""
+    """Print the mean share wrong of each way with its 95 % interval, over places and seeds, and by how much anytime differs; draw it."""
     print("\n| driven by | places | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
     print("|---|---:|" + "---:|" * len(ALL_MINUTES))
     figure = new_figure(6.4, 3.4)
     axes = figure.subplots()
-    for way, colour in zip(dict.fromkeys(row["way"] for row in rows), COLOURS, strict=False):
-        shares = [
-            np.array([100 * row["wrong"] for row in rows if (row["way"], row["minutes"]) == (way, minutes)])
-            for minutes in ALL_MINUTES
-        ]
+    ways_kept = list(dict.fromkeys(row["way"] for row in rows))
+    for way, colour in zip(ways_kept, COLOURS, strict=False):
+        shares = [np.array(list(wrong_by_place(rows, way, minutes).values())) for minutes in ALL_MINUTES]
         mean = np.array([some.mean() if len(some) else np.nan for some in shares])
         half = np.array([interval(some) for some in shares])
-        cells = " | ".join(f"{m:.2f} ± {h:.2f} %" for m, h in zip(mean, half, strict=True))
-        print(f"| {way} | {max(map(len, shares))} | {cells} |")
+        print(line(way, shares))
         axes.plot(ALL_MINUTES, mean, color=colour, lw=1.8, marker="o", ms=4, label=way)
         axes.fill_between(
             ALL_MINUTES, np.maximum(mean - half, LEAST_DRAWN), mean + half, color=colour, alpha=0.15, lw=0
         )
+    for other in [way for way in ways_kept if way != "anytime"] if "anytime" in ways_kept else []:
+        pairs = [[wrong_by_place(rows, way, m) for way in ("anytime", other)] for m in ALL_MINUTES]
+        print(line(f"anytime less {other}", [np.array([a[p] - b[p] for p in a if p in b]) for a, b in pairs]))
     axes.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
     axes.set_yscale("log")
     axes.set_ylim(bottom=LEAST_DRAWN)
     minutes_axis(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
     save_figure(figure, path)
+
+
+def wrong_by_place(rows: list[dict[str, Any]], way: str, minutes: float) -> dict[tuple[str, int], float]:
+    """Return the share wrong [%] in each place and seed."""
+    return {
+        (row["arena"], row["seed"]): 100 * row["wrong"]
+        for row in rows
+        if (row["way"], row["minutes"]) == (way, minutes)
+    }
+
+
+def line(name: str, shares: list[np.ndarray]) -> str:
+    """Return a line of the table: means [%] and their intervals, a cell for each length of drive."""
+    cells = " | ".join(
+        f"{some.mean() if len(some) else np.nan:.3f} ± {interval(some):.3f} %" for some in shares
+    )
+    return f"| {name} | {max(map(len, shares))} | {cells} |"
 
 
 def interval(some: np.ndarray) -> float:
