@@ -65,7 +65,11 @@ def name_scan_effects(
         )
         for index, amendment in enumerate(final.model)
     ]
-    material = {index for index, a in enumerate(final.model) if is_material(final, a)}
+    material = {
+        index
+        for index, a in enumerate(final.model)
+        if is_material(final, a) and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
+    }
     accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
@@ -164,7 +168,7 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     if amendment.effect.place != "spot":
         return False
     data, values = fitted.solver.data, amendment.parameters
-    if values["r"] >= amendment.effect.parameter("r").high:
+    if values["r"] > amendment.effect.parameter("r").high - amendment.effect.sizes["r"]:
         return True
     place = np.array([[values["x"], values["y"]]])
     if data.arena.contains(place)[0]:

@@ -51,8 +51,8 @@ class ScanData:
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
     """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`); inf: do not look."""
     clutter_leads: Mapping[str, float] = field(default_factory=dict)
-    """Smooth effect of the whole sensor -> [nats] that clutter alone may bring it: a smaller lead over another that is out
-    of its own interval, too, does not choose between them."""
+    """Smooth effect of the whole sensor -> [nats] that clutter alone may bring it: less is no name, and a smaller lead over
+    another that is out of its own interval, too, does not choose between them."""
     baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> the sizes that the site shows though nothing is wrong."""
     memo: dict[bytes, object] = field(default_factory=dict)
