@@ -18,6 +18,8 @@ from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
+from sensorgraph.diagnosis.motion.wheels.fused_motion import turn_of_a_tick
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
@@ -151,6 +153,38 @@ def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:
     assert odometry.motion is not None
     assert diagnose_drive(run, ROBOT).unknown is not None
     assert diagnose_drive(run, ROBOT, wheels=odometry.motion).unknown is None
+
+
+def counted(run: Run, tick: float) -> Run:
+    """Return the run as wheels report it whose encoders count ticks of some length [m]."""
+    base = ROBOT.wheels.base
+    turn, step = np.asarray(wrap(np.diff(run.odometry[:, 2]))), np.diff(run.odometry[:, :2], axis=0)
+    heading = run.odometry[:-1, 2] + turn / 2
+    way = (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)) / np.sinc(turn / (2 * np.pi))
+    rims = np.cumsum(np.stack([way - turn * base / 2, way + turn * base / 2], axis=1), axis=0)
+    left, right = np.diff(tick * np.floor(rims / tick), axis=0, prepend=np.zeros((1, 2))).T
+    way, turn = (left + right) / 2, (right - left) / base
+    phi = np.concatenate([[0.0], np.cumsum(turn)])
+    middle = (phi[1:] + phi[:-1]) / 2
+    chord = way * np.sinc(turn / (2 * np.pi))
+    xy = np.cumsum(chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
+    return replace(run, odometry=np.column_stack([np.vstack([np.zeros(2), xy]), wrap(phi)]))
+
+
+def test_counting_of_ticks_is_taken_out_of_the_motion() -> None:
+    plain, tick = make_run(1), 0.005
+    run = counted(plain, tick)
+    wheels, smooth = motion_signals(run).wheels, motion_signals(plain).wheels
+    assert turn_of_a_tick(wheels.turn) == pytest.approx(tick / ROBOT.wheels.base, rel=1e-6)
+    assert turn_of_a_tick(smooth.turn) == 0.0
+    model = WheelModel(aligned_rows(motion_signals(run)), wheels, ROBOT)
+    model.denoise_motion()
+    true, read, fused = (np.cumsum(model.rows.D_yaw @ one.turn) for one in (smooth, wheels, model.motion))
+    slow = np.ones(20) / 20  # what drifts is not the ticks
+    before, after = (
+        float(np.std((e - np.convolve(e, slow, mode="same"))[20:-20])) for e in (read - true, fused - true)
+    )
+    assert after < 0.5 * before
 
 
 def test_camera_louder_than_said_is_no_structure() -> None:

@@ -19,38 +19,83 @@ from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import both_kinds, clipped
 from sensorgraph.types import Floats
 
+MIN_TICK = 1e-5
+"""[rad] of a turn below which it is rounding, not counting."""
+MIN_MOVING = 20
+"""Increments that turn; with fewer no tick is looked for."""
+MAX_MULTIPLE = 5.5
+"""Ticks up to which increments make the estimate of one."""
+TICKED_SHARE, MAX_OFF_TICK = 0.99, 0.05
+"""Share of the increments that are whole ticks, within this share of a tick."""
 
-def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) -> WheelIncrements:
-    """Return the increments of the wheels less the slow part of their noise, which the reference shows.
 
-    The noise is the smoothed level of a random walk, that of the wheels, seen in the noise of the averaged reference
-    (local-level model; Durbin and Koopman 2012, section 2.4). How much there is of either, the residual says.
+def fused_motion(
+    rows: OdometryRows, wheels: WheelIncrements, residual: Floats, base: float
+) -> WheelIncrements:
+    """Return the increments of the wheels less their noise, as far as the reference shows it.
+
+    The slow part of the noise is the smoothed level of a random walk, that of the wheels, seen in the noise of the
+    averaged reference (local-level model; Durbin and Koopman 2012, section 2.4). How much there is of either, the
+    residual says. The fast part is that of encoders which count whole ticks, where the readings are whole ticks.
 
     Parameters
     ----------
     residual : (2 n,) [m], then [rad]; what the model leaves of the rows
+    base : [m] between the wheels
     """
     ends = np.append(wheels.start, wheels.end[-1]) - rows.clock
-    distance, turn = (
-        np.diff(np.interp(ends, rows.stamps, _smoothed_walk(part, rows)))
-        for part in both_kinds(residual, rows.n)
-    )
-    return replace(wheels, distance=wheels.distance + distance, turn=wheels.turn + turn)
+    tick = turn_of_a_tick(wheels.turn)
+    counting = (tick * base) ** 2 / 24, tick**2 / 6  # of two wheels, each off by a uniform part of a tick
+    noise = [
+        np.diff(_wheel_noise(part, rows, ends, variance))
+        for part, variance in zip(both_kinds(residual, rows.n), counting, strict=True)
+    ]
+    return replace(wheels, distance=wheels.distance + noise[0], turn=wheels.turn + noise[1])
 
 
-def _smoothed_walk(residual: Floats, rows: OdometryRows) -> Floats:
-    """Return the walk (n,) in the sum of a residual (n,)."""
+def turn_of_a_tick(turn: Floats) -> float:
+    """Return the turn [rad] of which all increments (n,) are whole multiples; 0 where there is none.
+
+    A base whose wheels count ticks of q metres, b metres apart, reads turns in steps of q / b.
+    """
+    moving = np.abs(turn[np.abs(turn) > MIN_TICK])
+    if len(moving) < MIN_MOVING:
+        return 0.0
+    step = float(moving.min())
+    near = moving[moving < MAX_MULTIPLE * step]
+    step = float(np.sum(near) / np.sum(np.round(near / step)))
+    off = np.abs(moving / step - np.round(moving / step))
+    return step if np.quantile(off, TICKED_SHARE) < MAX_OFF_TICK else 0.0
+
+
+def _wheel_noise(residual: Floats, rows: OdometryRows, ends: Floats, counting: float) -> Floats:
+    """Return the noise of the wheels summed up to the ends of the increments, from a residual (n,).
+
+    Parameters
+    ----------
+    counting : variance of the counting of ticks, in the square of the residual's unit
+    """
     part = np.where(rows.valid, clipped(residual, rows.valid, EVIDENCE.clip_limit, 1e-12), 0.0)
-    ratio = _walk_over_level(part, float(np.median(np.diff(rows.stamps))))
-    bands = np.full((2, rows.n), -1.0 / ratio)
+    period = float(np.median(np.diff(rows.stamps)))
+    walk, level = _variances(part, period)
+    total = np.cumsum(part)
+    smooth = _smoothed_walk(total, float(np.clip(walk / level, *ODOMETRY.walk_over_level)))
+    share = min(1.0, counting / max(1.0, period / float(np.median(np.diff(ends)))) / level)
+    slow = np.interp(ends, rows.stamps, smooth)
+    return np.asarray(slow + share * np.interp(ends, rows.stamps + period / 2, total - smooth))
+
+
+def _smoothed_walk(total: Floats, ratio: float) -> Floats:
+    """Return the walk (n,) in a sum (n,), for the variance of one of its steps over that of the noise it is seen in."""
+    bands = np.full((2, len(total)), -1.0 / ratio)
     bands[1] = 1.0 + 2.0 / ratio
     bands[1, [0, -1]] = 1.0 + 1.0 / ratio
     bands[0, 0] = 0.0
-    return np.asarray(solveh_banded(bands, np.cumsum(part)))
+    return np.asarray(solveh_banded(bands, total))
 
 
-def _walk_over_level(residual: Floats, period: float) -> float:
-    """Return the variance of one step of the walk over that of the level's noise.
+def _variances(residual: Floats, period: float) -> tuple[float, float]:
+    """Return the variances of one step of the walk and of the noise of the level.
 
     Sums over a block grow with the walk alone; single rows hold two thirds of a step of it and the noise twice.
     """
@@ -59,5 +104,4 @@ def _walk_over_level(residual: Floats, period: float) -> float:
     single = float(np.mean(residual**2)) + 1e-18
     block = float(np.mean(residual[: n * k].reshape(n, -1).sum(axis=1) ** 2))
     walk = float(np.clip((block - single) / (k - 2 / 3), 0.0, 1.5 * single))
-    ratio = walk / max((single - 2 / 3 * walk) / 2, 1e-18)
-    return float(np.clip(ratio, *ODOMETRY.walk_over_level))
+    return walk, max((single - 2 / 3 * walk) / 2, 1e-18)

@@ -111,7 +111,7 @@ class WheelModel:
 
     def denoise_motion(self) -> None:
         """Make all columns of the motion without the wheels' noise, as far as what the model leaves shows it."""
-        self.motion = fused_motion(self.rows, self.wheels, self.residual)
+        self.motion = fused_motion(self.rows, self.wheels, self.residual, self.robot.wheels.base)
         self.A = self.layout.evaluate(self.rows, self.motion, self.robot.wheels.base)
         self.fit_noise()
 

@@ -183,7 +183,7 @@ def _steady(families: Sequence[StructureFamily]) -> list[StructureFamily]:
 def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
     """Say where the bare simulator differs, by score tests on the columns of structure."""
     regression = model.regression
-    motion = fused_motion(model.rows, model.wheels, model.residual)
+    motion = fused_motion(model.rows, model.wheels, model.residual, model.robot.wheels.base)
     fit = regression.solve(model.prior([]))
     residual = regression.y - regression.A @ fit.theta
     out = []

@@ -31,21 +31,22 @@ HIGHEST_POWER = 4
 
 def odometry_families(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
     """Return differences that no library effect makes, with columns (2 n, k)."""
+    rates = _rates(wheels)
     families = [
         _scales(rows, wheels, "time", "by a scale that changes in time", _pieces(wheels)),
         *_jumps(rows, wheels),
-        _scales(rows, wheels, "speed", "by a scale that depends on speed or turn rate", _speeds(wheels)),
+        _scales(rows, wheels, "speed", "by a scale that depends on speed or turn rate", _speeds(rates)),
         _scales(
             rows,
             wheels,
             "direction",
             "differently forward and backward, or to the left and to the right",
             [
-                ("backward", "way", wheels.rates[:, 0] < 0),
-                ("to the right", "turn", wheels.rates[:, 1] < 0),
+                ("backward", "way", rates[:, 0] < 0),
+                ("to the right", "turn", rates[:, 1] < 0),
             ],
         ),
-        _scales(rows, wheels, "acceleration", "when the robot accelerates", _accelerations(wheels)),
+        _scales(rows, wheels, "acceleration", "when the robot accelerates", _accelerations(wheels, rates)),
     ]
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
@@ -128,8 +129,17 @@ def _changes_at(
     return out
 
 
-def _speeds(wheels: WheelIncrements) -> list[Scale]:
-    v, omega = np.abs(wheels.rates).T
+def _rates(wheels: WheelIncrements) -> Floats:
+    """Return rates (n, 2) [m/s, rad/s] over the time of a row: a tick in 10 ms makes no speed."""
+    k = max(round(ODOMETRY.rows.averaging_time / float(np.median(wheels.end - wheels.start))), 1)
+    window = np.ones(k)
+    time = np.convolve(wheels.end - wheels.start, window, mode="same")
+    moved = [np.convolve(part, window, mode="same") for part in (wheels.distance, wheels.turn)]
+    return np.stack(moved, axis=1) / time[:, None]
+
+
+def _speeds(rates: Floats) -> list[Scale]:
+    v, omega = np.abs(rates).T
     fastest = float(np.quantile(v, 0.98)) / ODOMETRY.structure.reference_speed
     cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
     rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
@@ -137,11 +147,9 @@ def _speeds(wheels: WheelIncrements) -> list[Scale]:
     return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
 
 
-def _accelerations(wheels: WheelIncrements) -> list[Scale]:
+def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
     kernel = np.ones(5) / 5
-    smooth = np.stack(
-        [np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in wheels.rates.T], axis=1
-    )
+    smooth = np.stack([np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
     return [
