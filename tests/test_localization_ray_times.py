@@ -72,6 +72,7 @@ def test_interlaced_sweeps_are_found_and_named(two_sweeps: TrackedRun) -> None:
     )
     (line,) = two_sweeps.notes
     assert line.startswith("2 interlaced sweeps of 6.7 ms, +13.3 ms apart, make a scan, as of SICK LMS 2xx")
+    assert " ± " in line and line.count(" ms") == 3
 
 
 def test_with_its_times_the_scatter_is_the_noise_and_without_it_is_not(two_sweeps: TrackedRun) -> None:

@@ -88,8 +88,11 @@ class RayTimes:
                 f"{k} interlaced sweeps{way} of {1e3 * abs(sensor.sweep_time):.1f} ms, {1e3 * sensor.sweep_period:+.1f} ms "
                 "apart, make a scan"
             )
-        (sweep, *_), (sd, *_) = 1e3 * self.values, 1e3 * self.standard_errors
-        shown = f"{abs(sweep):.1f} ± {sd:.1f} ms"
+        both = [
+            f"{1e3 * abs(v):.1f} ± {1e3 * sd:.1f}"
+            for v, sd in zip(self.values, self.standard_errors, strict=True)
+        ]
+        shown = f"{both[0]} and {both[1]} ms" if k > 1 else f"{both[0]} ms"
         return f"{what}, as of {self.name} (found from the run, which shows {shown}; sensor.sweep_time overrules it)"
 
 
