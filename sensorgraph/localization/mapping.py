@@ -22,7 +22,7 @@ from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 LEAST = 1e-8
-"""[m², rad²] added to variances: of a single key frame they are 0."""
+"""[m², rad²] added to the own variances of scans: those of key frames are 0."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -53,9 +53,11 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     with progress("refining", "steps") as bar:
         refined = refine(frames, closed.poses, steps, (closed.steps, closed.closures), bar)
     with progress("placing scans", "scans") as bar:
-        poses, covariances, matched = _place_all(scans, tracked, refined, np.random.default_rng(seed), bar)
+        poses, covariances, own, matched = _place_all(
+            scans, tracked, refined, np.random.default_rng(seed), bar
+        )
     poses = smooth(
-        poses, *steps_of(tracked), poses, np.linalg.inv(covariances + LEAST * np.eye(3)).astype(np.float64)
+        poses, *steps_of(tracked), poses, np.linalg.inv(own + LEAST * np.eye(3)).astype(np.float64)
     ).poses
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(poses, covariances, origin)
@@ -87,8 +89,12 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
 
 def _place_all(
     scans: ScanPoints, tracked: ScanTrack, refined: Refined, rng: np.random.Generator, progress: Progress
-) -> tuple[Floats, Floats, Bools]:
-    """Return poses, covariances and whether they fit the map, of all scans."""
+) -> tuple[Floats, Floats, Floats, Bools]:
+    """Return poses, covariances, the part of these that is each scan's own, and whether they fit the map, of all scans.
+
+    What scans share with their neighbours, as the map's own errors, is no reason to move one against another; key frames
+    were placed together with the odometry already and have no part of their own.
+    """
     keys, n = tracked.key_frames, scans.n_scans
     key_covariances, shared = key_frame_covariances(refined, rng)
     poses = spread(tracked, refined.poses)
@@ -101,16 +107,15 @@ def _place_all(
     share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
     covariances = (1 - share) * shared[left] + share * shared[right]
     covariances[keys] = key_covariances
-    matched = tracked.matched.copy()
+    own, matched = np.zeros((n, 3, 3)), tracked.matched.copy()
     is_key = np.zeros(n, dtype=np.bool_)
     is_key[keys] = True
     for k in index[~is_key]:
-        poses[k], own, fits = _place(scans, int(k), surfaces, poses[k], matching)
-        covariances[k] += own
+        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], matching)
         matched[k] &= fits
         if k % 50 == 0:
             progress(int(k), n)
-    return poses, covariances, matched
+    return poses, covariances + own, own, matched
 
 
 def _place(
