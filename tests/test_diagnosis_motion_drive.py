@@ -42,6 +42,11 @@ def test_planted_effect_is_named_with_its_size(
     assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
 
 
+def test_a_slow_loop_of_the_base_may_make_as_much_of_a_change() -> None:
+    slow = replace(ROBOT, tolerances=replace(ROBOT.tolerances, control_period=0.2))
+    assert diagnose_drive(make_run(3, lag=0.06, since=50.0), slow).unknown is None
+
+
 @pytest.mark.parametrize(("lag", "since"), [(0.12, 30.0), (0.06, 50.0)])
 def test_a_lag_that_comes_during_the_run_is_no_lag_of_the_robot(lag: float, since: float) -> None:
     """A load put on half-way: over the whole run it looks like a smaller lag that was always there."""

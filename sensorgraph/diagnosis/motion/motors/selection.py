@@ -102,7 +102,9 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
     changed = _coefficient(test, own, family) if np.isfinite(family.materiality) else 0.0
-    if not size.is_material(model.robot.limits.v) and abs(changed) < family.materiality:
+    # a command waits up to a period for the base's loop: where the two beat, delays of two stretches differ by half of it
+    least = max(family.materiality, model.robot.tolerances.control_period / 2)
+    if not size.is_material(model.robot.limits.v) and abs(changed) < least:
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
     if changed:
