@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline
 
 from logs.run import Pairing, PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, wrap
@@ -20,7 +20,7 @@ SAME_STAMP = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """A track of poses in map, with a steady velocity: monotone cubics between neighbours (Fritsch and Carlson 1980).
+    """A track of poses in map, with a steady velocity: monotone cubics between neighbours.
 
     These never leave the box of two neighbours, so that stamps in bursts do not throw the robot about.
     """
@@ -38,8 +38,26 @@ class Motion:
         stamps, poses = self.stamps[new], self.poses[new]
         if len(stamps) == 1:
             return np.broadcast_to(poses[0], (*np.shape(times), 3)).copy()
-        found: Floats = PchipInterpolator(stamps, poses)(np.clip(times, stamps[0], stamps[-1]))
+        found: Floats = CubicHermiteSpline(stamps, poses, _velocities(stamps, poses))(
+            np.clip(times, stamps[0], stamps[-1])
+        )
         return found
+
+
+def _velocities(stamps: Floats, poses: Floats) -> Floats:
+    """Return velocities (n, 3) at poses: from the one before to the one after, as far as cubics stay monotone with them.
+
+    Over both steps stamps that jitter weigh least. Where both go the same way, three times the slower one is the limit
+    (de Boor and Swartz 1977); else the robot turns round.
+    """
+    step = np.diff(stamps)[:, None]
+    slope = np.diff(poses, axis=0) / step
+    if len(slope) == 1:
+        return np.repeat(slope, 2, axis=0)
+    before, after = slope[:-1], slope[1:]
+    inner = (poses[2:] - poses[:-2]) / (stamps[2:] - stamps[:-2])[:, None]
+    most = np.where(before * after > 0, 3 * np.minimum(np.abs(before), np.abs(after)), 0.0)
+    return np.concatenate([slope[:1], np.clip(inner, -most, most), slope[-1:]])
 
 
 def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
