@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -32,16 +33,17 @@ class Motion:
 
     def at(self, times: Floats) -> Floats:
         """Return the poses (..., 3) at times (...) [s]; before the first and after the last, these."""
-        new = np.concatenate(
-            [np.diff(self.stamps) > SAME_STAMP, [True]]
-        )  # of poses that share a stamp the last
-        stamps, poses = self.stamps[new], self.poses[new]
-        if len(stamps) == 1:
-            return np.broadcast_to(poses[0], (*np.shape(times), 3)).copy()
-        found: Floats = CubicHermiteSpline(stamps, poses, _velocities(stamps, poses))(
-            np.clip(times, stamps[0], stamps[-1])
-        )
+        if self._curve is None:
+            return np.broadcast_to(self.poses[-1], (*np.shape(times), 3)).copy()
+        found: Floats = self._curve(np.clip(times, self._curve.x[0], self._curve.x[-1]))
         return found
+
+    @cached_property
+    def _curve(self) -> CubicHermiteSpline | None:
+        """The cubics, through the last of poses that share a stamp; None: all share one."""
+        last = np.append(np.diff(self.stamps) > SAME_STAMP, True)
+        stamps, poses = self.stamps[last], self.poses[last]
+        return CubicHermiteSpline(stamps, poses, _velocities(stamps, poses)) if len(stamps) > 1 else None
 
 
 def _velocities(stamps: Floats, poses: Floats) -> Floats:

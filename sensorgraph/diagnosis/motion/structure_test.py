@@ -151,8 +151,8 @@ class StructureTest:
         noises = [self._noise(self.y), *self._noises]
         evidence, k = max((self._evidence_under(noise, own, family), k) for k, noise in enumerate(noises))
         noise = noises[k]
+        self._evidence_under(noise, own, family)
         for _ in range(MAX_ROUNDS):
-            self._evidence_under(noise, own, family)
             further = self._noise(self.residual)
             gained = self._evidence_under(further, own, family) - evidence
             if gained > 0:
