@@ -5,8 +5,9 @@
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena floor.geojson@5.4,16.8 --ways anytime views
 
 An arena is a shipped one, the seed of a random office of `benchmarks/offices.py`, or a file with the place where the robot
-starts. With `--keep FILE` each result is kept there and not driven again, and means over all that it holds, of all arenas and
-seeds, are printed and drawn with their 95 % intervals (`--keep FILE --table`: that alone).
+starts. With `--keep FILE` each result is kept there and not driven again, and means over all places that it holds for this
+`--thin`, each the mean of its seeds, are printed and drawn with their 95 % intervals (`--keep FILE --table`: that alone;
+`benchmarks/error_by_minutes.jsonl` holds the results of the page).
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
@@ -276,8 +277,8 @@ def check_of(place: Place) -> Run:
 
 
 def summary(rows: list[dict[str, Any]], path: Path) -> None:
-    """Print the mean share wrong of each way with its 95 % interval, over places and seeds, and by how much anytime differs; draw it."""
-    print("\n| driven by | places | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
+    """Print the mean share wrong of each way with its 95 % interval over places, and by how much anytime differs; draw it."""
+    print("\n| driven by | places (runs) | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
     print("|---|---:|" + "---:|" * len(ALL_MINUTES))
     figure = new_figure(6.4, 3.4)
     axes = figure.subplots()
@@ -286,14 +287,21 @@ def summary(rows: list[dict[str, Any]], path: Path) -> None:
         shares = [np.array(list(wrong_by_place(rows, way, minutes).values())) for minutes in ALL_MINUTES]
         mean = np.array([some.mean() if len(some) else np.nan for some in shares])
         half = np.array([interval(some) for some in shares])
-        print(line(way, shares))
+        runs = sum(row["way"] == way for row in rows) // len(ALL_MINUTES)
+        print(line(f"{way} | {len(shares[-1])} ({runs})", shares))
         axes.plot(ALL_MINUTES, mean, color=colour, lw=1.8, marker="o", ms=4, label=way)
         axes.fill_between(
             ALL_MINUTES, np.maximum(mean - half, LEAST_DRAWN), mean + half, color=colour, alpha=0.15, lw=0
         )
     for other in [way for way in ways_kept if way != "anytime"] if "anytime" in ways_kept else []:
-        pairs = [[wrong_by_place(rows, way, m) for way in ("anytime", other)] for m in ALL_MINUTES]
-        print(line(f"anytime less {other}", [np.array([a[p] - b[p] for p in a if p in b]) for a, b in pairs]))
+        both = common(rows, "anytime", other)
+        pairs = [[wrong_by_place(both, way, m) for way in ("anytime", other)] for m in ALL_MINUTES]
+        print(
+            line(
+                f"anytime less {other} | {len(pairs[-1][0])}",
+                [np.array([a[p] - b[p] for p in a]) for a, b in pairs],
+            )
+        )
     axes.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
     axes.set_yscale("log")
     axes.set_ylim(bottom=LEAST_DRAWN)
@@ -302,13 +310,23 @@ def summary(rows: list[dict[str, Any]], path: Path) -> None:
     save_figure(figure, path)
 
 
-def wrong_by_place(rows: list[dict[str, Any]], way: str, minutes: float) -> dict[tuple[str, int], float]:
-    """Return the share wrong [%] in each place and seed."""
-    return {
-        (row["arena"], row["seed"]): 100 * row["wrong"]
-        for row in rows
-        if (row["way"], row["minutes"]) == (way, minutes)
-    }
+def wrong_by_place(rows: list[dict[str, Any]], way: str, minutes: float) -> dict[str, float]:
+    """Return the share wrong [%] in each place, the mean of its seeds."""
+    shares: dict[str, list[float]] = {}
+    for row in rows:
+        if (row["way"], row["minutes"]) == (way, minutes):
+            shares.setdefault(row["arena"], []).append(100 * row["wrong"])
+    return {arena: float(np.mean(some)) for arena, some in shares.items()}
+
+
+def common(rows: list[dict[str, Any]], *some: str) -> list[dict[str, Any]]:
+    """Return the results of places, seeds and minutes that were driven in all of some ways."""
+    driven = [
+        {(row["arena"], row["seed"], row["minutes"]) for row in rows if row["way"] == way} for way in some
+    ]
+    return [
+        row for row in rows if all((row["arena"], row["seed"], row["minutes"]) in keys for keys in driven)
+    ]
 
 
 def line(name: str, shares: list[np.ndarray]) -> str:
@@ -316,7 +334,7 @@ def line(name: str, shares: list[np.ndarray]) -> str:
     cells = " | ".join(
         f"{some.mean() if len(some) else np.nan:.3f} ± {interval(some):.3f} %" for some in shares
     )
-    return f"| {name} | {max(map(len, shares))} | {cells} |"
+    return f"| {name} | {cells} |"
 
 
 def interval(some: np.ndarray) -> float:
@@ -340,7 +358,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
     if options.table:
-        summary(kept(options.keep), options.out)
+        summary(kept(options.keep, options.thin), options.out)
         return
     rows: list[DriveScore] = []
     print(
@@ -351,7 +369,10 @@ def main() -> None:
         for seed in options.seed:
             place = place_of(name, default_robot(), seed, options.thin)
             check, short = check_of(place), Path(name.partition("@")[0]).name
-            known = {(row["arena"], row["seed"], row["way"], row["minutes"]) for row in kept(options.keep)}
+            known = {
+                (row["arena"], row["seed"], row["way"], row["minutes"])
+                for row in kept(options.keep, options.thin)
+            }
             for way, drive in ways(place).items():
                 if options.ways and way not in options.ways:
                     continue
@@ -366,16 +387,21 @@ def main() -> None:
                         flush=True,
                     )
                     if options.keep:
-                        keep(options.keep, asdict(r) | {"arena": short, "seed": seed, "minutes": minutes})
+                        keep(
+                            options.keep,
+                            asdict(r)
+                            | {"arena": short, "seed": seed, "minutes": minutes, "thin": options.thin},
+                        )
     if options.keep:
-        summary(kept(options.keep), options.out)
+        summary(kept(options.keep, options.thin), options.out)
     elif rows:
         picture(rows, options.out)
 
 
-def kept(path: Path | None) -> list[dict[str, Any]]:
-    """Return the results that a file holds."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
+def kept(path: Path | None, thin: int) -> list[dict[str, Any]]:
+    """Return the results that a file holds of graphs built from every `thin`-th scan."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
+    return [row for row in rows if row["thin"] == thin]
 
 
 def keep(path: Path, result: dict[str, Any]) -> None:
