@@ -149,7 +149,10 @@ def line(row: dict[str, Any]) -> str:
     """Return a row of the table."""
     per = 1e4 / row["reachable_cells"]
     bound = row["lower_bound_s"]
-    above = f"{100 * (row['drive_time_s'] / bound - 1):.0f} %" if bound else "-"
+    is_car = row["floor"].endswith(
+        ("dubins)", "reeds_shepp)")
+    )  # no bound that says anything is known for them
+    above = f"{100 * (row['drive_time_s'] / bound - 1):.0f} %" if bound and not is_car else "-"
     return (
         f"| {row['floor']} | {row['area_m2']:,.0f} | {row['reachable_cells']:,} | {100 * row['coverage']:.3f} % | "
         f"{row['ratio']:.3f} | {above} | {row['limit_violations']} | {row['min_clearance_m']:.3f} | "

@@ -89,19 +89,26 @@ def check_planner(
 
 
 def check_join_planner(name: str) -> str:
-    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported."""
+    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported or called."""
     module, _, kind = name.rpartition(":")
-    if not module and name not in JOIN_PLANNERS:
-        raise PlanError(
-            f"join planner {name!r} is unknown; expected module:Class or one of {', '.join(JOIN_PLANNERS)}"
-        )
+    if not module:
+        if name not in JOIN_PLANNERS:
+            raise PlanError(
+                f"join planner {name!r} is unknown; expected module:Class or one of {', '.join(JOIN_PLANNERS)}"
+            )
+        return name
     try:
-        if module:
-            getattr(import_module(module), kind)
+        own = getattr(import_module(module), kind)
     except (ImportError, AttributeError) as exc:
         raise PlanError(
             f"join planner {name!r} cannot be imported ({exc}); put its folder on PYTHONPATH"
         ) from exc
+    except Exception as exc:
+        raise PlanError(
+            f"join planner {name!r} cannot be imported ({type(exc).__name__}: {exc}); mend its module"
+        ) from exc
+    if not callable(own):
+        raise PlanError(f"join planner {name!r} is no class; expected one that takes a SpaceInformation")
     return name
 
 

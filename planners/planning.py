@@ -273,7 +273,9 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
         "coverage_before": before,
         "margin_m": round(task.reach.clearance - task.vehicle.footprint_radius, 6),
         "share_of_bare_footprint": _share_of_bare_footprint(task),
-        "lower_bound_s": lower_bound(grid.covered & ~covered_before, task.vehicle, grid.cell, rate),
+        "lower_bound_s": lower_bound(
+            grid.covered & ~covered_before, task.vehicle, grid.cell, rate, drive.curve.duration
+        ),
     }
     return Plan(
         trajectory=trajectory,

@@ -89,3 +89,11 @@ def test_bound_of_nothing_is_nothing() -> None:
 def test_a_car_needs_a_period_of_the_log_for_each_bin() -> None:
     car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
     assert lower_bound(np.ones((2, 3, 4), dtype=np.bool_), car, CELL, 10.0) == 2.3
+
+
+def test_a_drive_that_is_shorter_than_whole_moves_is_not_below_its_bound() -> None:
+    """Bins that are met in passing take no turn of their own: the bound of whole moves is none of such a drive."""
+    need = np.ones((20, 20, 16), dtype=np.bool_)
+    whole = lower_bound(need, Vehicle(), CELL, 10.0)
+    assert lower_bound(need, Vehicle(), CELL, 10.0, drive_time=whole + 1.0) == whole
+    assert lower_bound(need, Vehicle(), CELL, 10.0, drive_time=whole - 1.0) == pytest.approx(639.9)

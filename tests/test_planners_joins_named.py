@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from planners_samples import door_arena
 
 from planners import PlanError, plan
+from planners.arguments import check_join_planner
 from planners.clearance import Barriers
 from planners.joins.paths import connect
 from planners.reach import reach
@@ -63,3 +65,27 @@ def test_a_users_own_planner_is_plugged_in_by_module_and_class(
 def test_a_planner_that_is_not_there_is_refused_before_planning(name: str, said: str) -> None:
     with pytest.raises(PlanError, match=said):
         plan(door_arena(0.9), Vehicle(), cell=0.5, headings=4, join_planner=name)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("def Own(:", "cannot be imported .SyntaxError"),
+        ("1 / 0", "cannot be imported .ZeroDivisionError"),
+        ("Own = 3", "is no class"),
+        (
+            "def Own(information):\n    raise ValueError('boom\\nmore')",
+            r"'broken_planner:Own' ended .*ValueError: boom\);",
+        ),
+    ],
+    ids=["syntax", "import", "number", "raises"],
+)
+def test_a_users_own_planner_that_fails_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, said: str
+) -> None:
+    (tmp_path / "broken_planner.py").write_text(source)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "broken_planner", raising=False)
+    with pytest.raises(PlanError, match=said):
+        joined(check_join_planner("broken_planner:Own"))

@@ -119,8 +119,11 @@ def ask_ompl(module: str, **question: Any) -> dict[str, np.ndarray]:
     if code == EXIT_WITHOUT_OMPL:
         raise PlanError(INSTALL_HINT)
     if code != 0:
-        last = answer.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
-        raise PlanError(f"OMPL ended with code {code} ({last[0]}); please report the arena and seed")
+        (said,) = answer.decode(errors="replace").strip().splitlines()[:1] or ["no message"]
+        own = str(question.get("planner", ""))
+        if ":" in own:  # a user's
+            raise PlanError(f"join planner {own!r} ended with code {code} ({said}); mend it, or use another")
+        raise PlanError(f"OMPL ended with code {code} ({said}); please report the arena and seed")
     with np.load(io.BytesIO(answer)) as data:
         return dict(data)
 
@@ -154,7 +157,7 @@ def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) 
 
 
 def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes]:
-    """Do some work in a fork; return its exit code, negative for a signal, and its answer or the last line of its error."""
+    """Do some work in a fork; return its exit code, negative for a signal, and its answer or its error."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:

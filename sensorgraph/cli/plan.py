@@ -184,14 +184,10 @@ def _summary(report: dict[str, Any]) -> str:
 
 
 def _above(report: dict[str, Any]) -> str:
-    """Say how far a plan is above the lower bound of its time, if it is one that covers."""
-    bound, drive = report["lower_bound_s"], report["robot"]["drive"]
-    if (
-        bound <= 0
-        or drive != "diff"
-        or "budget_s" in report
-        or report["planner"] not in ("coverage", "stop_and_spin")
-    ):
+    """Say how far a plan is above the lower bound of its time, if it is one that covers all by turning in place."""
+    bound, is_cut = report["lower_bound_s"], "budget_s" in report or report.get("interrupted", False)
+    covers = report["planner"] in ("coverage", "stop_and_spin") and report["robot"]["drive"] == "diff"
+    if bound <= 0 or is_cut or not covers:
         return ""
     return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % above the optimum of whole moves"
 
