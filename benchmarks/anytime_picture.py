@@ -1,6 +1,8 @@
 """One anytime plan after 2, 10 and 40 minutes: its way, and what the laser has seen by then.
 
-OPENBLAS_NUM_THREADS=1 python -m benchmarks.anytime_picture [--arena office] [-o docs/pages/pictures/anytime_plan.png]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.anytime_picture [--arena office] [-o docs/pages/pictures/anytime_plan.png]
+
+The arena is named as in `benchmarks.error_by_minutes`: `1001` is a random office, `FILE@x,y` a file and where the robot starts.
 """
 
 from __future__ import annotations
@@ -10,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.error_by_minutes import place_of
 from planners import plan
-from sensorgraph.loading import load_arena
 from sensorgraph.planning.survey import survey_of
 from sensorgraph.planning.views import MIN_RAYS, SPACE_CELL
 from sensorgraph.show.figures.style import INK, draw_floor, map_height, new_figure, save_figure
@@ -30,9 +32,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/pages/pictures/anytime_plan.png"))
     options = parser.parse_args()
-    arena, robot = load_arena(options.arena), default_robot()
+    robot = default_robot()
+    place = place_of(options.arena, robot, options.seed, 1)
+    arena = place.arena
     made = plan(
-        arena, robot, order="anytime", survey=survey_of(arena, robot.sensor), seed=options.seed,
+        arena, robot, order="anytime", survey=survey_of(arena, robot.sensor), seed=options.seed, start=place.start,
         budget=60.0 * max(MINUTES),
     )  # fmt: skip
     figure = new_figure(12.0, map_height(3.9, arena.bounds, 2.0, 9.0) + 0.5)

@@ -215,6 +215,21 @@ def test_resuming_plans_only_what_is_left(coarse: Plan) -> None:
         plan(shipped("square"), ROBOT, cell=0.5, headings=8, visited=log)
 
 
+def test_single_headings_that_are_missing_all_over_take_less_than_all_of_them(coarse: Plan) -> None:
+    """A quarter of the log is lost, in spells of half a second: less than a fresh plan, and never much more than by stops."""
+    log = coarse.curve.log(10.0)
+    kept = log[np.repeat(np.random.default_rng(1).random(len(log) // 5 + 1) < 0.75, 5)[: len(log)]]
+    rest, stops = (
+        plan(
+            shipped("square"), ROBOT, planner=name, cell=0.5, headings=8, visited=kept, start=kept[-1]
+        ).report
+        for name in ("coverage", "stop_and_spin")
+    )
+    assert rest["coverage"] == stops["coverage"] == 1.0
+    assert rest["drive_time_s"] < 0.9 * coarse.report["drive_time_s"]
+    assert rest["drive_time_s"] < 1.05 * stops["drive_time_s"]
+
+
 def test_priority_cells_come_first(coarse: Plan) -> None:
     nx, ny, n_phi = coarse.coverage.counts.shape
     priority = np.zeros((nx, ny, n_phi))

@@ -1,15 +1,21 @@
 """The coverage planner, the default of `plan`: search each room by itself, and join the rooms by OMPL.
 
 Robots that turn in place are planned in `coverage_spins`, cars in `coverage_cars`. Rooms do not wait for each other, so
-they are searched in parallel (`parallel_search`), with the same result on any count of processors. `stop_and_spin` is the
-older planner of robots that turn in place.
+they are searched in parallel (`parallel_search`), with the same result on any count of processors. `stop_and_spin`, the older planner
+of robots that turn in place, does what earlier runs have left of single headings.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from planners.methods.anytime import plan_anytime
 from planners.methods.coverage_cars import plan_cars
 from planners.methods.coverage_spins import plan_spins
+from planners.methods.settings import COVERAGE
+from planners.methods.stop_and_spin import bins_to_visit, plan_stop_and_spin
 from planners.task import PlannedDrive, Task
 
 
@@ -23,4 +29,20 @@ def plan_coverage(task: Task) -> PlannedDrive:
     """
     if task.order == "anytime":
         return plan_anytime(task)
-    return plan_spins(task) if task.vehicle.drive == "diff" else plan_cars(task)
+    return _plan_turning(task) if task.vehicle.drive == "diff" else plan_cars(task)
+
+
+def _plan_turning(task: Task) -> PlannedDrive:
+    """Plan for a robot that turns in place: by the search, or by stops where single headings are missing all over.
+
+    Cells of which earlier runs have left much are covered anew: one turn passes all headings of a cell, scattered ones need nearly the
+    same turn, and the search finds longer ways between them.
+    """
+    missing = bins_to_visit(task)
+    unmet = replace(task.coverage, counts=np.zeros_like(task.coverage.counts))
+    todo = bins_to_visit(replace(task, coverage=unmet))
+    left, all_bins = (bins.sum(axis=2, keepdims=True) for bins in (missing, todo))
+    if 2 * left[left <= COVERAGE.scattered_share * all_bins].sum() > left.sum():
+        return plan_stop_and_spin(task)
+    wanted = missing | (todo & (left > COVERAGE.open_share * all_bins))
+    return plan_spins(replace(task, coverage=replace(task.coverage, counts=np.where(wanted, 0, 1))))

@@ -17,6 +17,11 @@ class CoverageSettings:
     """Log periods to stay in bins that a log of some phase missed, at the first and the second try."""
     missed_bin_cost: float = 4.0
     """[s] that a bin costs which a search leaves to the repair, when searches of a room are compared."""
+    open_share: float = 0.25
+    """Cells of which earlier runs have left a larger share of the bins are covered anew (`python -m benchmarks.resumed`)."""
+    scattered_share: float = 0.75
+    """If more than half of the missing bins lie in cells of which at most this share is missing, stops are planned in place of a
+    search (likewise)."""
     few_missing: float = 0.03
     """If a smaller share of the bins is missing, detours are tried before the repair."""
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +38,7 @@ from sensorgraph.cli.options import (
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
+    from sensorgraph.graph import Sensorgraph
 
 INTERRUPTED = 130
 
@@ -96,23 +99,26 @@ def plan(
         check_poses(poses)
         run = logs.read(resume)
     place = _place(arena, resume, run, graph or priority)
-    driven = resume if resume is None or run is None else _located(run, resume, place, poses)
+    opened = cache(Sensorgraph.load)  # the arena, where to look and what to ask are often one file
+    driven = resume if resume is None or run is None else _located(run, resume, place, poses, opened)
     counted = "bins" if planner == "coverage" and views is None else "stops"
     with told_progress("planning", counted) as (tick, say):
         made = make_plan(
-            place, robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
+            _arena_in(place, opened), robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             no_go=[zone for given in no_go or [] for zone in zones(given)],
             resume=driven,
-            priority=None if priority is None else Sensorgraph.load(priority),
-            graph=None if graph is None else Sensorgraph.load(graph),
+            priority=None if priority is None else opened(priority),
+            graph=None if graph is None else opened(graph),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
             dock=None if dock is None else parse_pose(dock, "--dock"),
             margin=margin, join_planner=join_planner, seed=seed, progress=tick, status=say,
         )  # fmt: skip
     report = made.drive.report
+    if isinstance(place, str):
+        report["arena"] = Path(place).name
     made.save(out)
     _tell(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
@@ -149,15 +155,25 @@ def _place(arena: str | None, resume: Path | None, run: Run | None, graph: Path 
     )
 
 
-def _located(run: Run, resume: Path, place: Arena | str, poses: str | None) -> Run | Path:
+def _arena_in(place: Arena | str, opened: Callable[[Path], Sensorgraph]) -> Arena | str:
+    """Return the walls of a graph, or what is given."""
+    from sensorgraph.world.identified_arena import arena_of
+
+    if isinstance(place, str) and place.endswith(".sensorgraph") and Path(place).exists():
+        return arena_of(opened(Path(place)))
+    return place
+
+
+def _located(
+    run: Run, resume: Path, place: Arena | str, poses: str | None, opened: Callable[[Path], Sensorgraph]
+) -> Run | Path:
     """Return the run to resume from: its file, or the run with the poses that were found for it."""
     from sensorgraph.cli.inputs import with_poses, with_poses_of_graph
-    from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.localization.kept import KEY
 
     if isinstance(place, str) and place.endswith(".sensorgraph"):
-        run = with_poses_of_graph(run, resume, poses, Sensorgraph.load(Path(place)), place, {})
+        run = with_poses_of_graph(run, resume, poses, opened(Path(place)), place, {})
     elif isinstance(place, str):
         run = with_poses(run, resume, poses, load_arena(place), name=place)
     else:
