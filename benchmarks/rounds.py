@@ -6,7 +6,8 @@
 The first round is an anytime plan. Each later one is what `sensorgraph plan --resume RUNS --graph GRAPH --budget 10` makes: it
 starts where the last one ended, what was driven needs no visit, and it looks first where the graph of all rounds so far
 would not answer or be wrong. `--ahead` are ways of `benchmarks.error_by_minutes`, driven for forty minutes. With
-`--thin` n every n-th scan is built from. Said last: after how many minutes the rounds are as good.
+`--thin` n every n-th scan is built from. Said last: after how many minutes the rounds are as good; and of several places or seeds
+the means with their 95 % intervals, also of the rounds less the best drive planned ahead.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from benchmarks.error_by_minutes import Place, check_of, place_of, ways
 from logs.run import Run, pair
@@ -46,13 +48,30 @@ def main() -> None:
     print(
         "| arena | seed | driven by | minutes | wrong by > 5 cm | answered |\n|---|---:|---|---:|---:|---:|"
     )
-    for name in options.arena:
-        for seed in options.seed:
-            compared(name, place_of(name, default_robot(), seed, options.thin), options.rounds, options.ahead)
+    found = [
+        compared(name, place_of(name, default_robot(), seed, options.thin), options.rounds, options.ahead)
+        for name in options.arena
+        for seed in options.seed
+    ]
+    if len(found) > 1:
+        summary(found, len(options.ahead))
 
 
-def compared(name: str, place: Place, count: int, ahead: list[str]) -> None:
-    """Print the table of one place."""
+def summary(found: list[list[float]], n_ahead: int) -> None:
+    """Print means of rows of `compared` and their 95 % intervals, of Student's t."""
+    wrong = 100 * np.array(found)  # (n, rounds + ways)
+    n, count = len(wrong), wrong.shape[1] - n_ahead
+    half = stats.t.ppf(0.975, n - 1) / np.sqrt(n)
+    for k in range(count):
+        line = f"rounds, {ROUND * (k + 1):.0f} min: {wrong[:, k].mean():.3f} ± {half * wrong[:, k].std(ddof=1):.3f} %"
+        if n_ahead:
+            less = wrong[:, k] - wrong[:, count:].min(axis=1)
+            line += f"; less the best planned ahead {less.mean():+.3f} ± {half * less.std(ddof=1):.3f} %"
+        print(line)
+
+
+def compared(name: str, place: Place, count: int, ahead: list[str]) -> list[float]:
+    """Print the table of one place; return the shares wrong after each round and of each way ahead."""
     check, short = check_of(place), Path(name.partition("@")[0]).name
 
     def wrong(way: str, minutes: float, graph: Sensorgraph) -> float:
@@ -67,14 +86,15 @@ def compared(name: str, place: Place, count: int, ahead: list[str]) -> None:
 
     errors = [wrong("rounds", ROUND * k, graph) for k, graph in enumerate(graphs(place, count), 1)]
     if not ahead:
-        return
-    best = min(wrong(way, AHEAD, build(ways(place)[way](AHEAD))) for way in ahead)
-    good = [k for k, error in enumerate(errors, 1) if error <= best]
+        return errors
+    others = [wrong(way, AHEAD, build(ways(place)[way](AHEAD))) for way in ahead]
+    good = [k for k, error in enumerate(errors, 1) if error <= min(others)]
     after = f"after {ROUND * good[0]:.0f} min" if good else f"not in {ROUND * count:.0f} min"
     print(
         f"{short}, seed {place.seed}: as good as the best of {AHEAD:.0f} min planned ahead {after}",
         flush=True,
     )
+    return errors + others
 
 
 def graphs(place: Place, count: int) -> Iterator[Sensorgraph]:

@@ -99,8 +99,8 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
 def test_without_an_arena_the_graph_says_where_walls_are_else_one_line_asks_for_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _place(None, None, None, tmp_path / "lab.sensorgraph") == str(tmp_path / "lab.sensorgraph")
-    assert _place("square", None, None, tmp_path / "lab.sensorgraph") == "square"
+    assert _place(None, [], [], tmp_path / "lab.sensorgraph") == str(tmp_path / "lab.sensorgraph")
+    assert _place("square", [], [], tmp_path / "lab.sensorgraph") == "square"
     assert cli(["plan", *COARSE, "-o", str(tmp_path / "none")]) == 2
     assert "no arena given" in capsys.readouterr().err
 

@@ -15,6 +15,7 @@ from planners.errors import PlanError
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
+from sensorgraph.planning.plan import plan as sg_plan
 from sensorgraph.planning.resume import driven_poses, other_place_warnings, shared_walls
 from sensorgraph.world.raycast import cast
 
@@ -38,6 +39,19 @@ def test_the_poses_of_the_scans_come_back(tmp_path: Path) -> None:
     for arena in (None, shipped("square")):
         run = recorded(tmp_path / "run.mcap", DRIVE, arena)
         np.testing.assert_allclose(driven_poses(read(run), shipped("square")), DRIVE, atol=1e-6)
+
+
+def test_two_runs_are_resumed_as_if_they_were_one(tmp_path: Path) -> None:
+    parts = [DRIVE[:8], DRIVE[8:]]
+    runs = [recorded(tmp_path / f"{k}.mcap", part) for k, part in enumerate(parts)]
+    (tmp_path / "whole").mkdir()
+    whole = recorded(tmp_path / "whole" / "run.mcap", DRIVE)
+    one, both = (
+        sg_plan("square", cell=0.5, headings=4, resume=given).to_dict()
+        for given in (whole, [str(runs[0]), read(runs[1])])
+    )
+    assert both["coverage_before"] == one["coverage_before"] > 0
+    assert both["drive_time_s"] == one["drive_time_s"]
 
 
 def test_a_run_of_another_arena_is_refused_by_its_walls(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ PlanDuration = Annotated[
     typer.Option(help="Of random_bounce and wall_following, in s; default: the reference time."),
 ]
 PlanResume = Annotated[
-    Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")
+    list[Path] | None, typer.Option(help="A run already driven: plan only what is left. May be repeated.")
 ]
 PlanPriority = Annotated[
     Path | None, typer.Option(help="A sensorgraph: first where it has not been, then where it is unsure.")

@@ -79,7 +79,7 @@ def plan(
 
       sensorgraph plan office --battery 60 --dock 1.0,1.0,0 -o runs/office
 
-      sensorgraph plan office --budget 10 --resume run.mcap --graph lab.sensorgraph -o runs/next
+      sensorgraph plan office --budget 10 --resume 1.mcap --resume 2.mcap --graph lab.sensorgraph -o runs/third
 
       sensorgraph plan office --budget 30 --end 1.0,1.0,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
 
@@ -94,13 +94,13 @@ def plan(
 
     _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
-    run = None
-    if resume is not None and views is None:
+    runs = []
+    if resume and views is None:
         check_poses(poses)
-        run = logs.read(resume)
-    place = _place(arena, resume, run, graph or priority)
+        runs = [logs.read(path) for path in resume]
+    place = _place(arena, resume or [], runs, graph or priority)
     opened = cache(Sensorgraph.load)  # the arena, where to look and what to ask are often one file
-    driven = resume if resume is None or run is None else _located(run, resume, place, poses, opened)
+    driven = _located(runs, resume or [], place, poses, opened)
     counted = "bins" if planner == "coverage" and views is None else "stops"
     with told_progress("planning", counted) as (tick, say):
         made = make_plan(
@@ -108,7 +108,7 @@ def plan(
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             no_go=[zone for given in no_go or [] for zone in zones(given)],
-            resume=driven,
+            resume=driven or None,
             priority=None if priority is None else opened(priority),
             graph=None if graph is None else opened(graph),
             budget=_seconds("--budget", budget),
@@ -137,21 +137,22 @@ def _quieten(*names: str) -> None:
             log.addHandler(logging.NullHandler())
 
 
-def _place(arena: str | None, resume: Path | None, run: Run | None, graph: Path | None) -> Arena | str:
-    """Return the arena given, else the one that the run to resume keeps, else the walls of the graph."""
+def _place(arena: str | None, resume: list[Path], runs: list[Run], graph: Path | None) -> Arena | str:
+    """Return the arena given, else the one that a run to resume keeps, else the walls of the graph."""
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in
 
     if arena is not None:
         return arena
-    if run is not None and (kept := arena_in(run)) is not None:
-        return kept
+    for run in runs:
+        if (kept := arena_in(run)) is not None:
+            return kept
     if graph is not None:
         return str(graph)
     raise SensorgraphError(
         "no arena given, expected a *.geojson, a map_server *.yaml, a *.sensorgraph, or a shipped one: square, office"
-        if run is None
-        else f"{resume} keeps no arena; give the one it was driven in, or a --graph"
+        if not runs
+        else f"{resume[0]} keeps no arena; give the one it was driven in, or a --graph"
     )
 
 
@@ -165,20 +166,28 @@ def _arena_in(place: Arena | str, opened: Callable[[Path], Sensorgraph]) -> Aren
 
 
 def _located(
-    run: Run, resume: Path, place: Arena | str, poses: str | None, opened: Callable[[Path], Sensorgraph]
-) -> Run | Path:
-    """Return the run to resume from: its file, or the run with the poses that were found for it."""
+    runs: list[Run],
+    paths: list[Path],
+    place: Arena | str,
+    poses: str | None,
+    opened: Callable[[Path], Sensorgraph],
+) -> list[Run | Path]:
+    """Return the runs to resume from: their files, or the runs with the poses that were found for them."""
     from sensorgraph.cli.inputs import with_poses, with_poses_of_graph
     from sensorgraph.loading import load_arena
     from sensorgraph.localization.kept import KEY
 
-    if isinstance(place, str) and place.endswith(".sensorgraph"):
-        run = with_poses_of_graph(run, resume, poses, opened(Path(place)), place, {})
-    elif isinstance(place, str):
-        run = with_poses(run, resume, poses, load_arena(place), name=place)
-    else:
-        run = with_poses(run, resume, poses, place, name="the arena kept in the run")
-    return run if KEY in run.meta else resume
+    found: list[Run | Path] = list(paths)
+    for k, (run, path) in enumerate(zip(runs, paths, strict=False)):
+        if isinstance(place, str) and place.endswith(".sensorgraph"):
+            at = with_poses_of_graph(run, path, poses, opened(Path(place)), place, {})
+        elif isinstance(place, str):
+            at = with_poses(run, path, poses, load_arena(place), name=place)
+        else:
+            at = with_poses(run, path, poses, place, name="the arena kept in the run")
+        if KEY in at.meta:
+            found[k] = at
+    return found
 
 
 def _summary(report: dict[str, Any]) -> str:

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import logs
 import planners
 from logs.html_table import html_table
@@ -96,7 +98,7 @@ def plan(
     end: Floats | None = None,
     views: int | None = None,
     no_go: Sequence[Zone] = (),
-    resume: Run | Path | str | None = None,
+    resume: Run | Path | str | Sequence[Run | Path | str] | None = None,
     priority: Sensorgraph | None = None,
     budget: float | None = None,
     battery: float | None = None,
@@ -122,7 +124,7 @@ def plan(
     start, end : (3,) [m, m, rad] pose of base_link; None: where it suits the planner
     views : visit only so many poses, those that show most surface, instead of filling (x, y, phi)
     no_go : polygons [m, map] that the robot may not enter and its laser sees through
-    resume : a run already driven, or its file; its bins need no visit
+    resume : a run already driven, or its file, or several; their bins need no visit
     priority : first the places that this sensorgraph does not know, then those where it is unsure
     budget : [s] within which the drive ends
     battery : [s] of one run; the drive is parted into runs from `dock` (3,) [m, m, rad] and back to it
@@ -200,7 +202,7 @@ def _survey(
     return survey
 
 
-def _check_views(views: int | None, planner: str, resume: Run | Path | str | None) -> None:
+def _check_views(views: int | None, planner: str, resume: object | None) -> None:
     """Refuse what contradicts a plan of views."""
     if views is None:
         if planner == "views":
@@ -214,8 +216,10 @@ def _check_views(views: int | None, planner: str, resume: Run | Path | str | Non
         )
 
 
-def _driven(resume: Run | Path | str, arena: Arena) -> Floats:
-    """Return the poses (n, 3) [m, m, rad] of a run already driven."""
+def _driven(resume: Run | Path | str | Sequence[Run | Path | str], arena: Arena) -> Floats:
+    """Return the poses (n, 3) [m, m, rad] of runs already driven."""
     if isinstance(resume, Run):
         return driven_poses(resume, arena)
-    return driven_poses(logs.read(resume), arena, name=str(resume))
+    if isinstance(resume, Path | str):
+        return driven_poses(logs.read(resume), arena, name=str(resume))
+    return np.concatenate([_driven(run, arena) for run in resume])
