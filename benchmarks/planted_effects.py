@@ -10,7 +10,8 @@ beams given another bearing, poses and stamps shifted. The laser reports whole c
 `--undithered` leaves that and the commissioning out, and the diagnosis should find the lattice.
 
 With `--graph` the log is one that `sensorgraph locate` has written, the map a sensorgraph of its first half, and the
-windows are of its second half, 90 rays of some 100 scans each.
+windows are of its second half, 90 rays of some 100 scans each. With `--another-day` the graph is of another log, and the
+windows are of all of this one.
 
 Prints, per effect and size: windows, how often it is named first, in how many another name stands first, the median
 evidence and the median of the estimated size; and the names given on untouched windows.
@@ -20,14 +21,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, OTHERS, Plant
 from benchmarks.planted_site import (
+    SCANS_IN_GRAPH,
     LogWindow,
     graph_of_first_half,
     measurement,
@@ -37,10 +40,11 @@ from benchmarks.planted_site import (
     windows_in_graph,
 )
 from logs import Run, read
-from sensorgraph.diagnosis.commissioning import commission, merged
+from sensorgraph.diagnosis.commissioning import commission, commission_all, merged
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.graph import Sensorgraph
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot
 
@@ -135,6 +139,26 @@ def diagnose_window(
             print(f"  {label:<22} {results.seconds[-1]:5.1f} s  {names_text(finding)}", flush=True)
 
 
+def known_good(
+    log: Run, parts: Sequence[LogWindow], robot: Robot, *, one_map: bool
+) -> Callable[[int], SiteBaseline]:
+    """Return what gives the baseline of all windows but one, as several good runs; each with a map of its own, or all with one."""
+
+    @cache
+    def alone(number: int) -> SiteBaseline:
+        window = parts[number]
+        return commission(measurement(log, window.scans), window.arena, robot, known=())
+
+    def of_others(number: int) -> SiteBaseline:
+        others = [k for k in range(len(parts)) if k != number]
+        if one_map:
+            runs = [measurement(log, parts[k].scans) for k in others]
+            return commission_all(runs, parts[number].arena, robot)
+        return merged([alone(k) for k in others])
+
+    return of_others
+
+
 def arguments_given() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
@@ -145,6 +169,12 @@ def arguments_given() -> argparse.Namespace:
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
     parser.add_argument(
         "--graph", type=Path, help="of the first half of a located log, built if it is not there"
+    )
+    parser.add_argument(
+        "--another-day", action="store_true", help="the graph is of another log of the building"
+    )
+    parser.add_argument(
+        "--scans", type=int, default=SCANS_IN_GRAPH, help="of the log in a window against a graph"
     )
     parser.add_argument("--only", default="full,half,also", help="which lists of effects")
     parser.add_argument("--undithered", action="store_true", help="do not tell the resolution of the laser")
@@ -162,24 +192,21 @@ def main() -> None:
         plants = [p for p in plants if p.label in arguments.effects.split(",")]
     wanted = [int(k) for k in arguments.windows.split(",")] if arguments.windows else None
     robot = robot_of(log, 0.001 if arguments.undithered else 0.01)
-    start = time.process_time()
+    if arguments.another_day:
+        arena, first = arena_of(Sensorgraph.load(arguments.graph)), 0
+    elif arguments.graph:
+        arena, first = arena_of(graph_of_first_half(log, arguments.graph)), log.n_scans // 2
     if arguments.graph:
-        parts = list(windows_in_graph(log, arena_of(graph_of_first_half(log, arguments.graph))))
+        parts = list(windows_in_graph(log, arena, first=first, n_scans=arguments.scans))
     else:
         parts = list(windows(log))
-    known_good: list[SiteBaseline] = []
-    if not arguments.undithered:
-        known_good = [
-            commission(measurement(log, w.scans), w.arena, robot, learn_effects=False) for w in parts
-        ]
-    took = time.process_time() - start
-    print(f"{len(parts)} windows, maps and commissioning {took:.0f} s", flush=True)
+    print(f"{len(parts)} windows", flush=True)
+    baseline_of_others = known_good(log, parts, robot, one_map=arguments.graph is not None)
     results = Results()
     for number, window in enumerate(parts):
         if wanted is not None and number not in wanted:
             continue
-        others = [c for k, c in enumerate(known_good) if k != number]
-        reference = merged(others) if known_good else None
+        reference = None if arguments.undithered else baseline_of_others(number)
         if not arguments.quiet:
             print(f"window {number}, scans {window.name}, {window.arena.n_walls} surfaces")
             if reference is not None:

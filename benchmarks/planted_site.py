@@ -29,7 +29,8 @@ SPARSE_STEP = 1.0  # [s] between scans: the log is taken as one stretch, whose m
 SPARSE_WINDOW = 72  # scans of a window of such a log
 MAP_CELL = 0.08  # [m]
 RANGE_SIGMA = 0.015  # [m]
-SCANS_IN_GRAPH, N_SCANS_IN_GRAPH = 200, 100  # of a window against a graph, and how many of them are taken
+SCANS_IN_GRAPH = 200  # of a window against a graph
+N_SCANS_IN_GRAPH = 100  # of these that are taken
 MAX_WINDOWS = (
     20  # of a log, evenly spread over its second half: commissioning takes longer than it tells beyond
 )
@@ -213,11 +214,13 @@ def graph_of_first_half(log: Run, path: Path) -> Sensorgraph:
     return Sensorgraph.load(path)
 
 
-def windows_in_graph(log: Run, arena: Arena) -> Iterator[LogWindow]:
-    """Cut the second half of a located log into windows of some 100 scans; those mostly in unknown space are left out."""
+def windows_in_graph(
+    log: Run, arena: Arena, *, first: int = 0, n_scans: int = SCANS_IN_GRAPH
+) -> Iterator[LogWindow]:
+    """Cut a located log, from its scan `first` on, into windows; those mostly in unknown space are left out."""
     borders = open_borders(arena)
-    second = np.arange(log.n_scans // 2, log.n_scans)
-    parts = np.array_split(second, max(2, round(len(second) / SCANS_IN_GRAPH)))
+    judged = np.arange(first, log.n_scans)
+    parts = np.array_split(judged, max(2, round(len(judged) / n_scans)))
     for part in parts[:: -(-len(parts) // MAX_WINDOWS)]:
         scans = part[:: max(1, len(part) // N_SCANS_IN_GRAPH)]
         run = measurement(log, scans)

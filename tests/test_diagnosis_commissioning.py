@@ -18,11 +18,14 @@ from planners.types import Floats
 from sensorgraph.diagnosis.commissioning import commission, commission_all
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
+from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
-from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals
+from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
+from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default_robot
@@ -127,13 +130,18 @@ def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: Si
 def windows(
     name: str, key: str, values: list[float], stderrs: list[float] | None = None
 ) -> list[WindowEstimate]:
-    """Make windows of 100 scans that show these sizes."""
-    errors = [0.5] * len(values) if stderrs is None else stderrs
+    """Make windows that show these sizes, each as surely as told."""
+    errors = [0.0] * len(values) if stderrs is None else stderrs
     return [
         WindowEstimate(
-            n_scans=100, n_readings=9000, gains={}, sizes={name: {key: v}}, stderrs={name: w}, misfit=0.0
+            n_scans=100,
+            n_readings=9000,
+            gains={},
+            sizes={name: {key: v}},
+            stderrs={name: {key: e}},
+            misfit=0.0,
         )
-        for v, w in zip(values, errors, strict=True)
+        for v, e in zip(values, errors, strict=True)
     ]
 
 
@@ -142,43 +150,87 @@ def test_a_baseline_interval_contains_a_further_window_of_the_same_site_and_not_
     missed = 0
     for _ in range(400):
         values = [float(v) for v in rng.normal(0.003, 0.004, 12)]
-        interval = baseline_intervals(windows("range_bias", "b", values[:11]), 100)["range_bias"]
+        interval = baseline_intervals(windows("range_bias", "b", values[:11]))["range_bias"]
         missed += not interval.contains(EFFECTS["range_bias"](b=values[11]))
         assert not interval.contains(EFFECTS["range_bias"](b=0.05))
     assert missed <= 6  # 0.8 expected: 99.9 % either side
 
 
-def test_a_window_whose_parts_disagree_does_not_widen_the_interval() -> None:
-    values = [0.001, 0.003, 0.0, 0.002, 0.001, 0.03]
-    calm = baseline_intervals(windows("range_drift", "b1", values[:5]), 100)["range_drift"]
-    stderrs = [0.5, 0.5, 0.5, 0.5, 0.5, 3.0]
-    odd = baseline_intervals(windows("range_drift", "b1", values, stderrs), 100)["range_drift"]
-    assert odd.half_width == calm.half_width
-    even = baseline_intervals(windows("range_drift", "b1", values), 100)["range_drift"]
-    assert even.half_width["b1"] > 2 * calm.half_width["b1"]
+def test_windows_that_are_sure_to_different_degrees_are_judged_each_by_its_own_error() -> None:
+    rng = np.random.default_rng(1)
+    missed, widths = 0, []
+    for _ in range(400):
+        errors = rng.uniform(0.001, 0.02, 12)
+        values = 0.003 + rng.normal(size=12) * np.hypot(0.002, errors)
+        interval = baseline_intervals(windows("range_bias", "b", list(values[:11]), list(errors[:11])))[
+            "range_bias"
+        ]
+        missed += not interval.contains(EFFECTS["range_bias"](b=values[11]), {"b": errors[11]})
+        widths.append(interval.half_width()["b"])
+    assert missed <= 6
+    assert np.median(widths) < 0.02  # their errors alone spread the values by 12 mm
 
 
-def test_jackknife_error_shrinks_with_the_root_of_the_length_and_disagreement_is_judged_at_that_length() -> (
-    None
-):
-    interval = baseline_intervals(windows("range_drift", "b1", [0.0, 0.001, 0.002, 0.003]), 400)[
+def test_spread_between_windows_is_recovered_beside_their_own_errors() -> None:
+    rng = np.random.default_rng(2)
+    errors = rng.uniform(0.5, 3.0, 2000)
+    values = 7.0 + rng.normal(size=2000) * np.hypot(1.5, errors)
+    mean, of_mean, between = between_windows(values, errors, None)
+    assert mean == pytest.approx(7.0, abs=4 * of_mean)
+    assert between == pytest.approx(1.5, rel=0.1)
+    plain = between_windows(values[:9], np.zeros(9), None)
+    assert plain == pytest.approx((values[:9].mean(), values[:9].std(ddof=1) / 3, values[:9].std(ddof=1)))
+
+
+def test_a_window_whose_parts_disagree_hardly_widens_the_interval() -> None:
+    values, stderrs = [0.001, 0.003, 0.0, 0.002, 0.001, 0.03], [0.001] * 5
+    calm = baseline_intervals(windows("range_drift", "b1", values[:5], stderrs))["range_drift"].half_width()
+    odd = baseline_intervals(windows("range_drift", "b1", values, [*stderrs, 0.02]))[
         "range_drift"
-    ]
-    assert interval.jackknife_stderr == pytest.approx(0.25)
-    assert interval.is_exceeded_by(1.0)
-    assert not interval.is_exceeded_by(0.4)
+    ].half_width()
+    even = baseline_intervals(windows("range_drift", "b1", values, [*stderrs, 0.001]))[
+        "range_drift"
+    ].half_width()
+    assert odd["b1"] < 1.5 * calm["b1"]
+    assert even["b1"] > 2 * calm["b1"]
 
 
-def test_shares_have_their_interval_on_the_scale_of_their_root() -> None:
-    interval = baseline_intervals(windows("people", "p", [0.01, 0.04, 0.09, 0.04]), 100)["people"]
+def test_a_run_whose_parts_disagree_may_be_farther_off() -> None:
+    interval = baseline_intervals(windows("range_drift", "b1", [0.0, 0.001, 0.002, 0.003]))["range_drift"]
+    drift = EFFECTS["range_drift"](b1=0.03)
+    assert not interval.contains(drift)
+    assert not interval.contains(drift, {"b1": 0.001})
+    assert interval.contains(drift, {"b1": 0.03})
+
+
+def test_shares_and_noise_levels_have_their_interval_on_the_scale_where_they_spread_evenly() -> None:
+    interval = baseline_intervals(windows("people", "p", [0.01, 0.04, 0.09, 0.04]))["people"]
     assert interval.mean["p"] == pytest.approx(0.2)
     low, high = interval.limits("people")["p"]
     assert low >= 0.0
     assert high > 0.09
+    noise = baseline_intervals(windows("range_noise", "k", [0.001, 0.008, 0.001, 0.008]))["range_noise"]
+    assert noise.mean["k"] == pytest.approx((0.01 + 0.04) / 2)
+    low, high = noise.limits("range_noise")["k"]
+    assert low == 0.0
+    assert high - 0.0045 > 2 * 0.0045  # farther above the mean than below it
+
+
+def test_every_window_tells_the_size_of_every_number_of_the_whole_sensor(good: SiteBaseline) -> None:
+    whole = {
+        name
+        for name, effect in EFFECTS.items()
+        if effect.channel == "scan"
+        and effect.place is None
+        and effect.sizes
+        and name not in good.not_looked_for
+    }
+    for window in (w for level in good.runs[0] for w in level):
+        assert whole - {"scan_skew"} <= set(window.sizes)  # a laser without sweep has none
 
 
 def test_too_few_windows_have_no_interval() -> None:
-    assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
+    assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002])) == {}
 
 
 def baseline(*gains: dict[str, float]) -> SiteBaseline:
@@ -231,10 +283,30 @@ def test_few_good_runs_do_not_tell_what_stands_free_from_what_leans_at_walls() -
 def test_several_good_runs_are_silent_on_a_further_one_and_name_a_bias() -> None:
     several = commission_all([site_run(seed) for seed in (1, 5, 6)], ARENA, ROBOT)
     assert several.n_runs == 3
+    shown = {a.name: a for a in several.known}
+    assert shown["range_noise"]["k"] == pytest.approx(0.006, abs=0.002)
+    assert shown["range_bias"]["b"] == pytest.approx(0.0, abs=0.004)
     assert names(against(several, site_run(2))) == []
     effect = against(several, site_run(3, bias=0.04)).effects[0]
     assert effect.name == "range_bias"
     assert effect["b"] == pytest.approx(0.04, abs=0.006)
+
+
+def test_a_bias_that_stands_for_a_sector_is_told_from_one_of_the_whole_sensor() -> None:
+    run, noise = site_run(3), SCAN.site.wide_noise
+    sector = SENSOR.bearings > -0.3
+    usual = baseline_intervals(windows("range_bias", "b", [0.0, 0.002, -0.001, 0.001, -0.002]))
+    for ranges, name in ((run.ranges + 0.08 * sector, "sector_bias"), (run.ranges + 0.05, None)):
+        data = replace(
+            prepare_scans(replace(run, ranges=ranges), ARENA, ROBOT)[0],
+            clutter_nats={"sector_bias": 1e4},
+            baseline_intervals=usual,
+        )
+        bias = (EFFECTS["range_bias"](b=0.03),)
+        fitted = fit(data, bias, start_state(data, noise), noise, outer=2, inner=6)
+        assert not is_within_baseline(fitted, fitted.model[0])
+        rival = local_rival(fitted, 0, noise)
+        assert (rival and rival.name) == name
 
 
 @pytest.mark.slow

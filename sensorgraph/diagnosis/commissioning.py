@@ -9,7 +9,7 @@ All that becomes the `SiteBaseline`, so that a later run is asked only for the d
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -53,12 +53,17 @@ def commission_all(
     SensorgraphError
         A run is too short, has no returns or no poses, or another sensor than the robot.
     """
-    work = WorkCounter(progress, len(runs))
     if len(runs) == 1:
-        return commission(runs[0], arena, robot, seed=seed, progress=work.part(1))
+        return commission(runs[0], arena, robot, seed=seed, progress=progress)
+    work = WorkCounter(progress, 2 * len(runs))
+    shown = []
+    for run in runs:
+        shown.append(range_effects(prepared(run, arena, robot)))
+        work.add(1)
+    known = mean_of(shown)
     several = []
     for run in runs:
-        several.append(commission(run, arena, robot, seed=seed, learn_effects=False, progress=work.part(1)))
+        several.append(commission(run, arena, robot, seed=seed, known=known, progress=work.part(1)))
         work.add(1)
     return merged(several)
 
@@ -69,7 +74,7 @@ def commission(
     robot: Robot,
     *,
     seed: int = 0,
-    learn_effects: bool = True,
+    known: Sequence[Amendment] | None = None,
     progress: Progress | None = None,
 ) -> SiteBaseline:
     """Learn the baseline of a site from a run that is known to be good.
@@ -77,8 +82,8 @@ def commission(
     Parameters
     ----------
     seed : of the replicates
-    learn_effects : take the effects that the run itself shows into the simulator, and look at its halves for the
-        tolerances; not where several runs are merged
+    known : what several runs show together, part of the simulator; None: this run is alone, so that what it shows
+        itself is, and its halves tell the tolerances
 
     Raises
     ------
@@ -86,35 +91,18 @@ def commission(
         The run is too short, has no returns or no poses, or another sensor than the robot.
     """
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
-    pixels = RasterMap.of(arena) if is_raster(arena) else None
-    if pixels is not None:
-        arena, robot = pixels.arena, pixels.widened(robot)
-    data, _ = prepare_scans(run, arena, robot)
-    data, _ = without_unknown_space(data) if pixels is None else pixels.judged(data)
-    data = replace(data, laser_frame=False)
-    cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
+    data = prepared(run, arena, robot)
+    cuts = SCAN.site.windows[:2] if known is None else SCAN.site.windows[:1]
     n_windows = sum(
         len(data.windows(n)) for n in (*cuts, *SCAN.site.windows)
     )  # a short run has no short ones
-    work = WorkCounter(progress, 3 + n_windows)
-    null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
-    work.add(1)
-    sensor = robot.sensor
-    for found in quantisation.propose(FitResiduals(data, null)):
-        sensor = replace(sensor, resolution=found.values["q"])
-    tolerances = pose_tolerances(data, null)
-    data = replace(
-        data,
-        sensor=replace(data.sensor, resolution=sensor.resolution),
-        tolerances=tolerances,
-        memo={},
-    )
-    known = site_effects(data) if learn_effects else ()
+    work = WorkCounter(progress, 2 + n_windows)
+    known = site_effects(data) if known is None else tuple(known)
     work.add(1)
     data = replace(data, known=(*data.known, *known), memo={})
     tolerances = shift_tolerances(data, cuts)
     work.add(1)
-    hidden = hidden_by_scraps(arena)
+    hidden = hidden_by_scraps(data.arena)
     data = replace(data, tolerances=tolerances, clutter_nats=dict.fromkeys(hidden, float("inf")), memo={})
     parts = [window for n in cuts for window in data.windows(n)]
     fits = []
@@ -131,7 +119,11 @@ def commission(
         levels.append(tuple(estimates))
     logger.debug("known %s; windows %s", known, levels)
     return SiteBaseline(
-        robot=replace(robot, sensor=sensor, tolerances=tolerances),
+        robot=replace(
+            robot,
+            sensor=replace(robot.sensor, resolution=data.sensor.resolution),
+            tolerances=tolerances,
+        ),
         known=known,
         noise_bounds=bounds,
         not_looked_for=hidden,
@@ -139,8 +131,24 @@ def commission(
     )
 
 
+def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
+    """Return the scans of a good run, with the lattice of its readings and the tolerances of its poses."""
+    pixels = RasterMap.of(arena) if is_raster(arena) else None
+    if pixels is not None:
+        arena, robot = pixels.arena, pixels.widened(robot)
+    data, _ = prepare_scans(run, arena, robot)
+    data, _ = without_unknown_space(data) if pixels is None else pixels.judged(data)
+    data = replace(data, laser_frame=False)
+    noise = SCAN.site.wide_noise
+    null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    sensor = data.sensor
+    for found in quantisation.propose(FitResiduals(data, null)):
+        sensor = replace(sensor, resolution=found.values["q"])
+    return replace(data, sensor=sensor, tolerances=pose_tolerances(data, null), memo={})
+
+
 def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
-    """Put together what several good runs of a site show (none of them with `learn_effects`)."""
+    """Put together what several good runs of a site show, all with the same effects known."""
     first = several[0]
     tolerances = [b.robot.tolerances for b in several]
     merged_tolerances = replace(
@@ -161,7 +169,7 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
     )
     return SiteBaseline(
         robot=replace(first.robot, tolerances=merged_tolerances),
-        known=(),
+        known=first.known,
         noise_bounds=noise,
         not_looked_for=tuple(dict.fromkeys(name for b in several for name in b.not_looked_for)),
         runs=tuple(cuts for b in several for cuts in b.runs),
@@ -205,22 +213,48 @@ def site_effects(data: ScanData) -> tuple[Amendment, ...]:
     """Fit the effects that a site may always show, one after another, as long as each is worth its price."""
     noise = SCAN.site.wide_noise
     current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
-    starts = {name: effect.diagnostics.site_start for name, effect in EFFECTS.items()}
-    left = {name: start for name, start in starts.items() if start is not None}
+    left = site_starts()
     while left:
-        tried = []
-        for name, values in left.items():
-            model = (*current.model, EFFECTS[name](**values))
-            got = fit(data, model, current.state, noise, outer=3, inner=4)
-            if is_rough(model[-1]):
-                got = searched(data, got, noise, rounds=6, first=1.0, turns=2)
-            tried.append((got.j - current.j - price(got.model[-1], data), got))
-        gain, best = max(tried, key=lambda pair: pair[0])
-        if gain < SCAN.selection.threshold:
+        tried = [with_site_effect(data, current, start) for start in left]
+        gains = [got.j - current.j - price(got.model[-1], data) for got in tried]
+        best = int(np.argmax(gains))
+        if gains[best] < SCAN.selection.threshold:
             break
-        current = best
-        left.pop(best.model[-1].name)
+        current = tried[best]
+        left.pop(best)
     return current.model
+
+
+def range_effects(data: ScanData) -> tuple[Amendment, ...]:
+    """Fit all effects that a site may always show, together."""
+    noise = SCAN.site.wide_noise
+    current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    for start in site_starts():
+        current = with_site_effect(data, current, start)
+    return current.model
+
+
+def site_starts() -> list[Amendment]:
+    """Return the effects that a site may always show, where their fit starts."""
+    starts = {name: effect.diagnostics.site_start for name, effect in EFFECTS.items()}
+    return [EFFECTS[name](**values) for name, values in starts.items() if values is not None]
+
+
+def with_site_effect(data: ScanData, current: Fitted, start: Amendment) -> Fitted:
+    """Add an effect to a fit of a good run."""
+    noise = SCAN.site.wide_noise
+    got = fit(data, (*current.model, start), current.state, noise, outer=3, inner=4)
+    if is_rough(got.model[-1]):
+        got = searched(data, got, noise, rounds=6, first=1.0, turns=2)
+    return got
+
+
+def mean_of(shown: Sequence[Sequence[Amendment]]) -> tuple[Amendment, ...]:
+    """Return the same effects of several runs, each with the mean of its parameters."""
+    return tuple(
+        same[0].effect(**{k: float(np.mean([a[k] for a in same])) for k in same[0].parameters})
+        for same in zip(*shown, strict=True)
+    )
 
 
 def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
@@ -239,18 +273,39 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
 def clutter_gains(
     data: ScanData, null: Fitted, bounds: NoiseBounds
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return, per kind of clutter, the most that it gains beyond its price [nats], and sizes of effects of the whole sensor."""
+    """Return, per kind of clutter, the most that it gains beyond its price [nats], and sizes of effects of the whole sensor.
+
+    Each of the latter is fitted in every window, whether or not the window proposes it: sizes of the windows that do
+    are those of the worst, and tell nothing of the spread.
+    """
     gains: dict[str, float] = {}
-    sizes: dict[str, dict[str, float]] = {}
-    for candidate in shortlist(data, null, set(), 0.0):
-        got = fit(data, (candidate.amendment,), null.state, bounds, outer=3, inner=3)
+    sizes: dict[str, tuple[float, dict[str, float]]] = {}
+    proposed = [candidate.amendment for candidate in shortlist(data, null, set(), 0.0)]
+    names = {amendment.name for amendment in proposed}
+    for amendment in (*proposed, *unproposed(data, names)):
+        got = fit(data, (amendment,), null.state, bounds, outer=3, inner=3)
         if is_rough(got.model[-1]):
             got = searched(data, got, bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model
         gained = spread_evidence(data, got, null) if must_be_spread(effect) else got.j - null.j
         gain = gained - price(effect, data)
-        if effect.effect.place is None and gain > gains.get(effect.name, -np.inf):
-            sizes[effect.name] = {k: effect[k] for k in effect.effect.sizes}
-        kind = clutter_kind(effect, data)
-        gains[kind] = max(gains.get(kind, 0.0), gain)
-    return gains, {name: values for name, values in sizes.items() if values}
+        if (
+            effect.effect.place is None
+            and effect.effect.sizes
+            and gain > sizes.get(effect.name, (-np.inf,))[0]
+        ):
+            sizes[effect.name] = gain, {k: effect[k] for k in effect.effect.sizes}
+        if effect.name in names:
+            kind = clutter_kind(effect, data)
+            gains[kind] = max(gains.get(kind, 0.0), gain)
+    return gains, {name: values for name, (_, values) in sizes.items()}
+
+
+def unproposed(data: ScanData, names: Set[str]) -> list[Amendment]:
+    """Return the effects of the whole sensor, not among the names, that have a size and no nuisance, at their materiality."""
+    return [
+        effect(**{q.name: effect.sizes.get(q.name, 0.0) for q in effect.parameters})
+        for name, effect in EFFECTS.items()
+        if effect.channel == "scan" and effect.place is None and effect.sizes and not effect.nuisances
+        and name not in names and data.clutter_nats.get(name) != np.inf
+    ]  # fmt: skip

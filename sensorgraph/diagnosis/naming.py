@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +47,12 @@ class ScanNames:
 
 
 def name_scan_effects(
-    data: ScanData, explained: Explained, fit: GoodnessOfFit, deviations: Sequence[Deviation]
+    data: ScanData,
+    explained: Explained,
+    fit: GoodnessOfFit,
+    deviations: Sequence[Deviation],
+    *,
+    echoes: Set[int] = frozenset(),
 ) -> ScanNames:
     """Turn the accepted model into names, sizes within tolerance, rivals and what is left unexplained.
 
@@ -55,6 +60,7 @@ def name_scan_effects(
     ----------
     fit : how well the accepted model fits
     deviations : from the simulator without any effect
+    echoes : indices in the model of numbers of the whole sensor that stand for something local
     """
     final = explained.final
     complete = [
@@ -68,7 +74,9 @@ def name_scan_effects(
     material = {
         index
         for index, a in enumerate(final.model)
-        if is_material(final, a) and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
+        if index not in echoes
+        and is_material(final, a)
+        and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
     }
     accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
     order = sorted(accepted, key=lambda i: -explained.gains[i])

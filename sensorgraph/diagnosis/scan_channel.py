@@ -10,6 +10,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.naming import ScanNames, located, name_scan_effects
 from sensorgraph.diagnosis.result import ChannelResult, Gap
+from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
@@ -112,7 +113,15 @@ def judge(
     )
     found = found if baseline is None else baseline.discount(found, train)
     listed = deviations(FitResiduals(train, null))[: settings.max_listed]
-    return found, name_scan_effects(train, explained, found, listed)
+    names = name_scan_effects(train, explained, found, listed)
+    if baseline is not None:
+        echoes = {
+            i
+            for i, a in enumerate(final.model)
+            if a in names.accepted and local_rival(final, i, baseline.noise_bounds)
+        }
+        names = name_scan_effects(train, explained, found, listed, echoes=echoes) if echoes else names
+    return found, names
 
 
 def shared_effects(

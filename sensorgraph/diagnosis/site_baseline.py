@@ -48,7 +48,7 @@ class SiteBaseline:
         """
         first = self.runs[0][0][0]
         windows = self.similar_windows(first.n_scans)
-        intervals = baseline_intervals(windows, first.n_scans)
+        intervals = baseline_intervals(windows)
         clutter = self.clutter_nats(windows, intervals, first.n_scans, first.n_readings)
         bounds = self.noise_bounds
         return {
@@ -153,7 +153,7 @@ class SiteBaseline:
         Its poses may be the laser's own: a mount that has moved since shows as a difference.
         """
         windows = self.similar_windows(data.n_scans)
-        intervals = baseline_intervals(windows, data.n_scans)
+        intervals = baseline_intervals(windows)
         floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
         clutter = {kind: max(nats - SCAN.selection.threshold, 0.0) for kind, nats in floors.items()}
         clutter |= dict.fromkeys(self.not_looked_for, float("inf"))

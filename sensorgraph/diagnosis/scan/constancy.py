@@ -232,9 +232,9 @@ def _is_large(change: NumberChange, fitted: Fitted) -> bool:
     """Tell whether a change is material, a good part of the value over the whole run, and more than good runs differ."""
     a, scale = change.number.amendment, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     baseline = fitted.solver.data.baseline_intervals.get(a.name)
-    if baseline is not None and set(baseline.half_width) == set(change.jump):
+    if baseline is not None and set(baseline.mean) == set(change.jump):
         as_window = a.effect(**{k: baseline.mean[k] + v for k, v in change.jump.items()})
-        if baseline.contains(as_window):
+        if baseline.contains(as_window, baseline.stderr):
             return False
     return size_ratio(a.effect, change.jump) >= max(scale, SCAN.constancy.min_share * a.ratio)
 

@@ -431,7 +431,7 @@ class SiteSettings:
     """Baseline of a site: what good runs show though nothing is wrong (`commissioning`, `site_variation`)."""
 
     n_parts: int = 8
-    """Parts of a run, in time, for the jackknife."""
+    """Parts of a run in time, and of its rays by bearing, for the jackknife."""
     confidence: float = 0.999
     """Of the t and F quantiles."""
     disagreement: float = 0.05

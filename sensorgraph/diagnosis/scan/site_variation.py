@@ -1,56 +1,49 @@
 """What a site shows by itself, estimated from fits: sizes of single effects, and how far parts of a run agree on them.
 
-A name takes a size beyond the spread over windows of good runs (`site_sizes`). And where the parts of a run disagree
-on a number far more than the parts of good runs do, it is no number of the sensor but something at a few places: then
-it must stand out of its own scatter.
+A name takes a size beyond the spread over windows of good runs (`site_sizes`), each as sure as its parts agree: where
+the parts of a run disagree on a number, it is no number of the sensor but something at a few places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_sizes import in_materialities
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
 
+Parts = list[tuple[Floats, Floats]]
+"""Normal equations (matrix, right) of each part."""
+
 
 def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect lies within the baseline of the site, or shows at a few places only."""
+    """Tell whether an effect lies within the baseline of the site, as surely as the parts of the run agree on it."""
     baseline = fitted.solver.data.baseline_intervals.get(amendment.name)
     if baseline is None:
         return False
-    if baseline.contains(amendment):
-        return True
-    if baseline.jackknife_stderr is None or amendment.name not in fitted.names():
-        return False
-    stderr = cached_jackknife_stderr(fitted, amendment)
-    if not baseline.is_exceeded_by(stderr):
-        return False
-    off = {k: amendment[k] - baseline.mean[k] for k in baseline.half_width}
-    t = float(stdtrit(SCAN.site.n_parts - 2, SCAN.site.confidence))
-    return in_materialities(amendment.name, off) < stderr * t
+    if baseline.contains(amendment) or not amendment.effect.nuisances or amendment.name not in fitted.names():
+        return baseline.contains(amendment)
+    return baseline.contains(amendment, cached_jackknife(fitted, amendment))
 
 
-def cached_jackknife_stderr(fitted: Fitted, amendment: Amendment) -> float:
-    """Return `jackknife_stderr`, computed once per fit."""
+def cached_jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
+    """Return `jackknife`, computed once per fit."""
     memo = fitted.solver.data.memo
     key = f"jackknife|{amendment.name}|{fitted.model!r}".encode()
     if key not in memo:
-        memo[key] = jackknife_stderr(fitted, amendment)
+        memo[key] = jackknife(fitted, amendment)
     kept = memo[key]
-    assert isinstance(kept, float)
+    assert isinstance(kept, dict)
     return kept
 
 
-def jackknife_stderr(fitted: Fitted, amendment: Amendment) -> float:
-    """Return the standard error of an effect of a fit over parts of the run [materialities]."""
+def jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
+    """Return the standard errors of the parameters of an effect of a fit over parts of the run and of the rays."""
     solver, names, place = fitted.solver, list[str](), 0
     for index, other in enumerate(fitted.model):
         smooth = list(other.steps)
@@ -59,56 +52,67 @@ def jackknife_stderr(fitted: Fitted, amendment: Amendment) -> float:
             place = solver.n_g + sum(len(a.steps) for a in fitted.model[:index])
     chosen = np.arange(place, place + len(names))
     tau = solver.scaled(fitted.state)
-    stderrs = jackknife_stderrs(equations_by_part(fitted), tau, solver.locked, chosen)
-    return in_materialities(amendment.name, dict(zip(names, stderrs, strict=True)))
+    stderrs = larger_stderrs(equations_by_part(fitted), tau, solver.locked, chosen)
+    return dict(zip(names, map(float, stderrs), strict=True))
 
 
-def single_effects(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+def single_effects(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
     """Add each smooth effect of the whole sensor to a fit, alone.
 
     Returns
     -------
-    effect -> parameter -> size, and effect -> jackknife standard error [materialities]
+    effect -> parameter -> size, and effect -> parameter -> jackknife standard error
     """
-    solver, parts = fitted.solver, equations_by_part(fitted)
+    solver, partitions = fitted.solver, equations_by_part(fitted)
     sizes, stderrs = {}, {}
     for effect in effects_with_nuisances():
-        name, names = effect.name, effect.steps
         chosen = np.array(effect.nuisances)
         if solver.locked[chosen].any():
             continue
         tau = solver.scaled(fitted.state)
         tau[chosen] = SCAN.site.free_width
-        size = solve_sum(parts, tau, solver.locked)[chosen]
-        errors = jackknife_stderrs(parts, tau, solver.locked, chosen)
-        sizes[name] = dict(zip(names, map(float, size), strict=True))
-        stderrs[name] = in_materialities(name, dict(zip(names, errors, strict=True)))
+        size = solve_sum(partitions[0], tau, solver.locked)[chosen]
+        errors = larger_stderrs(partitions, tau, solver.locked, chosen)
+        sizes[effect.name] = dict(zip(effect.steps, map(float, size), strict=True))
+        stderrs[effect.name] = dict(zip(effect.steps, map(float, errors), strict=True))
     return sizes, stderrs
 
 
-def equations_by_part(fitted: Fitted) -> list[tuple[Floats, Floats]]:
-    """Return the normal equations (matrix, right) of each part of the run, in time."""
+def equations_by_part(fitted: Fitted) -> list[Parts]:
+    """Return the normal equations of each part of the run in time, and of each part of its rays by bearing."""
     solver: Solver = fitted.solver
     weight = fitted.solution.responsibilities.weight
-    out = []
-    for rows in np.array_split(np.arange(len(weight)), SCAN.site.n_parts):
-        some = np.zeros_like(weight)
-        some[rows] = weight[rows]
-        system = solver.assemble(some, fitted.state.pose_scale)
-        out.append((system.matrix, system.right))
-    return out
+    n_scans, n_rays = weight.shape
+    scan, ray = np.indices(weight.shape)
+    partitions = []
+    for part, count in ((scan, n_scans), (ray, n_rays)):
+        n_parts = min(SCAN.site.n_parts, count)
+        equations = []
+        for k in range(n_parts):
+            system = solver.assemble(
+                np.where(part * n_parts // count == k, weight, 0.0), fitted.state.pose_scale
+            )
+            equations.append((system.matrix, system.right))
+        partitions.append(equations)
+    return partitions
 
 
-def solve_sum(parts: Iterable[tuple[Floats, Floats]], tau: Floats, locked: Bools) -> Floats:
+def solve_sum(parts: Parts, tau: Floats, locked: Bools) -> Floats:
     """Solve the sum of normal equations under priors `tau` and their bounds, (k,)."""
     matrices, rights = zip(*parts, strict=True)
     bounds = SCAN.nuisance.max_tolerances * tau
     return np.concatenate(boxed(np.sum(matrices, axis=0), np.sum(rights, axis=0), tau, bounds, locked))
 
 
-def jackknife_stderrs(
-    parts: Sequence[tuple[Floats, Floats]], tau: Floats, locked: Bools, chosen: Ints
-) -> Floats:
+def larger_stderrs(partitions: Sequence[Parts], tau: Floats, locked: Bools, chosen: Ints) -> Floats:
+    """Return the larger of the standard errors of the `chosen` unknowns, by parts of the way and by parts of the rays.
+
+    A number of the whole sensor is the same everywhere and at every bearing; what one wall or one sector brings is none.
+    """
+    return np.asarray(np.max([jackknife_stderrs(parts, tau, locked, chosen) for parts in partitions], axis=0))
+
+
+def jackknife_stderrs(parts: Parts, tau: Floats, locked: Bools, chosen: Ints) -> Floats:
     """Return the jackknife's standard errors of the `chosen` unknowns, parts being left out (Efron and Stein 1981)."""
     n = len(parts)
     rest = [[p for k, p in enumerate(parts) if k != left] for left in range(n)]
