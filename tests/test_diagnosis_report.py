@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from scan_samples import ROOM_ROBOT, drive_in_room
+from shapely import box
 
 from planners.arena import Arena
 from sensorgraph.demo_effect import HiddenEffect
@@ -172,6 +173,31 @@ def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
     before, after = (side.rms(compared.sigma).mean() for side in (compared.before, compared.after))
     assert before > 0.025  # a bias of 3 cm
     assert after < 0.015  # noise of 1 cm
+
+
+def test_the_picture_shows_the_part_of_a_large_arena_that_the_run_saw(found: Finding, room: Arena) -> None:
+    from sensorgraph.diagnosis.report.comparison import compare
+
+    compared = compare(found)
+    assert compared is not None
+    x0, y0, x1, y1 = compared.limits
+    left, low, right, high = room.bounds
+    assert x0 < left and y0 < low and right < x1 and high < y1
+    far = np.array([[[left + 60.0, low + 60.0], [left + 61.0, low + 60.0]]])
+    names, surfaces = (*room.names, "far"), (*room.surfaces, "wall")
+    building = replace(
+        room,
+        free=room.free.union(box(left, low, left + 61, low + 61)),
+        walls=np.concatenate([room.walls, far]),
+        names=names,
+        surfaces=surfaces,
+    )
+    large = replace(compared, arena=building)
+    assert large.limits[2] < left + 1.5 * (right - left)
+    seen = large.measured[np.isfinite(large.measured)]
+    ends = large.ends(np.flatnonzero(np.isfinite(large.measured)), seen)
+    inside = (ends > large.limits[:2]).all(axis=1) & (ends < large.limits[2:]).all(axis=1)
+    assert inside.mean() > 0.99
 
 
 @pytest.mark.usefixtures("no_pictures")

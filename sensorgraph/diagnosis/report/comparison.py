@@ -31,6 +31,8 @@ MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
 """Times as large as they are, that residuals may be drawn."""
 MIN_RAYS = 40
 """Of a mean."""
+SMALL_PART = 0.6
+"""Of the arena's longer side; a run that saw less is drawn alone."""
 BLOCK_DURATION = 1.0
 """[s] of scans whose errors are taken to be correlated."""
 
@@ -152,16 +154,24 @@ class ComparedScans:
 
     @cached_property
     def limits(self) -> tuple[float, float, float, float]:
-        """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin, wider where rays end behind its walls."""
-        x0, y0, x1, y1 = self.arena.bounds
-        side = max(x1 - x0, y1 - y0)
-        low, high = np.array([x0, y0]) - 0.05 * side, np.array([x1, y1]) + 0.05 * side
+        """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin; where the run saw a small part of it, that part.
+
+        Wider where rays end behind its walls.
+        """
+        low, high = np.reshape(self.arena.bounds, (2, 2))
+        side = float((high - low).max())
         flat = np.flatnonzero(np.isfinite(self.measured))[::37]
-        if len(flat) > 50:
-            ends = self.ends(flat, self.measured.ravel()[flat])
-            low = np.clip(np.quantile(ends, 0.004, axis=0) - 0.03 * side, low - 0.4 * side, low)
-            high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
-        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+        if len(flat) <= 50:
+            return _box(low - 0.05 * side, high + 0.05 * side)
+        ends = np.concatenate([self.ends(flat, self.measured.ravel()[flat]), self.poses[:, :2]])
+        first, last = np.quantile(ends, 0.004, axis=0), np.quantile(ends, 0.996, axis=0)
+        if (last - first).max() < SMALL_PART * side:
+            margin = 0.1 * float((last - first).max())
+            return _box(first - margin, last + margin)
+        return _box(
+            np.clip(first - 0.03 * side, low - 0.45 * side, low - 0.05 * side),
+            np.clip(last + 0.03 * side, high + 0.05 * side, high + 0.45 * side),
+        )
 
     def enlarged_ranges(self, side: SimulatedScans) -> Floats:
         """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
@@ -291,3 +301,8 @@ def _rays_of(beams: Beams) -> Floats:
     """Return where the rays start and where they point, (n_scans, n_rays, 4); in a cone, to the nearest surface."""
     ox, oy = (np.broadcast_to(o, beams.ux.shape) for o in (beams.ox, beams.oy))
     return np.stack([ox, oy, beams.ux, beams.uy], axis=-1)
+
+
+def _box(low: Floats, high: Floats) -> tuple[float, float, float, float]:
+    """Return x0, y0, x1, y1 of two corners (2,)."""
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

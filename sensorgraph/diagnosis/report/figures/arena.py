@@ -185,7 +185,7 @@ def _ring(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str
 
 
 def _label(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str) -> None:
-    x0, y0, x1, y1 = compared.arena.bounds
+    x0, y0, x1, y1 = compared.limits
     right, upper = xy[0] > (x0 + x1) / 2, xy[1] > (y0 + y1) / 2
     axes.annotate(
         text, xy, xytext=(-16 if right else 16, -22 if upper else 22), textcoords="offset points",
