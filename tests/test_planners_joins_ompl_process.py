@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import os
 import subprocess
 import sys
 import textwrap
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from planners.errors import PlanError
-from planners.joins.ompl_process import ask_ompl
+from planners.joins.ompl_process import HEADER, ask_ompl
 
 MODULE = """
 import os, sys, signal
@@ -84,3 +87,33 @@ def test_no_process_outlives_the_one_that_asked(module: str) -> None:
     )
     assert done.stderr == ""
     assert not Path(f"/proc/{int(done.stdout)}").exists()
+
+
+def test_an_answer_that_nobody_waits_for_any_more_is_given_up(tmp_path: Path) -> None:
+    working = tmp_path / "pid"
+    server = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import os, pathlib, time\n"
+            "from planners.joins.ompl_process import serve\n"
+            "def work(base, geometric, question):\n"
+            f"    pathlib.Path({str(working)!r}).write_text(str(os.getpid()))\n"
+            "    while True: time.sleep(0.1)\n"
+            "serve(work)",
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+    )
+    question = io.BytesIO()
+    np.savez(question, seed=np.array(1))
+    assert server.stdin is not None
+    server.stdin.write(HEADER.pack(len(question.getvalue()), 0) + question.getvalue())
+    server.stdin.flush()
+    while not (working.exists() and working.read_text()):
+        assert server.poll() is None
+        time.sleep(0.05)
+    server.stdin.close()  # as when the asker is killed
+    assert server.wait(timeout=20) == 0
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(working.read_text()), 0)

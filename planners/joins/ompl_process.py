@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import io
 import os
+import select
 import signal
 import struct
 import subprocess
@@ -171,9 +172,27 @@ def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes
                 pipe.write(answer)
             os._exit(code)
     os.close(write)
-    with os.fdopen(read, "rb") as pipe:
-        answer = pipe.read()
+    answer = _answer_of(child, read)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), answer
+
+
+def _answer_of(child: int, read: int) -> bytes:
+    """Return what a fork writes to a pipe until it closes it; end both it and this process where nobody asks any more."""
+    poll, parts = select.poll(), list[bytes]()
+    poll.register(read, select.POLLIN)
+    poll.register(sys.stdin.fileno(), 0)  # its end is always told
+    while True:
+        ready = dict(poll.poll())
+        if read in ready:
+            part = os.read(read, 1 << 20)
+            if not part:
+                os.close(read)
+                return b"".join(parts)
+            parts.append(part)
+        elif ready:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            os._exit(0)
 
 
 def planner_named(name: str, geometric: Any, information: Any) -> Any:
