@@ -4,7 +4,7 @@
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.rounds --arena office 1001 1002 --ahead anytime views
 
 The first round is an anytime plan. Each later one is what `sensorgraph plan --resume RUNS --graph GRAPH --budget 10` makes: it
-starts where the last one ended, what was driven needs no visit, and it looks first where the graph of all rounds so far
+starts where the last one ended, what was driven needs no visit, and it looks first where little was seen and the graph of all rounds so far
 would not answer or be wrong. `--ahead` are ways of `benchmarks.error_by_minutes`, driven for forty minutes. With
 `--thin` n every n-th scan is built from. Said last: after how many minutes the rounds are as good; and of several places or seeds
 the means with their 95 % intervals, also of the rounds less the best drive planned ahead.
@@ -103,9 +103,12 @@ def graphs(place: Place, count: int) -> Iterator[Sensorgraph]:
     poses: list[Floats] = []
     graph, here = None, place.start
     for k in range(count):
+        survey = survey_of(place.arena, place.robot.sensor, graph)
+        if poses:
+            survey.mark(np.concatenate(poses))
         made = plan(
             place.arena, place.robot, seed=place.seed + k, rate=place.robot.sensor.rate, order="anytime",
-            survey=survey_of(place.arena, place.robot.sensor, graph), budget=60.0 * ROUND,
+            survey=survey, budget=60.0 * ROUND,
             visited=np.concatenate(poses) if poses else None, start=here,
         )  # fmt: skip
         run = replace(place, seed=place.seed + 1000 * k).scanned(made.trajectory, ROUND)

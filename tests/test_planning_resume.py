@@ -15,9 +15,12 @@ from planners.errors import PlanError
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.planning.plan import _survey
 from sensorgraph.planning.plan import plan as sg_plan
 from sensorgraph.planning.resume import driven_poses, other_place_warnings, shared_walls
 from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot import default_robot
 
 
 def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None) -> Path:
@@ -86,14 +89,34 @@ def test_an_empty_run_is_one_line_and_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
-@pytest.mark.slow
-def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -> None:
+def graph_of(room: Arena, sensor: RangeSensor) -> Sensorgraph:
+    """Return the graph of 600 scans, evenly over a room."""
     rng = np.random.default_rng(5)
     poses = rng.uniform([0.2, 0.2, -np.pi], [3.8, 2.8, np.pi], (600, 3))
     poses = poses[room.contains(poses[:, :2])]
     stamps = np.arange(len(poses)) / 10
     ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(len(poses), sensor.n_rays))
-    graph = build([Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)])
+    return build([Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)])
+
+
+@pytest.mark.slow
+def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -> None:
+    graph = graph_of(room, sensor)
     assert other_place_warnings(graph, room) == []
     (line,) = other_place_warnings(graph, outlined(shapely.box(10, 10, 14, 13)))
     assert line.startswith("0 % of the walls that the sensorgraph knows")
+
+
+@pytest.mark.slow
+def test_where_runs_have_looked_counts_less_though_the_graph_does_not_know_it(
+    room: Arena, sensor: RangeSensor
+) -> None:
+    """What a graph cannot know, however often it is seen, must not draw every run."""
+    graph, looked = graph_of(room, sensor), np.array([[1.0, 1.0, 0.0]])
+    first, again = (
+        _survey("anytime", room, default_robot(), graph, visited)
+        for visited in (None, np.repeat(looked, 50, axis=0))
+    )
+    assert first is not None
+    assert again is not None
+    assert 0 < again.gain(looked)[0] < 0.1 * first.gain(looked)[0]

@@ -191,13 +191,16 @@ def _note(
 def _survey(
     order: str, world: Arena, machine: Robot, graph: Sensorgraph | None, visited: Floats | None
 ) -> LaserSurvey | None:
-    """Return what the order anytime asks where to look: what a graph does not know, else what no pose has seen."""
+    """Return what the order anytime asks where to look: what no pose has seen, and of that what a graph does not know.
+
+    Rays that a graph cannot know, as those that graze edges, would draw every run to the same places if poses did not count.
+    """
     if order != "anytime":
         if graph is not None:
             raise PlanError("a graph says where to look first in the order anytime; or give it as priority")
         return None
     survey = survey_of(world, machine.sensor, graph)
-    if graph is None and visited is not None:
+    if visited is not None:
         survey.mark(visited)
     return survey
 
