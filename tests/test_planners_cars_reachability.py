@@ -39,6 +39,21 @@ def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int,
     assert found.min_clearance > task.vehicle.footprint_radius
 
 
+def test_a_car_with_a_reverse_gear_backs_out_of_a_corner_and_goes_through_the_door() -> None:
+    """It faces a wall, so that no drive leads on forward; what lies behind a wall is told once and for all."""
+    trapped = np.array([3.75, 1.5, 0.0])
+    task = task_of(door_arena(0.5), "reeds_shepp", trapped)
+    wanted = some(task, (3, 6, 8))
+    curve = ReachabilityPlanner(task).path_to_any(wanted, trapped)
+    assert curve is not None
+    assert not missed(curve, wanted, task.coverage, task.rate).any()
+    found = check(curve.trajectory(100.0), task.arena, task.vehicle)
+    assert found.count == 0
+    assert found.min_clearance > task.vehicle.footprint_radius
+    closed = task_of(door_arena(0.0), "reeds_shepp", START)
+    assert ReachabilityPlanner(closed).path_to_any(some(closed, (12, 6, 0)), START) is None
+
+
 def test_of_several_bins_it_goes_to_the_nearest() -> None:
     task = task_of(door_arena(0.6), "dubins", START)
     near, both = some(task, (6, 4, 2)), some(task, (6, 4, 2), (13, 4, 4))

@@ -1,4 +1,4 @@
-"""What a Dubins car can reach and return from, and its paths over the whole floor: a wavefront over its own primitives.
+"""What a Dubins car can reach and return from, and a car's paths over the whole floor: a wavefront over its own primitives.
 
 Every state of the wavefront is one that the car can be in, and each cell of a fine lattice is entered once. So a path is
 found through any gap that the lattice resolves, where planners that sample at random need luck.
@@ -40,7 +40,7 @@ def returnable_set(reach: Reach, limits: Limits, headings: int, rate: float, pos
 
 
 class ReachabilityPlanner:
-    """Finds paths of a Dubins car over the whole floor."""
+    """Finds paths of a car over the whole floor, all in one gear: a car with a reverse gear can go back the way it came."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
@@ -58,11 +58,14 @@ class ReachabilityPlanner:
 
         It ends where the car can come back from; None if the wavefront finds no such path.
 
-        explore : if no path is known to lead back, find the states from which this pose can be reached
+        explore : if no path is known to lead back, find the states from which this pose can be reached; a car with a reverse
+            gear needs none
         """
         wanted = np.asarray(wanted & ~self._unreached)
         if not wanted.any():
             return None
+        if self.task.vehicle.drive == "reeds_shepp":
+            return self._path_in_one_gear(wanted, pose)
         entered = self._enter(pose, 1)
         branches = self._path_to_first(entered, wanted)
         if not len(branches) and explore:
@@ -70,11 +73,24 @@ class ReachabilityPlanner:
             branches = self._path_to_first(entered, wanted)
         if not len(branches):
             return None
-        return curve_of_search(
-            SearchResult(start=entered.state, sequence=branches, left=wanted),
-            entered,
-            self.task.vehicle.limits,
-        )
+        return self._curve(entered, branches, wanted)
+
+    def _path_in_one_gear(self, wanted: Bools, pose: Floats) -> Curve | None:
+        """Return a drive to one of the bins `wanted`, all forward or else all backward; None if there is neither."""
+        everywhere = int(self.task.reach.mask.sum())  # places; about as many as the lattice has
+        for gear in (1, -1):
+            entered = self._enter(pose, gear)
+            found = _run_wavefront(entered, wanted, self.area, self.task.rate, to_first=True)
+            if len(found.branches):
+                return self._curve(entered, found.branches, wanted)
+            if found.reached.sum() > REACHABILITY.exhaustive_share * everywhere * found.reached.shape[2]:
+                self._unreached |= wanted
+                return None
+        return None
+
+    def _curve(self, entered: EntryArc, branches: Int32s, wanted: Bools) -> Curve:
+        result = SearchResult(start=entered.state, sequence=branches, left=wanted)
+        return curve_of_search(result, entered, self.task.vehicle.limits)
 
     def can_return(self, poses: Floats, here: Floats) -> Bools:
         """Tell from which poses (n, 3) a car that is at `here` (3,) can return, by an arc to a heading of the lattice."""

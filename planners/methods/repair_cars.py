@@ -3,7 +3,7 @@
 One query holds poses in all missing bins as its goals (`ob.GoalStates`); the shortest curve is tried first. If many bins
 are missing where a path ends, the search takes over again from there. So a car gets across floors on which the search
 gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot meet. If OMPL finds no
-path, a car without a reverse gear tries a wavefront over the whole floor. A bin is given up when both failed.
+path, a wavefront over the whole floor is tried. A bin is given up when both failed.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ class CarRepair:
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._no_ompl_path: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries for which OMPL found no path."""
-        self._planner = ReachabilityPlanner(task) if len(GEARS[vehicle.drive]) == 1 else None
-        """Only for a car without a reverse gear; one with it can return from anywhere."""
+        self._planner = ReachabilityPlanner(task)
         self.heading_offset = car_primitives(
             vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]
         ).first_heading
@@ -100,8 +99,6 @@ class CarRepair:
 
         If its lattice holds no path from the end of the drive, one may lead on from somewhat earlier.
         """
-        if self._planner is None:
-            return False
         missing = self.missing()
         for back, explore in (
             (0.0, False),
@@ -173,7 +170,7 @@ class CarRepair:
     def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
         """Drive to one of the missing bins by OMPL, else by a wavefront; mark as lost the bins for which both failed."""
         bins, goals = goals_in(missing & ~self._no_ompl_path, self.drive.here, self.heading_offset, self.task)
-        if self._planner is not None and len(bins):  # else the car may be trapped in a corner
+        if len(GEARS[self.task.vehicle.drive]) == 1 and len(bins):  # else the car may be trapped in a corner
             can_return = self._planner.can_return(goals, self.drive.here)
             bins, goals = bins[can_return], goals[can_return]
         way = self._connect(self.drive.here, goals, round_) if len(bins) else None
