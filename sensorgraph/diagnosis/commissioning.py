@@ -56,16 +56,17 @@ def commission_all(
     if len(runs) == 1:
         return commission(runs[0], arena, robot, seed=seed, progress=progress)
     work = WorkCounter(progress, 2 * len(runs))
-    shown = []
+    several, shown = [], []
     for run in runs:
-        shown.append(range_effects(prepared(run, arena, robot)))
+        several.append(prepared(run, arena, robot))
+        shown.append(range_effects(several[-1]))
         work.add(1)
     known = mean_of(shown)
-    several = []
-    for run in runs:
-        several.append(commission(run, arena, robot, seed=seed, known=known, progress=work.part(1)))
+    baselines = []
+    for data in several:
+        baselines.append(learnt(data, robot, seed=seed, known=known, progress=work.part(1)))
         work.add(1)
-    return merged(several)
+    return merged(baselines)
 
 
 def commission(
@@ -90,8 +91,19 @@ def commission(
     SensorgraphError
         The run is too short, has no returns or no poses, or another sensor than the robot.
     """
+    return learnt(prepared(run, arena, robot), robot, seed=seed, known=known, progress=progress)
+
+
+def learnt(
+    data: ScanData,
+    robot: Robot,
+    *,
+    seed: int,
+    known: Sequence[Amendment] | None,
+    progress: Progress | None,
+) -> SiteBaseline:
+    """Learn the baseline from `prepared` scans."""
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
-    data = prepared(run, arena, robot)
     cuts = SCAN.site.windows[:2] if known is None else SCAN.site.windows[:1]
     n_windows = sum(
         len(data.windows(n)) for n in (*cuts, *SCAN.site.windows)
