@@ -19,7 +19,7 @@ from planners.maps.no_go import without, zones
 from planners.trajectory import read_csv
 from planners.vehicle import Vehicle
 from sensorgraph.cli import run as cli
-from sensorgraph.cli.plan import _place
+from sensorgraph.cli.plan import _above, _place
 
 COARSE = ("--cell", "0.5", "--headings", "8")
 KEYS = {
@@ -94,6 +94,23 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
     else:
         assert code == 2
         assert "nothing is left to plan" in said.err
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [({}, ", at most 20 % above the optimum of whole moves"), ({"interrupted": True}, ""), ({"budget_s": 9.0}, ""),
+     ({"robot": {"drive": "dubins"}}, ""), ({"planner": "views"}, "")],
+)  # fmt: skip
+def test_only_a_plan_that_covers_all_by_turning_is_compared_with_the_bound(
+    other: dict[str, object], said: str
+) -> None:
+    report = {
+        "lower_bound_s": 100.0,
+        "drive_time_s": 120.0,
+        "planner": "coverage",
+        "robot": {"drive": "diff"},
+    }
+    assert _above(report | other) == said
 
 
 def test_without_an_arena_the_graph_says_where_walls_are_else_one_line_asks_for_it(
