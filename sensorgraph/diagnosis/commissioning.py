@@ -238,11 +238,15 @@ def site_effects(data: ScanData) -> tuple[Amendment, ...]:
 
 
 def range_effects(data: ScanData) -> tuple[Amendment, ...]:
-    """Fit all effects that a site may always show, together."""
+    """Fit the bias and the scale that a site may always show, together.
+
+    Not the noise: a mean over runs would hide what a calm run can tell.
+    """
     noise = SCAN.site.wide_noise
     current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
     for start in site_starts():
-        current = with_site_effect(data, current, start)
+        if start.effect.nuisances:
+            current = with_site_effect(data, current, start)
     return current.model
 
 
