@@ -297,6 +297,19 @@ def test_a_sonar_reads_the_perpendicular_while_its_cone_holds_it(sensor: RangeSe
     )  # 1 / cos(0.75 degrees)
 
 
+def test_a_cone_of_many_fine_rays_is_the_same_whether_the_laser_sweeps_or_not() -> None:
+    fine = replace(SENSOR, bearings=np.linspace(-1.2, 1.2, 401))
+    still, sweeping = (
+        scene(sensor).run([effect("sonar_cone", gamma=0.4, alpha_max=0.5)]).reading
+        for sensor in (fine, replace(fine, sweep_time=1e-9))
+    )
+    both = np.isfinite(sweeping) & np.isfinite(still)
+    assert (np.isfinite(sweeping) == np.isfinite(still)).mean() > 0.99
+    assert (
+        np.abs(sweeping - still)[both] < 1e-3
+    ).mean() > 0.99  # but at edges: the cone is filled in other steps
+
+
 def test_a_sonar_loses_walls_that_it_meets_slanting() -> None:
     gamma, alpha_max = 0.2, 0.3
     there = scene()

@@ -45,7 +45,8 @@ def transform(scene: Scene, a: Amendment) -> None:
     ranges = np.stack([_seen(part, alpha) for part in parts])
     best = ranges.argmin(axis=0)
     for name in ("ux", "uy", "ranges", "wall", "nx", "ny"):
-        setattr(beams, name, np.choose(best, [getattr(part, name) for part in parts]))
+        of_parts = np.stack([getattr(part, name) for part in parts])
+        setattr(beams, name, np.take_along_axis(of_parts, best[None], axis=0)[0])
     beams.forget()
     nearest = ranges.min(axis=0)
     lost = ~np.isfinite(nearest)
