@@ -303,11 +303,7 @@ def test_a_cone_of_many_fine_rays_is_the_same_whether_the_laser_sweeps_or_not() 
         scene(sensor).run([effect("sonar_cone", gamma=0.4, alpha_max=0.5)]).reading
         for sensor in (fine, replace(fine, sweep_time=1e-9))
     )
-    both = np.isfinite(sweeping) & np.isfinite(still)
-    assert (np.isfinite(sweeping) == np.isfinite(still)).mean() > 0.99
-    assert (
-        np.abs(sweeping - still)[both] < 1e-3
-    ).mean() > 0.99  # but at edges: the cone is filled in other steps
+    np.testing.assert_allclose(sweeping, still, atol=1e-4)  # [m] the cone is filled in slightly other steps
 
 
 def test_a_sonar_loses_walls_that_it_meets_slanting() -> None:
