@@ -132,7 +132,7 @@ def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
     """Return by how much evidence must choose [nats]: at a site known by good runs, by more than its clutter brings."""
     usual = data.baseline_intervals.get(rival.name)
     is_special = n_parameters(rival) > n_parameters(a)  # a warm-up that is over at once is a bias
-    if a.name not in data.clutter_leads or usual is None or usual.contains(rival) or is_special:
+    if a.name not in data.clutter_leads or usual is None or usual.contains(rival, usual.stderr) or is_special:
         return SCAN.naming.rival_margin
     return max(SCAN.naming.rival_margin, data.clutter_leads[a.name], data.clutter_leads.get(rival.name, 0.0))
 
