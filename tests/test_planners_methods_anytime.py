@@ -75,6 +75,15 @@ def test_both_rooms_are_seen_before_one_is_finished(whole: Plan) -> None:
     assert until_both(whole) < 45.0 < until_both(planned("fast"))
 
 
+@pytest.mark.parametrize("width", [0.47, 0.5])
+def test_a_door_so_narrow_that_no_straight_way_between_cells_leads_through_is_no_wall(width: float) -> None:
+    made = plan(
+        door_arena(width), Vehicle(), order="anytime", survey=DiscSurvey(), seed=1, budget=120.0, **GRID
+    )  # type: ignore[arg-type]
+    x = made.curve.log(10.0)[:, 0]
+    assert x.min() < 1.5 < 2.5 < x.max()
+
+
 def test_without_a_survey_coarse_coverage_comes_first() -> None:
     made = plan(door_arena(9.0), Vehicle(), order="anytime", cell=0.25, headings=4)
     assert made.report["coverage"] == 1.0

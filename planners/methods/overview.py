@@ -18,6 +18,7 @@ from planners.curve import CurveBuilder
 from planners.joins.paths import connect
 from planners.methods.settings import OVERVIEW
 from planners.methods.stop_and_spin import standing_places
+from planners.reach import Reach
 from planners.rooms import shortest_sequence
 from planners.settings import LOG
 from planners.task import JoinCounts, PlannedDrive, Survey, Task
@@ -104,10 +105,11 @@ class _Stops:
         self.poses, self.looks, places = poses, looks, poses[:, :2]
         cells = standing_places(reach, task.barriers, reach.cells()[:, :, None])
         self.places, n = cells.places, len(cells.places)
-        lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
-        self.graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(cells.pairs.T)), shape=(n, n))
         number = np.full(reach.shape, -1)
         number[tuple(cells.index.T)] = np.arange(n)
+        pairs = np.concatenate([cells.pairs, _narrow_ways(reach, number, cells.pairs)])
+        lengths = np.hypot(*(cells.places[pairs[:, 1]] - cells.places[pairs[:, 0]]).T)
+        self.graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(pairs.T)), shape=(n, n))
         at = np.floor((places - reach.origin) / reach.cell).astype(np.int64)
         self.near = number[tuple(at.T)]  # (n,) place of the cell that each pose lies in
         lone = self.near < 0
@@ -135,6 +137,27 @@ class _Stops:
         places = self.places[route[::-1]]
         step = np.diff(places, axis=0)
         return np.column_stack([places[1:], np.arctan2(step[:, 1], step[:, 0])])
+
+
+def _narrow_ways(reach: Reach, number: Ints, pairs: Ints) -> Ints:
+    """Return pairs (k, 2) of cells, between which no straight way is clear, that join parts of the floor by its finer grid.
+
+    Parameters
+    ----------
+    number : (nx, ny) of each cell; -1: not to stand in
+    pairs : (m, 2) of cells with a straight way between them
+    """
+    n = int(number.max()) + 1
+    ways = sparse.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
+    part = csgraph.connected_components(ways, directed=False)[1]
+    fine = np.where(
+        reach.mask, np.kron(number, np.ones((reach.per_cell, reach.per_cell), dtype=np.int64)), -1
+    )
+    found = []
+    for one, other in ((fine[:-1], fine[1:]), (fine[:, :-1], fine[:, 1:])):
+        apart = (one >= 0) & (other >= 0) & (part[one] != part[other])
+        found.append(np.column_stack([one[apart], other[apart]]))
+    return np.unique(np.concatenate(found), axis=0)
 
 
 @dataclass(frozen=True, eq=False)
