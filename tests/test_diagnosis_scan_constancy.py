@@ -77,12 +77,17 @@ def test_errors_that_neighbouring_scans_share_are_no_change(quiet: ScanData) -> 
         assert changes(fitted(replace(quiet, ranges=quiet.ranges + walk[:, None], memo={}))) == []
 
 
-@pytest.mark.parametrize(("half_width", "is_told"), [(0.03, False), (0.005, True)])
+@pytest.mark.parametrize(("spread", "is_told"), [(0.008, False), (0.0012, True)])
 def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
-    hall: Arena, quiet: ScanData, half_width: float, is_told: bool
+    hall: Arena, quiet: ScanData, spread: float, is_told: bool
 ) -> None:
     """Where poses come from the scans, the mount seems to move by centimetres from one good window to the next."""
     broken = halves(quiet, data_of(hall, (EFFECTS["mount_xy"](dx=0.02, dy=0.0),)), 0.5)
-    usual = BaselineInterval(mean={"dx": 0.01, "dy": 0.0}, half_width={"dx": half_width, "dy": half_width})
+    usual = BaselineInterval(
+        mean={"dx": 0.01, "dy": 0.0},
+        spread={"dx": spread, "dy": spread},
+        stderr={"dx": 0.0, "dy": 0.0},
+        dof=12.0,
+    )
     site = replace(broken, baseline_intervals={"mount_xy": usual}, memo={})
     assert bool(changes(fitted(site))) == is_told
