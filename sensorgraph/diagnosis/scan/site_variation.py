@@ -26,8 +26,10 @@ def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
     baseline = fitted.solver.data.baseline_intervals.get(amendment.name)
     if baseline is None:
         return False
-    if baseline.contains(amendment) or not amendment.effect.nuisances or amendment.name not in fitted.names():
-        return baseline.contains(amendment)
+    if baseline.contains(amendment):
+        return True
+    if not amendment.effect.nuisances or amendment.name not in fitted.names():
+        return False
     return baseline.contains(amendment, cached_jackknife(fitted, amendment))
 
 
