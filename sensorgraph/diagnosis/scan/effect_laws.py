@@ -10,20 +10,13 @@ import numpy as np
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import log_p_at
+from sensorgraph.diagnosis.scan.people_law import STRAY_CAUSES, clustered, why_not_people
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
-from sensorgraph.world.ray_order import neighbouring_rays
-
-STRAY_CAUSES: tuple[str, ...] = (
-    "a second laser, or the robot's own light reflected",
-    "dust, fog, rain or a dirty window",
-    "parts of the robot, cables, or things on it within view",
-)
-STANDING_CAUSES: tuple[str, ...] = ("furniture, doors or walls that the map lacks",)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,15 +39,17 @@ class Doubt:
     """What it may be, the likeliest first."""
 
 
-def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
+def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -> list[Doubt]:
     """List absorbing effects whose readings do not follow their law, and tell-tale combinations of effects.
 
     Parameters
     ----------
     gains : [nats] that each effect of the model brings
+    gained : [nats] that all bring together; two that absorb the same readings bring little each
     """
     settings = SCAN.goodness_of_fit
     out = []
+    absorbed = gained - sum(gains[i] for i, a in enumerate(view.fitted.model) if not a.effect.absorber)
     responsibilities = view.fitted.solution.responsibilities
     off_edge = view.fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
     odd = view.returned & (responsibilities.core + responsibilities.tail < 0.5) & off_edge
@@ -64,15 +59,12 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
     for index, a in enumerate(model):
         words, odd_share, causes = "", 0.0, STRAY_CAUSES
         if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
-            words, odd_share = _not_people(view, short), float(short.mean())
-            if not words and (words := _standing(view, short)):
-                causes = STANDING_CAUSES
+            (words, causes), odd_share = why_not_people(view, short), float(short.mean())
         elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
             words, odd_share = _not_random(view, odd), float(odd.mean())
         if words:
-            worth = (
-                settings.failed_law_share * gains[index]
-            )  # a fringe of a strong effect's own rays is no doubt
+            # a fringe of a strong effect's own rays is no doubt
+            worth = settings.failed_law_share * max(gains[index], absorbed)
             out.append(
                 Doubt(
                     statement=words,
@@ -136,52 +128,6 @@ def absences(view: FitResiduals) -> list[Doubt]:
     return out
 
 
-def _not_people(view: FitResiduals, short: Bools) -> str:
-    """Return why short readings are no people, or nothing."""
-    settings = SCAN.goodness_of_fit
-    share = float(short.mean())
-    if clustered(view, short) < settings.min_clustered_share:
-        return f"{100 * share:.1f} % of the readings are short, one by one: too scattered for people"
-    z = view.z[short]
-    width = settings.range_bin
-    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + width, width))
-    if counts.max() > settings.max_bin_share * len(z):
-        return f"{100 * share:.1f} % of the readings are short, most of them at {width * (counts.argmax() + 0.5):.2f} m"
-    return ""
-
-
-def _standing(view: FitResiduals, short: Bools) -> str:
-    """Return that what makes readings short stands still, or nothing."""
-    still = _standing_share(view, short)
-    if still <= SCAN.goodness_of_fit.max_standing_share:
-        return ""
-    return (
-        f"{100 * short.mean():.1f} % of the readings are short, and {100 * still:.0f} % of the rays that come to where they "
-        f"end {SCAN.goodness_of_fit.standing_time:g} s before or later end there, too: what stands there does not walk"
-    )
-
-
-def _standing_share(view: FitResiduals, short: Bools) -> float:
-    """Return how many of the rays that come to the end of a short reading at other times end there, too.
-
-    It is near 1 for what stands, also where it is seen from all sides, and near 0 for what walked through.
-    """
-    settings = SCAN.goodness_of_fit
-    beams, z, stamps = view.beams, view.z, view.data.stamps
-    ends, at = view.ends(short), stamps[np.nonzero(short)[0]]
-    step = -(-len(ends) // settings.standing_places)
-    ended = reached = 0
-    for (x, y), when in zip(ends[::step], at[::step], strict=True):
-        dx, dy = x - beams.ox, y - beams.oy
-        along, across = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
-        other = np.abs(stamps - when) > settings.standing_time
-        comes = other[:, None] & (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
-        ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
-        ended += int(ends_there.sum())
-        reached += int((ends_there | comes & (z > along)).sum())
-    return ended / reached if reached > settings.min_standing_rays else 0.0
-
-
 def _not_random(view: FitResiduals, odd: Bools) -> str:
     """Return why stray readings are not uniform, or nothing."""
     settings = SCAN.goodness_of_fit
@@ -196,17 +142,3 @@ def _not_random(view: FitResiduals, odd: Bools) -> str:
     if clustered(view, odd) > constant + times * share:
         return f"{100 * share:.1f} % of the readings are strays that come in clusters"
     return ""
-
-
-def clustered(view: FitResiduals, some: Bools) -> float:
-    """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
-    if not some.any():
-        return 0.0
-    z = np.where(some, view.z, np.nan)
-    right, left = neighbouring_rays(view.sensor)
-    with np.errstate(invalid="ignore"):
-        near = np.abs(z[:, left] - z[:, right]) < SCAN.goodness_of_fit.neighbour_distance
-    has = np.zeros(some.shape, dtype=np.bool_)
-    has[:, left] |= near
-    has[:, right] |= near
-    return float(has[some].mean())

@@ -97,7 +97,7 @@ def check(
     parts = partitions(view)
     found = deviations(view, parts)
     doubts = [
-        *broken_laws(view, gains),
+        *broken_laws(view, gains, gained),
         *_stretched(view, nominal),
         *absences(view),
         *_dispersed(view, found),

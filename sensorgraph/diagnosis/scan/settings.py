@@ -368,6 +368,20 @@ class GoodnessOfFitSettings:
     """[m] of a histogram of short readings."""
     max_bin_share: float = 0.4
     """Share of short readings in one bin, above which they are no people."""
+    max_repeated_share: float = 0.5
+    """Share of short readings that repeat the scan before, above which they are no people."""
+    max_person_width: float = 1.0
+    """[m]"""
+    max_wide_share: float = 0.3
+    """Share of short readings of wider things, above which they are no people."""
+    walking_speed: float = 2.0
+    """[m/s]"""
+    walking_slack: float = 0.15
+    """[m] by which the middle of what is seen of a person moves besides."""
+    min_followed: int = 30
+    """Things that the next scan must look at."""
+    min_found_share: float = 0.7
+    """Of these that it must show, if they are people."""
     standing_time: float = 3.0
     """[s] before and after a short reading that are left out: a person walks some 3 m meanwhile."""
     standing_reach: float = 0.1

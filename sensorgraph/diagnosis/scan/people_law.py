@@ -1,0 +1,188 @@
+"""Whether short readings are of people: somebody is as wide as a body, walks, and is not drawn along by the robot.
+
+A second laser's ghosts, rays that stick, dust, and a floor that rises to the laser shorten readings, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.ray_order import neighbouring_rays
+
+STRAY_CAUSES: tuple[str, ...] = (
+    "a second laser, or the robot's own light reflected",
+    "dust, fog, rain or a dirty window",
+    "parts of the robot, cables, or things on it within view",
+)
+STANDING_CAUSES: tuple[str, ...] = ("furniture, doors or walls that the map lacks",)
+REPEATED_CAUSES: tuple[str, ...] = (
+    "a driver or a filter that passes old readings on",
+    "rays of the laser that stick",
+)
+WIDE_CAUSES: tuple[str, ...] = (
+    "a ramp, a kerb or a tilt of the robot, so that the laser sees the floor",
+    "furniture, vehicles or walls that the map lacks",
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clusters:
+    """Short readings of one scan that lie beside each other, as things."""
+
+    scan: Ints
+    """(n,)"""
+    n_rays: Ints
+    """(n,)"""
+    xy: Floats
+    """(n, 2) [m, map] middle of the ends of their rays."""
+    width: Floats
+    """(n,) [m] from the end of the first ray to that of the last."""
+
+
+def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ...]]:
+    """Return why short readings (n_scans, n_rays) are no people, and what they may be; empty: they may be people."""
+    settings = SCAN.goodness_of_fit
+    short_ones = f"{100 * short.mean():.1f} % of the readings are short"
+    if clustered(view, short) < settings.min_clustered_share:
+        return f"{short_ones}, one by one: too scattered for people", STRAY_CAUSES
+    z = view.z[short]
+    width = settings.range_bin
+    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + width, width))
+    if counts.max() > settings.max_bin_share * len(z):
+        return f"{short_ones}, most of them at {width * (counts.argmax() + 0.5):.2f} m", STRAY_CAUSES
+    repeated = repeated_share(view, short)
+    if repeated > settings.max_repeated_share:
+        return f"{short_ones}, and {100 * repeated:.0f} % of these repeat the scan before", REPEATED_CAUSES
+    if view.sensor.n_rays > 1 and not view.sensor.is_composite:
+        things = clusters_of(view, short)
+        wide = things.width > settings.max_person_width
+        share = float(things.n_rays[wide].sum() / max(things.n_rays.sum(), 1))
+        if share > settings.max_wide_share:
+            return f"{short_ones}, {100 * share:.0f} % of these of things too wide for a person", WIDE_CAUSES
+        found, followed = _found_again(view, things)
+        if followed >= settings.min_followed and found < settings.min_found_share * followed:
+            return (
+                f"{short_ones}, but of what they show only {100 * found / followed:.0f} % is there in the next scan, within "
+                "what somebody walks meanwhile",
+                STRAY_CAUSES,
+            )
+    still = _standing_share(view, short)
+    if still > settings.max_standing_share:
+        return (
+            f"{short_ones}, and {100 * still:.0f} % of the rays that come to where they end {settings.standing_time:g} s "
+            "before or later end there, too: what stands there does not walk",
+            STANDING_CAUSES,
+        )
+    return "", ()
+
+
+def repeated_share(view: FitResiduals, some: Bools) -> float:
+    """Return the share of readings that their rays have read in the scan before, beyond what coarse steps make equal."""
+    later = some[1:]
+    if not later.any():
+        return 0.0
+    step = view.data.sensor.resolution
+    with np.errstate(invalid="ignore"):
+        same = later & (np.abs(view.z[1:] - view.z[:-1]) < 0.5 * max(step, 1e-9))
+    # two draws of the noise fall on one step by chance
+    by_chance = min(1.0, step / (2 * np.sqrt(np.pi) * view.data.sensor.sigma))
+    share = float(same.sum() / later.sum())
+    return max(0.0, (share - by_chance) / (1 - by_chance)) if by_chance < 1 else 0.0
+
+
+def clusters_of(view: FitResiduals, short: Bools) -> Clusters:
+    """Group short readings of neighbouring rays at similar ranges; one ray may be missing between."""
+    scan, ray = np.nonzero(short)
+    if not len(scan):
+        none = np.zeros(0, dtype=np.intp)
+        return Clusters(scan=none, n_rays=none, xy=np.zeros((0, 2)), width=np.zeros(0))
+    apart = (np.diff(scan) > 0) | (np.diff(ray) > 2)
+    apart |= np.abs(np.diff(view.z[scan, ray])) >= SCAN.goodness_of_fit.neighbour_distance
+    label = np.concatenate([[0], np.cumsum(apart)])
+    first = np.flatnonzero(np.concatenate([[True], apart]))
+    last = np.append(first[1:] - 1, len(scan) - 1)
+    ends, count = view.ends(short), np.bincount(label)
+    return Clusters(
+        scan=scan[first],
+        n_rays=count,
+        xy=np.stack([np.bincount(label, column) for column in ends.T], axis=1) / count[:, None],
+        width=np.hypot(*(ends[last] - ends[first]).T),
+    )
+
+
+def _found_again(view: FitResiduals, things: Clusters) -> tuple[int, int]:
+    """Count the things of two rays and more that the next scan shows near their place, of those that it looks at.
+
+    It looks at a place where a ray comes within half its step and the map lets it pass beyond.
+    """
+    settings, beams, stamps = SCAN.goodness_of_fit, view.beams, view.data.stamps
+    step = float(np.median(np.diff(stamps)))
+    found = followed = 0
+    spacing = _spacing(view)
+    starts = np.searchsorted(things.scan, np.arange(len(stamps) + 1))
+    for k in np.unique(things.scan[things.n_rays >= 2]):
+        if k + 1 >= len(stamps) or stamps[k + 1] - stamps[k] > 2 * step:
+            continue
+        mine = slice(starts[k], starts[k + 1])
+        at = things.xy[mine][things.n_rays[mine] >= 2]
+        ox, oy = (np.broadcast_to(o, beams.ux.shape)[k + 1, 0] for o in (beams.ox, beams.oy))
+        away = at - (ox, oy)
+        along = away @ np.stack([beams.ux[k + 1], beams.uy[k + 1]])  # (n, n_rays)
+        across = np.abs(away @ np.stack([beams.uy[k + 1], -beams.ux[k + 1]]))
+        across = np.where(along > 0, across, np.inf)
+        ray = across.argmin(axis=1)
+        distance = along[np.arange(len(at)), ray]
+        seen = across.min(axis=1) <= 0.5 * spacing * distance + 1e-9
+        seen &= view.mu[k + 1, ray] > distance + settings.neighbour_distance
+        there = things.xy[starts[k + 1] : starts[k + 2]]
+        reach = settings.walking_speed * (stamps[k + 1] - stamps[k]) + settings.walking_slack
+        for place in at[seen]:
+            followed += 1
+            found += bool(len(there)) and bool(np.hypot(*(there - place).T).min() < reach)
+    return found, followed
+
+
+def _spacing(view: FitResiduals) -> float:
+    """Return the angle between neighbouring rays [rad]."""
+    right, left = neighbouring_rays(view.sensor)
+    return float(np.median((view.sensor.bearings[left] - view.sensor.bearings[right]) % (2 * np.pi)))
+
+
+def _standing_share(view: FitResiduals, short: Bools) -> float:
+    """Return how many of the rays that come to the end of a short reading at other times end there, too.
+
+    It is near 1 for what stands, also where it is seen from all sides, and near 0 for what walked through.
+    """
+    settings = SCAN.goodness_of_fit
+    beams, z, stamps = view.beams, view.z, view.data.stamps
+    ends, at = view.ends(short), stamps[np.nonzero(short)[0]]
+    step = -(-len(ends) // settings.standing_places)
+    ended = reached = 0
+    for (x, y), when in zip(ends[::step], at[::step], strict=True):
+        dx, dy = x - beams.ox, y - beams.oy
+        along, across = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+        other = np.abs(stamps - when) > settings.standing_time
+        comes = other[:, None] & (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
+        ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
+        ended += int(ends_there.sum())
+        reached += int((ends_there | comes & (z > along)).sum())
+    return ended / reached if reached > settings.min_standing_rays else 0.0
+
+
+def clustered(view: FitResiduals, some: Bools) -> float:
+    """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
+    if not some.any():
+        return 0.0
+    z = np.where(some, view.z, np.nan)
+    right, left = neighbouring_rays(view.sensor)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(z[:, left] - z[:, right]) < SCAN.goodness_of_fit.neighbour_distance
+    has = np.zeros(some.shape, dtype=np.bool_)
+    has[:, left] |= near
+    has[:, right] |= near
+    return float(has[some].mean())

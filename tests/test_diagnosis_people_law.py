@@ -1,0 +1,112 @@
+"""Somebody is as wide as a body, walks, and stays in the room when the robot turns; ghosts, stuck rays and floors do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_diagnosis_commissioning import ARENA, ROBOT, SENSOR, ranges_in
+
+from logs.run import Run
+from planners.types import Floats
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.people_law import clusters_of, repeated_share, why_not_people
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Bools
+
+T = np.arange(300) * 0.1
+POSES = np.stack([2.2 + np.sin(0.2 * T), 2.4 + 0.8 * np.cos(0.17 * T), 0.013 + 2.5 * np.sin(0.4 * T)], axis=1)
+ANGLE = POSES[:, 2:] + SENSOR.bearings
+
+
+def disc(x: Floats, y: Floats, r: float) -> Floats:
+    """Return the range (n_scans, n_rays) [m] to a disc that is at (x, y) (n_scans,) [m]; inf where a ray misses it."""
+    dx, dy = (x - POSES[:, 0])[:, None], (y - POSES[:, 1])[:, None]
+    ahead, aside = dx * np.cos(ANGLE) + dy * np.sin(ANGLE), dx * np.sin(ANGLE) - dy * np.cos(ANGLE)
+    with np.errstate(invalid="ignore"):
+        face = ahead - np.sqrt(r**2 - aside**2)
+    return np.where((np.abs(aside) < r) & (face > 0.2), face, np.inf)
+
+
+def walker() -> Floats:
+    """Somebody who walks up and down the room, 0.8 m/s."""
+    way = 2.0 * np.abs((0.4 * T) % 2 - 1)
+    return disc(1.0 + way, np.full(len(T), 3.2), 0.2)
+
+
+def stuck(z: Floats) -> Floats:
+    """Six rays repeat for five seconds what they read when somebody stood before them."""
+    out = np.full(z.shape, np.inf)
+    for first, ray, r in ((20, 10, 0.42), (90, 30, 0.55), (160, 44, 0.68), (230, 20, 0.81)):
+        out[first : first + 50, ray : ray + 6] = r
+    return out
+
+
+def ghosts(rng: np.random.Generator) -> Floats:
+    """Three rays side by side read what a second laser sends, anywhere and for one scan."""
+    out = np.full(ANGLE.shape, np.inf)
+    for k in range(len(T)):
+        ray = rng.integers(0, SENSOR.n_rays - 3)
+        out[k, ray : ray + 3] = rng.uniform(0.4, 2.0)
+    return out
+
+
+def floor() -> Floats:
+    """Half of the rays meet the floor ahead, while the robot is on a ramp."""
+    on_ramp = (np.arange(len(T)) % 100 < 25)[:, None]
+    ahead = np.abs(SENSOR.bearings) < 0.8
+    return np.where(on_ramp & ahead, 1.1 / np.cos(SENSOR.bearings), np.inf)
+
+
+def short_readings(before: Floats) -> tuple[FitResiduals, Bools]:
+    """Let something stand before the walls, and return what a fit of the room takes for short."""
+    rng = np.random.default_rng(4)
+    z = ranges_in(ARENA, POSES[:, :2], ANGLE)
+    z = np.minimum(z, before) + rng.normal(size=z.shape) * 0.01 * np.isfinite(z)
+    repeats = np.isfinite(before) & (before == np.roll(before, 1, axis=0))
+    z = np.round(np.where(repeats & (before < 0.9), before, z), 3)
+    run = Run(sensor=SENSOR, stamps=T, ranges=z, pose_stamps=T, poses=POSES, pose_frame="laser")
+    data, _ = prepare_scans(run, ARENA, ROBOT)
+    view = FitResiduals(data, fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=3))
+    return view, view.short & (np.abs(view.z - before[np.isin(T, data.stamps)]) < 0.1)
+
+
+def test_somebody_who_walks_up_and_down_may_be_people() -> None:
+    view, short = short_readings(walker())
+    assert short.sum() > 300
+    assert why_not_people(view, short) == ("", ())
+
+
+@pytest.mark.parametrize(
+    ("before", "words"),
+    [
+        (stuck(ANGLE), "repeat the scan before"),
+        (ghosts(np.random.default_rng(1)), "is there in the next scan"),
+        (floor(), "too wide for a person"),
+    ],
+    ids=["rays that stick", "ghosts", "floor"],
+)
+def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: str) -> None:
+    reason, causes = why_not_people(*short_readings(before))
+    assert words in reason
+    assert causes
+
+
+def test_coarse_steps_repeat_by_chance_and_are_not_counted() -> None:
+    view, short = short_readings(walker())
+    coarse = replace(view.data, sensor=replace(view.data.sensor, resolution=0.05))
+    rng = np.random.default_rng(0)
+    view.data, view.z = coarse, np.round((1.0 + rng.normal(size=view.z.shape) * 0.01) / 0.05) * 0.05
+    assert repeated_share(view, np.ones_like(short)) == 0.0
+
+
+def test_a_cluster_is_as_wide_as_what_it_shows() -> None:
+    view, short = short_readings(walker())
+    things = clusters_of(view, short)
+    assert things.n_rays.sum() == short.sum()
+    assert things.width.max() < 0.45  # a disc of 0.4 m
+    near = np.abs(things.xy[things.n_rays > 3, 1] - 3.2)
+    assert near.max() < 0.25  # the middle of its visible side
