@@ -23,11 +23,11 @@ from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
-from sensorgraph.effects import EFFECTS
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import default_robot
 
 ARENA = polygon_arena(
@@ -261,22 +261,40 @@ def test_an_effect_that_no_good_run_tried_pays_the_least_that_clutter_brings_oth
     assert floors(baseline({}, {"range_noise": 5.0})).keys() == {"range_noise"}  # less than a name takes
 
 
-def test_clutter_at_walls_is_no_price_of_what_stands_free() -> None:
+def pillar_run(*, leans: bool = False, near: bool = False) -> tuple[Run, Amendment]:
+    """Stand a pillar in the room, at a wall, or beside something else as large."""
     run = site_run(2)
+    x, y, r = (0.2, 2.5, 0.12) if leans else (2.2, 4.2, 0.12)
+    angle = run.poses[:, 2:] + SENSOR.bearings
+    ranges = run.ranges
+    for at in (x, x + 0.3)[: 1 + near]:
+        dx, dy = at - run.poses[:, :1], y - run.poses[:, 1:2]
+        ahead, aside = dx * np.cos(angle) + dy * np.sin(angle), dx * np.sin(angle) - dy * np.cos(angle)
+        with np.errstate(invalid="ignore"):
+            face = ahead - np.sqrt(r**2 - aside**2)
+        ranges = np.where((np.abs(aside) < r) & (face > 0.1) & (ranges > face), face, ranges)
+    return replace(run, ranges=ranges), EFFECTS["unmapped_obstacle"](x=x, y=y, r=r)
+
+
+@pytest.mark.parametrize(
+    ("case", "floor"),
+    [({}, 0.0), ({"leans": True}, 900.0), ({"near": True}, 900.0)],
+    ids=["alone", "leans", "near"],
+)
+def test_clutter_is_no_price_of_what_surely_stands_alone_in_the_room(
+    case: dict[str, bool], floor: float
+) -> None:
+    run, disc = pillar_run(**case)
     data = replace(prepare_scans(run, ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
-    disc = EFFECTS["unmapped_obstacle"]
-    wall = ARENA.walls[0].mean(axis=0)
-    free = np.median(run.poses[:, :2], axis=0)
-    at_wall, in_the_room = (disc(x=x, y=y, r=0.1) for x, y in (wall, free))
-    assert clutter_kind(at_wall, data) == "unmapped_obstacle"
-    assert price(at_wall, data) - price(in_the_room, data) == pytest.approx(900.0)
+    assert clutter_floor(disc, data) == floor
+    assert price(disc, data) == price(disc, replace(data, clutter_nats={})) + floor
 
 
-def test_few_good_runs_do_not_tell_what_stands_free_from_what_leans_at_walls() -> None:
-    shown = {"unmapped_obstacle": 300.0}
-    apart, one = floors(baseline(*[shown] * 4, {"range_noise": 20.0})), floors(baseline(shown))
-    assert one["unmapped_obstacle, standing free"] == one["unmapped_obstacle"] > 300.0
-    assert apart["unmapped_obstacle, standing free"] < 0.1 * apart["unmapped_obstacle"]
+def test_what_rays_go_through_does_not_surely_stand() -> None:
+    _, disc = pillar_run()
+    data = replace(prepare_scans(site_run(2), ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
+    assert not surely_stands(disc, data)
+    assert clutter_floor(disc, data) == 900.0
 
 
 @pytest.mark.slow

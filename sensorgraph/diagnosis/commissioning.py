@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
@@ -289,7 +289,7 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
 def clutter_gains(
     data: ScanData, null: Fitted, bounds: NoiseBounds
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return, per kind of clutter, the most that it gains beyond its price [nats], and sizes of effects of the whole sensor.
+    """Return, per effect, the most that clutter brings it beyond its price [nats], and sizes of effects of the whole sensor.
 
     Each of the latter is fitted in every window, whether or not the window proposes it: sizes of the windows that do
     are those of the worst, and tell nothing of the spread.
@@ -311,9 +311,8 @@ def clutter_gains(
             and gain > sizes.get(effect.name, (-np.inf,))[0]
         ):
             sizes[effect.name] = gain, {k: effect[k] for k in effect.effect.sizes}
-        if effect.name in names:
-            kind = clutter_kind(effect, data)
-            gains[kind] = max(gains.get(kind, 0.0), gain)
+        if effect.name in names and not surely_stands(effect, data):
+            gains[effect.name] = max(gains.get(effect.name, 0.0), gain)
     return gains, {name: values for name, (_, values) in sizes.items()}
 
 

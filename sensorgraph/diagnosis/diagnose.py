@@ -32,7 +32,7 @@ from sensorgraph.diagnosis.scan_channel import diagnose_scans
 from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.stages import StageClock
-from sensorgraph.diagnosis.unknown_space import without_unknown_space
+from sensorgraph.diagnosis.unknown_space import judged_around_things, without_unknown_space
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -158,7 +158,9 @@ def _prepare(
         is_uncommissioned = arena.is_identified and baseline is None
         data, said = without_unknown_space(data, with_changes=not is_uncommissioned)
         notes |= said | {"is_uncommissioned_graph": is_uncommissioned}
-    return data if baseline is None else baseline.apply_to(data), dict(notes)
+    if baseline is not None:
+        data = judged_around_things(baseline.apply_to(data), baseline.noise_bounds)
+    return data, dict(notes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

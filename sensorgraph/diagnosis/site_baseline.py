@@ -12,7 +12,6 @@ from scipy.special import stdtrit
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import effect_of, kinds_of
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
@@ -90,21 +89,17 @@ class SiteBaseline:
         n_scans: int,
         n_readings: int,
     ) -> dict[str, float]:
-        """Return, per kind of clutter, what it may gain though nothing is wrong [nats], in a run of this length.
+        """Return, per effect, what clutter may bring it though nothing is wrong [nats], in a run of this length.
 
         Smooth effects of the whole sensor with a baseline interval are left out: the interval is the sharper test. An
         effect that no good run gave a reason to try may still be tried in the next: where clutter has brought others more
         than a name takes, it pays the least of these.
         """
         nats = {
-            kind: most
-            for kind, most in self._most_nats(windows, n_readings).items()
-            if not _has_sharper_test(effect_of(kind), intervals)
+            name: most
+            for name, most in self._most_nats(windows, n_readings).items()
+            if not _has_sharper_test(name, intervals)
         }
-        if self.n_runs < SCAN.site.min_windows:  # too few to tell what stands free from what leans at walls
-            for kind in list(nats):
-                both = kinds_of(effect_of(kind))
-                nats |= dict.fromkeys(both, max(nats.get(k, 0.0) for k in both))
         least = min((n for n in nats.values() if n > SCAN.selection.threshold), default=0.0)
         if least == 0.0:
             return nats
@@ -113,18 +108,18 @@ class SiteBaseline:
             for name, effect in EFFECTS.items()
             if effect.channel == "scan" and not _has_sharper_test(name, intervals)
         ]
-        return {**{kind: least for name in looked_for for kind in kinds_of(name)}, **nats}
+        return {**dict.fromkeys(looked_for, least), **nats}
 
     def _most_nats(self, windows: Sequence[WindowEstimate], n_readings: int) -> dict[str, float]:
-        """Return, per kind of clutter, what it may gain in a run of so many readings though nothing is wrong [nats]."""
+        """Return, per effect, what clutter may bring it in a run of so many readings though nothing is wrong [nats]."""
         gained: dict[str, list[float]] = {}
         for w in windows:
             size = float(np.sqrt(n_readings / w.n_readings))
-            for kind, gain in w.gains.items():
-                gained.setdefault(kind, []).append(gain if _is_local(effect_of(kind)) else gain * size)
+            for name, gain in w.gains.items():
+                gained.setdefault(name, []).append(gain if _is_local(name) else gain * size)
         return {
-            kind: max(values) * self._clutter_factor(effect_of(kind), np.array(values))
-            for kind, values in gained.items()
+            name: max(values) * self._clutter_factor(name, np.array(values))
+            for name, values in gained.items()
         }
 
     def _clutter_factor(self, name: str, gained: Floats) -> float:
@@ -155,12 +150,12 @@ class SiteBaseline:
         windows = self.similar_windows(data.n_scans)
         intervals = baseline_intervals(windows)
         floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
-        clutter = {kind: max(nats - SCAN.selection.threshold, 0.0) for kind, nats in floors.items()}
+        clutter = {name: max(nats - SCAN.selection.threshold, 0.0) for name, nats in floors.items()}
         clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
         leads = {
-            kind: nats
-            for kind, nats in self._most_nats(windows, data.ranges.size).items()
-            if _has_sharper_test(effect_of(kind), intervals)
+            name: nats
+            for name, nats in self._most_nats(windows, data.ranges.size).items()
+            if _has_sharper_test(name, intervals)
         }
         return replace(
             data,

@@ -70,6 +70,8 @@ class Residuals(Protocol):
     beams: Beams
     z: Floats
     """[m] measured; +inf nothing seen, -inf too near."""
+    reached: Floats
+    """[m] how far the rays went: as measured, or to where the map ends; nan broken."""
     mu: Floats
     """[m] expected."""
     residual: Floats

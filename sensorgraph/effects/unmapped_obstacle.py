@@ -15,6 +15,11 @@ from sensorgraph.world.scene import Scene
 
 CELL, MAX_CELLS = 0.25, 1500
 """[m] of the raster of free space, and about how many cells it may have."""
+MAX_PLACES = 12
+"""Where most short readings end, that are looked at; clutter may take several."""
+REACHES = 0.6, 0.25
+"""[m] about such a place, of ends that may be of one thing: more than one thing may be near."""
+MAX_PROPOSED = 8
 MAX_RADIUS = 0.8
 """[m] beyond which something round is no longer told from a wall."""
 N_SCANS = 60
@@ -40,28 +45,42 @@ def propose(residuals: Residuals) -> list[Proposal]:
     index = index.ravel()
     there = [a.parameters for a in residuals.model if a.name == "unmapped_obstacle"]
     found = []
-    for k in np.argsort(-counts)[:3]:
+    for k in np.argsort(-counts)[:MAX_PLACES]:
         if counts[k] < PROPOSAL.min_rays:
             break
         middle = np.median(ends[index == k], axis=0)
-        near = np.hypot(*(ends - middle).T) < 0.6
-        if len(np.unique(scan[near])) < 4:
-            continue
-        directions = np.stack(
-            [residuals.beams.ux[residuals.short][near], residuals.beams.uy[residuals.short][near]], axis=1
-        )
-        fitted = _circle(ends[near], directions)
-        far = np.hypot(*(ends[near] - middle).T)
-        small = float(np.clip(np.quantile(far, 0.5), 0.01, 0.3))
-        compact = (middle + 0.5 * small * directions.mean(axis=0), small, 0.0)
-        for centre, radius, spread in (fitted, compact):
-            if any(np.hypot(a["x"] - centre[0], a["y"] - centre[1]) < a["r"] + radius + 0.1 for a in there):
+        for reach in REACHES:
+            near = np.hypot(*(ends - middle).T) < reach
+            if len(np.unique(scan[near])) < 4:
                 continue
-            if spread < 0.08 and (spread or small < 0.15):
-                gain = 8.0 * float((far < radius + 0.1).sum()) * max(0.1, 1 - spread / 0.1)
-                values = {"x": float(centre[0]), "y": float(centre[1]), "r": float(radius)}
-                found.append(Proposal(values=values, gain=gain, xy=centre))
-    return found
+            directions = np.stack(
+                [residuals.beams.ux[residuals.short][near], residuals.beams.uy[residuals.short][near]], axis=1
+            )
+            fitted = _circle(ends[near], directions)
+            far = np.hypot(*(ends[near] - middle).T)
+            small = float(np.clip(np.quantile(far, 0.5), 0.01, 0.3))
+            compact = (middle + 0.5 * small * directions.mean(axis=0), small, 0.0)
+            for centre, radius, spread in (fitted, compact):
+                if any(
+                    np.hypot(a["x"] - centre[0], a["y"] - centre[1]) < a["r"] + radius + 0.1 for a in there
+                ):
+                    continue
+                if spread < 0.08 and (spread or small < 0.15):
+                    gain = 8.0 * float((far < radius + 0.1).sum()) * max(0.1, 1 - spread / 0.1)
+                    gain -= 8.0 * _n_through(residuals, centre, radius)
+                    values = {"x": float(centre[0]), "y": float(centre[1]), "r": float(radius)}
+                    found.append(Proposal(values=values, gain=gain, xy=centre))
+    return sorted(found, key=lambda one: -one.gain)[:MAX_PROPOSED]
+
+
+def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
+    """Count the rays that go through a disc, by its inner part."""
+    beams = residuals.beams
+    dx, dy = centre[0] - beams.ox, centre[1] - beams.oy
+    ahead, aside = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+    aimed = (ahead > radius) & (np.abs(aside) < 0.7 * radius)
+    with np.errstate(invalid="ignore"):
+        return int((aimed & (residuals.reached > ahead + radius + 0.1)).sum())
 
 
 def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:

@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.model_selection import is_rough, searched, shortlist
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.effects import Amendment
 
@@ -30,9 +30,8 @@ def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | 
     without = fit(data, rest, fitted.state, bounds, outer=2, inner=4)
     best: dict[str, Candidate] = {}
     for c in sorted(shortlist(data, without, set(), 0.0), key=lambda c: -c.gain):
-        kind = clutter_kind(c.amendment, data)
-        if c.amendment.effect.place is not None and data.clutter_nats.get(kind, 0.0) > 0:
-            best.setdefault(kind, c)
+        if c.amendment.effect.place is not None and clutter_floor(c.amendment, data) > 0:
+            best.setdefault(c.amendment.name, c)
     for candidate in best.values():
         both = fit(data, (*rest, model[index], candidate.amendment), fitted.state, bounds, outer=3, inner=3)
         if is_rough(both.model[-1]):

@@ -74,7 +74,13 @@ class ExpectedReadings:
 
 
 def expected_readings(
-    beams: Beams, steep: Floats, edges: Edges | None, stray: float, short: float, lattice: float
+    beams: Beams,
+    steep: Floats,
+    edges: Edges | None,
+    stray: float,
+    short: float,
+    lattice: float,
+    horizon: Floats | None = None,
 ) -> ExpectedReadings:
     """Collect what the likelihood needs of a cast.
 
@@ -84,6 +90,7 @@ def expected_readings(
     edges : None: there are none
     stray, short : chance of a stray and of a short reading that effects add
     lattice : [m] step that effects put readings on; 0: none
+    horizon : (n_scans, n_rays) [m] from where on nothing is known of a ray; None: it always is
     """
     shape = beams.reading.shape
     alternative, chance = np.full(shape, np.nan), np.zeros(shape)
@@ -92,6 +99,9 @@ def expected_readings(
         chance[edges.index] = edges.chance
     if beams.straight is not None:
         chance = np.where(beams.straight, chance, 0.0)
+    if horizon is not None:
+        with np.errstate(invalid="ignore"):
+            alternative = np.where(np.isfinite(horizon) & (alternative >= horizon), np.nan, alternative)
     sigma = np.sqrt(np.square(beams.sigma) + steep**2)
     return ExpectedReadings(
         reading=beams.reading,
@@ -110,7 +120,7 @@ class Responsibilities:
     """Log-likelihood of every reading, and the chance that each component made it; arrays (n_scans, n_rays)."""
 
     log_p: Floats
-    """[nats] 0 where the reading is broken."""
+    """[nats] 0 where the reading is broken; beyond the horizon that of having got there."""
     weight: Floats
     """[1/m²] with which the residual counts."""
     residual: Floats
@@ -151,6 +161,8 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         SETTINGS.tail_width,
         SETTINGS.unexplained,
     ).reshape(7, *z.shape)
+    if data.beyond is not None:
+        found[LOG_P][data.beyond] = log_p_beyond(data, expected, shift, noise)
     return Responsibilities(
         log_p=found[LOG_P],
         weight=found[WEIGHT],
@@ -160,6 +172,30 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         lost=found[LOST],
         stray=found[STRAY],
     )
+
+
+def log_p_beyond(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Floats:
+    """Return the log-likelihoods (n,) [nats] of the rays that nothing stopped before their horizon.
+
+    What they read beyond it is unknown, and their chance is that of all such readings together. So a thing before the
+    horizon is judged by the rays that it would stop as well as by those that it stops.
+    """
+    assert data.horizon is not None and data.beyond is not None
+    some = data.beyond
+    far = data.sensor.range_max
+    horizon = np.minimum(data.horizon[some], far)
+    mu, sigma = (expected.reading + shift)[some], noise.core * expected.sigma[some]
+    aimed = np.isfinite(mu)
+    off = np.where(aimed, horizon - np.where(aimed, mu, 0.0), -np.inf) / sigma
+    core, tail = ndtr(-off), ndtr(-off / SETTINGS.tail_width)
+    past = (1 - noise.tail) * core + noise.tail * tail
+    p_return = expected.p_return[some]
+    through = np.where(aimed, 1 - p_return * (1 - noise.loss) * (1 - past), 1.0)
+    p_alternative = expected.p_alternative[some]
+    stopped_there = np.isfinite(expected.alternative[some])
+    through = (1 - p_alternative) * through + p_alternative * np.where(stopped_there, noise.loss, 1.0)
+    rest = (1 - expected.stray) * (1 - noise.stray) * (1 - expected.short)
+    return np.asarray(np.log(rest * through + (1 - rest) * (1 - horizon / far) + SETTINGS.unexplained))
 
 
 def plain_e_step(
@@ -228,8 +264,11 @@ def plain_e_step(
     tail_share = np.where(returned, p_tail * inverse, 0.0)
     weight = (core_share + tail_share / SETTINGS.tail_width**2) / sigma**2
     lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
+    log_p = np.log(total)
+    if data.beyond is not None:
+        log_p[data.beyond] = log_p_beyond(data, expected, shift, noise)
     return Responsibilities(
-        log_p=np.log(total),
+        log_p=log_p,
         weight=weight,
         residual=e,
         core=core_share,

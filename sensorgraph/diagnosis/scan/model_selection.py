@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
@@ -62,9 +62,7 @@ def price(amendment: Amendment, data: ScanData) -> float:
     if amendment.place and amendment.effect.place is None:
         places = len(np.unique(sensor_of_rays(data.sensor)))
     paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
-    if not data.clutter_nats:
-        return paid
-    return paid + data.clutter_nats.get(clutter_kind(amendment, data), 0.0)
+    return paid + clutter_floor(amendment, data)
 
 
 def explain(
@@ -260,6 +258,8 @@ def shortlist(
         if c.gain > 2 * SCAN.selection.min_expected_gain
     ]
     rough = proposed_candidates(FitResiduals(data, current))
+    if data.clutter_nats:
+        rough.sort(key=lambda c: not surely_stands(c.amendment, data))
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}

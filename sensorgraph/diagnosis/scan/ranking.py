@@ -7,7 +7,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
 from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -45,7 +45,7 @@ def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitt
     """
 
     def whole(pair: tuple[Fitted, float]) -> float:
-        return pair[1] + data.clutter_nats.get(clutter_kind(pair[0].model[-1], data), 0.0)
+        return pair[1] + clutter_floor(pair[0].model[-1], data)
 
     if not _is_plain(order[0][0].model[-1]):
         return order[0]

@@ -20,7 +20,21 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot, Tolerances
-from sensorgraph.world.scene import Scene
+from sensorgraph.world.scene import Beams, Scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IntoUnknown:
+    """Rays that leave the map before they meet a wall; arrays (n_scans, n_rays)."""
+
+    horizon: Floats
+    """[m] where they do; inf for other rays."""
+    ranges: Floats
+    """[m] as measured; nan for other rays."""
+
+    def subset(self, scans: NDArray[np.intp] | Bools) -> IntoUnknown:
+        """Return those of some scans: indices, or a mask (n_scans,)."""
+        return IntoUnknown(horizon=self.horizon[scans], ranges=self.ranges[scans])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +58,12 @@ class ScanData:
     """[s] start of the run."""
     span: float
     """[s] length of the run."""
+    into_unknown: IntoUnknown | None = None
+    """Rays that leave the map, which are not judged (nan in `ranges`) but where `judged_to_horizon` says so; None: there are none."""
+    horizon: Floats | None = None
+    """(n_scans, n_rays) [m] up to where a ray that leaves the map is judged, inf where it does not; None: none is judged."""
+    beyond: Bools | None = None
+    """(n_scans, n_rays) nothing stopped the ray before its horizon; its reading is nan in `ranges`."""
     laser_frame: bool
     """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
     known: tuple[Amendment, ...] = ()
@@ -105,7 +125,40 @@ class ScanData:
             ranges=self.ranges[scans],
             poses=self.poses[scans],
             twists=self.twists[scans],
+            into_unknown=None if self.into_unknown is None else self.into_unknown.subset(scans),
+            horizon=None if self.horizon is None else self.horizon[scans],
+            beyond=None if self.beyond is None else self.beyond[scans],
             memo={},
+        )
+
+    def judged_to_horizon(self, some: Bools) -> ScanData:
+        """Return the data with some rays (n_scans, n_rays), of those that leave the map, judged up to there.
+
+        The choice must be one of where they are aimed, and not of what they read.
+        """
+        assert self.into_unknown is not None
+        horizon = np.where(some, self.into_unknown.horizon, np.inf)
+        z, leaves = self.into_unknown.ranges, np.isfinite(horizon)
+        return replace(
+            self,
+            ranges=np.where(leaves & (z < horizon), z, self.ranges),
+            horizon=horizon,
+            beyond=leaves & (z >= horizon),
+            memo={},
+        )
+
+    def up_to_horizon(self, beams: Beams) -> Beams:
+        """Return beams that meet nothing beyond the horizon."""
+        if self.horizon is None:
+            return beams
+        before = beams.ranges < self.horizon
+        return replace(
+            beams,
+            ranges=np.where(before, beams.ranges, np.inf),
+            reading=np.where(before, beams.reading, np.inf),
+            wall=np.where(before, beams.wall, -1),
+            nx=np.where(before, beams.nx, 0.0),
+            ny=np.where(before, beams.ny, 0.0),
         )
 
     def windows(self, n: int) -> list[ScanData]:

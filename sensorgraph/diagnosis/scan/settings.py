@@ -490,6 +490,16 @@ class SiteSettings:
     """Of the misfit beyond that, which counts against names."""
     sector: float = float(np.radians(20.0))
     """[rad] of rays that share what is in their way."""
+    inner_share: float = 0.7
+    """Of a disc's radius, within which a ray is aimed at it whatever the pose's error."""
+    min_stopped_share: float = 0.95
+    """Of the rays aimed at a thing in free space that it stops, if it stands there."""
+    max_beside_share: float = 0.1
+    """Of the rays that it stops, that may end as near beside it, if it stands alone."""
+    min_stopped_rays: int = 30
+    """That it stops."""
+    min_stopped_scans: int = 10
+    """That show it."""
     pose_factors: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)
     """Factors of the tolerances of the poses that are tried."""
     windows: tuple[int, ...] = (1, 2, 4)

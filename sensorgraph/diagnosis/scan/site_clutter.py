@@ -1,8 +1,8 @@
-"""As what the clutter of a site is booked: by effect, and things that stand free apart from those at a wall.
+"""What the clutter of a site may bring an effect, and why a thing that surely stands there pays nothing for it.
 
 Where a map has a wall it may be a little off, or lack what leans there, and a model that fits badly puts its largest discs
-there. A thing that stands free of all walls and of unknown space is none of that, so that clutter at walls tells nothing
-about it.
+there, or into space that nobody has looked into. How much such discs bring in good runs is what a further one pays. A thing
+in known free space that stops what is aimed at it is none of them, whatever else the building brings.
 """
 
 from __future__ import annotations
@@ -12,31 +12,74 @@ import numpy as np
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Bools
+from sensorgraph.world.scene import Beams
 
-STANDING_FREE = ", standing free"
-MEMO_KEY = b"barriers"
+
+def clutter_floor(amendment: Amendment, data: ScanData) -> float:
+    """Return the further evidence [nats] that a name takes at this site."""
+    floor = data.clutter_nats.get(amendment.name, 0.0)
+    return 0.0 if 0.0 < floor < np.inf and surely_stands(amendment, data) else floor
 
 
-def clutter_kind(amendment: Amendment, data: ScanData) -> str:
-    """Return the name of an effect, marked where it is a thing that stands free."""
-    values = amendment.parameters
+def surely_stands(amendment: Amendment, data: ScanData) -> bool:
+    """Tell whether an effect is something round that stands alone in known free space and stops what is aimed at it.
+
+    Counted are rays that meet the inner part of the disc, and of which the map says that they go on beyond it. Those that
+    end at its face were stopped, those that go on were not; what ends before it says nothing. Rays that end as near, but
+    beside it, are of something larger.
+    """
+    values, site = amendment.parameters, SCAN.site
     if amendment.effect.place != "spot" or "r" not in values:
-        return amendment.name
-    if MEMO_KEY not in data.memo:
-        data.memo[MEMO_KEY] = Barriers(data.arena)
-    barriers = data.memo[MEMO_KEY]
-    assert isinstance(barriers, Barriers)
-    distance = float(barriers.distances(np.array([[values["x"], values["y"]]]))[0])
-    is_free = distance > values["r"] + SCAN.goodness_of_fit.outline_distance
-    return amendment.name + (STANDING_FREE if is_free else "")
+        return False
+    at, near = np.array([[values["x"], values["y"]]]), SCAN.goodness_of_fit.outline_distance
+    if not data.arena.contains(at)[0] or _barriers(data).distances(at)[0] < values["r"] + near:
+        return False
+    stopped, passed, beside = _met(data, at[0, 0], at[0, 1], values["r"])
+    n_stopped, n_passed = int(stopped.sum()), int(passed.sum())
+    return (
+        n_stopped >= site.min_stopped_rays
+        and n_stopped >= site.min_stopped_share * (n_stopped + n_passed)
+        and int(stopped.any(axis=1).sum()) >= site.min_stopped_scans
+        and int(beside.sum()) <= site.max_beside_share * n_stopped
+    )
 
 
-def kinds_of(name: str) -> tuple[str, ...]:
-    """Return the kinds of an effect."""
-    return (name, name + STANDING_FREE) if EFFECTS[name].place == "spot" else (name,)
+def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bools]:
+    """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or beside it."""
+    beams, near = _beams(data), SCAN.goodness_of_fit.outline_distance
+    dx, dy = x - beams.ox, y - beams.oy
+    ahead, aside = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+    face = ahead - np.sqrt(np.maximum(r**2 - aside**2, 0.0))
+    free = beams.ranges if data.horizon is None else np.minimum(beams.ranges, data.horizon)
+    ahead = np.where((face > 0) & (free > face + 2 * near), ahead, np.inf)
+    aside = np.abs(aside)
+    aimed = np.isfinite(ahead) & (aside < SCAN.site.inner_share * r)
+    next_to = (aside > r + near) & (aside < r + 3 * near)
+    with np.errstate(invalid="ignore"):
+        stopped, passed = np.abs(data.ranges - face) <= near, data.ranges > face + near
+        beside = next_to & (data.ranges < free - near) & (np.abs(data.ranges - ahead) < r + near)
+    if data.beyond is not None:
+        passed |= data.beyond
+    return aimed & stopped, aimed & passed, beside
 
 
-def effect_of(kind: str) -> str:
-    """Return the name of the effect of a kind."""
-    return kind.removesuffix(STANDING_FREE)
+def _beams(data: ScanData) -> Beams:
+    """Return the rays in the bare map."""
+    key = b"bare map"
+    if key not in data.memo:
+        data.memo[key] = data.scene().shoot()
+    kept = data.memo[key]
+    assert isinstance(kept, Beams)
+    return kept
+
+
+def _barriers(data: ScanData) -> Barriers:
+    """Return what stands, and what nobody has looked into."""
+    key = b"barriers"
+    if key not in data.memo:
+        data.memo[key] = Barriers(data.arena)
+    kept = data.memo[key]
+    assert isinstance(kept, Barriers)
+    return kept

@@ -28,7 +28,7 @@ class WindowEstimate:
     n_scans: int
     n_readings: int
     gains: Mapping[str, float]
-    """Kind of clutter (`site_clutter`) -> [nats] the most that it gains, its price paid."""
+    """Effect -> [nats] the most that clutter brings it, its price paid."""
     sizes: Mapping[str, Mapping[str, float]]
     """Effect -> parameter -> fitted value."""
     stderrs: Mapping[str, Mapping[str, float]]
