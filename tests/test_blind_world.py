@@ -1,0 +1,182 @@
+"""benchmarks/blind_world: shares no code with ours, repeats itself to the byte, and its logs mean what its truth says."""
+
+from __future__ import annotations
+
+import ast
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from benchmarks.blind_world import cases, foreign, generate, library, rooms, setups
+from benchmarks.blind_world.cases import Case, Spec, draw, make
+from benchmarks.hidden_effects import results, score
+
+GENERATOR = Path(cases.__file__).parent
+ALLOWED = set(sys.stdlib_module_names) | {"numpy", "scipy", "shapely", "numba", "yaml", "mcap"}
+EFFECTS = {
+    **dict.fromkeys(library.LIBRARY, "singles"),
+    **dict.fromkeys(foreign.DEVELOPMENT, "foreign"),
+    **dict.fromkeys(foreign.REPORT, "foreign"),
+}
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let cases be short drives in one room, however dull."""
+    monkeypatch.setattr(setups, "PLANS", {"lab": rooms.PLANS["lab"]})
+    monkeypatch.setattr(setups, "SHORTEST", 12.0)
+    monkeypatch.setattr(setups, "LONGEST", 12.0)
+    monkeypatch.setattr(cases, "check_variety", lambda setup, driven: None)
+
+
+def test_blind_world_imports_nothing_of_ours() -> None:
+    for path in GENERATOR.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            for name in names:
+                is_own = name.split(".")[:2] == ["benchmarks", "blind_world"]
+                assert is_own or name.split(".")[0] in ALLOWED, f"{path}: {name}"
+
+
+def test_kinds_of_the_report_are_not_those_of_development() -> None:
+    assert len(foreign.DEVELOPMENT) == 30 and len(foreign.REPORT) == 15
+    assert not set(foreign.DEVELOPMENT) & set(foreign.REPORT)
+    readme = (GENERATOR / "README.md").read_text()
+    assert all(f"`{name}`" in readme for name in foreign.NOTES)
+
+
+def test_any_35_singles_hold_each_effect_once() -> None:
+    assert len(library.LIBRARY) == 35
+    for first in (0, 17, 40):
+        names = [Spec(suite="singles", index=first + k).names[0] for k in range(35)]
+        assert sorted(names) == sorted(library.LIBRARY)
+    foreign_specs = [Spec(suite="foreign", index=k) for k in range(60)]
+    assert len({(spec.names, spec.is_dirty) for spec in foreign_specs}) == 60  # clean and dirty
+
+
+def test_same_arguments_give_the_same_bytes(
+    brief: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(folder: str, first: int, n: int) -> None:
+        arguments = ["--suite", "singles", "--first", str(first), "--n", str(n), "-o", str(tmp_path / folder)]
+        monkeypatch.setattr(sys, "argv", ["generate", *arguments])
+        generate.main()
+
+    run("one", 3, 2)
+    run("two", 4, 1)
+    run("two", 3, 1)  # added as the next number
+    for first, second in (("0000", "0001"), ("0001", "0000")):
+        for name in ("run.mcap", "arena.geojson", "robot.yaml"):
+            one, two = (tmp_path / "one/cases" / first / name, tmp_path / "two/cases" / second / name)
+            assert one.read_bytes() == two.read_bytes()
+        truths = [tmp_path / "one/truth" / f"{first}.json", tmp_path / "two/truth" / f"{second}.json"]
+        assert truths[0].read_bytes() == truths[1].read_bytes()
+
+
+def _walls(arena: str) -> np.ndarray:
+    rings = [
+        np.array(one["geometry"]["coordinates"][0], dtype=float) for one in json.loads(arena)["features"]
+    ]
+    return np.concatenate([np.column_stack([ring[:-1], ring[1:]]) for ring in rings])
+
+
+def _cast(starts: np.ndarray, directions: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """Return the range of each ray to the nearest wall."""
+    dx, dy = np.cos(directions)[:, None], np.sin(directions)[:, None]
+    ex, ey = (walls[:, 2] - walls[:, 0]), (walls[:, 3] - walls[:, 1])
+    ax, ay = walls[:, 0] - starts[:, :1], walls[:, 1] - starts[:, 1:]
+    cross = dx * ey - dy * ex
+    cross = np.where(cross == 0, 1e-12, cross)
+    t, k = (ax * ey - ay * ex) / cross, (ax * dy - ay * dx) / cross
+    return np.asarray(np.where((t > 0) & (k >= 0) & (k <= 1), t, np.inf).min(axis=1))
+
+
+def test_an_empty_clean_case_fits_its_map(brief: None, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap_ros2.reader")
+    generate.save(Spec(suite="none", index=0, background="clean"), tmp_path, 0)
+    case = tmp_path / "cases" / "0000"
+    scans, stamps, poses = [], [], []
+    for one in reader.read_ros2_messages(str(case / "run.mcap")):
+        message = one.ros_msg
+        if one.channel.topic not in ("/scan", "/pose"):
+            continue
+        stamp = message.header.stamp.sec % 10**6 + message.header.stamp.nanosec * 1e-9
+        if one.channel.topic == "/scan":
+            scans.append(message)
+            stamps.append(stamp)
+        else:
+            at, turn = message.pose.position, message.pose.orientation
+            poses.append((stamp, at.x, at.y, 2 * np.arctan2(turn.z, turn.w)))
+    pose = np.array(poses).T
+    n = len(scans[0].ranges)
+    taken = (np.array(stamps)[:, None] + scans[0].time_increment * np.arange(n)).ravel()
+    x, y = np.interp(taken, pose[0], pose[1]), np.interp(taken, pose[0], pose[2])
+    phi = np.interp(taken, pose[0], np.unwrap(pose[3]))
+    sensor = yaml.safe_load((case / "robot.yaml").read_text())["sensor"]
+    c, s, (mount_x, mount_y, mount_yaw) = np.cos(phi), np.sin(phi), sensor["mount"]
+    bearings = np.tile(scans[0].angle_min + scans[0].angle_increment * np.arange(n), len(scans))
+    starts = np.column_stack([x + c * mount_x - s * mount_y, y + s * mount_x + c * mount_y])
+    simulated = _cast(starts, phi + mount_yaw + bearings, _walls((case / "arena.geojson").read_text()))
+    measured = np.concatenate([one.ranges for one in scans])
+    residual = (measured - simulated)[np.isfinite(measured)]
+    spread = 1.4826 * np.median(np.abs(residual))  # a few rays at edges may go either way
+    assert 0.95 < spread / sensor["sigma"] < 1.15  # poses are off by 1 to 3 mm, and a few mrad at range
+
+
+def _without(spec: Spec, attempt: int, monkeypatch: pytest.MonkeyPatch) -> Case:
+    """Return the case of the same draws without what is hidden."""
+    drawn = setups.draw_setup
+
+    def emptied(names: tuple[str, ...], *, is_dirty: bool, rng: np.random.Generator) -> setups.Setup:
+        setup = drawn(spec.names, is_dirty=is_dirty, rng=rng)
+        setup.hidden, setup.built = {}, setup.built_plain
+        return setup
+
+    monkeypatch.setattr(cases, "draw_setup", emptied)
+    return draw(Spec(suite="none", index=0, background="clean"), spec.rng(attempt))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_each_effect_changes_the_run(name: str, brief: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = Spec(suite=EFFECTS[name], index=0, background="clean", name=name)
+    case = make(spec)
+    told = case.truth["foreign_effect"] if EFFECTS[name] == "foreign" else case.truth["effects"][0]
+    assert told["name"] == name and told["material"]
+    assert told["materiality_ratio"] is None or told["materiality_ratio"] > 1.5
+    plain = _without(spec, case.truth["made"]["attempt"], monkeypatch)
+    one, other = case.log, plain.log
+    changed = {
+        "scan": not np.array_equal(one.ranges, other.ranges),
+        "pose": not np.array_equal(one.poses, other.poses),
+        "odometry": not np.array_equal(one.odometry.twists, other.odometry.twists),
+        "drive": not np.array_equal(one.commands, other.commands),
+    }
+    assert changed[told["channel"]]
+    if told["channel"] in ("scan", "pose"):  # the drive is the same, to the bit
+        assert [channel for channel, is_changed in changed.items() if is_changed] == [told["channel"]]
+    assert case.arena == plain.arena and case.robot == plain.robot  # neither gives it away
+
+
+def test_answers_that_repeat_the_truth_are_scored_as_right(brief: None, tmp_path: Path) -> None:
+    specs = [Spec(suite="none", index=0), Spec(suite="pairs", index=3), Spec(suite="foreign", index=1)]
+    specs += [Spec(suite="singles", index=0, name=name) for name in ("moved_wall", "wheel_slip", "mount_xy")]
+    for number, spec in enumerate(specs):
+        generate.save(spec, tmp_path, number)
+        truth = json.loads((tmp_path / "truth" / f"{number:04d}.json").read_text())
+        answer = {
+            "effects": [one | {"stderr": dict.fromkeys(one["parameters"], 0.0)} for one in truth["effects"]],
+            "unknown": truth["foreign"],
+        }
+        folder = tmp_path / "results" / f"{number:04d}"
+        folder.mkdir(parents=True)
+        (folder / "report.json").write_text(json.dumps(answer))
+    read = results.load([tmp_path])
+    assert [one.suite for one in read] == [spec.suite for spec in specs]
+    assert score.failures(read) == []
+    assert all(one.is_material for one in read if one.hidden)
+    assert score.text(read)
