@@ -35,7 +35,7 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
 
 
 def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
-    """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), clock, lag, dead, v_max; memory of the camera.
+    """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), track [m] between the wheels that slip by themselves, clock, lag, dead, v_max; memory of the camera.
 
     Three that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
     that share of their speed per rad/s of turning; `since`, a lag only from this time on [s].
@@ -48,6 +48,12 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     since = effect.get("since", 0.0)
     v_max = effect.get("v_max", np.inf)
     s, px, py, pr = effect.get("slip", (0.0, 0.0, 0.0, 0.0))
+    track = effect.get("track", 0.0)
+
+    def grip(side: float) -> float:
+        at_x, at_y = x - side * track / 2 * math.sin(phi), y + side * track / 2 * math.cos(phi)
+        return 1 - s if math.hypot(at_x - px, at_y - py) < pr else 1.0
+
     scrub, sag = effect.get("scrub", 0.0), effect.get("sag", 0.0)
     x, y, phi, v, omega = 0.0, 0.0, 0.3, 0.0, 0.0
     poses, wheels, given = [(x, y, phi)], [(0.0, 0.0)], commands.tolist()
@@ -55,10 +61,12 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         u, w = given[(k - late) // per] if k >= late else (0.0, 0.0)
         u, keep = min(max(u, -v_max), v_max), keeps[k * STEP >= since]
         v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
-        grip = 1 - s if math.hypot(x - px, y - py) < pr else 1.0
-        turn = (omega + w1) / 2 * STEP * grip
+        left, right = (grip(1.0), grip(-1.0)) if s else (1.0, 1.0)
+        both, apart = (left + right) / 2, (right - left) / 2
+        turn = (omega + w1) / 2 * STEP * both + (v + v1) * STEP * apart / (track or 1.0)
         slow, slow1 = 1 - sag * abs(omega), 1 - sag * abs(w1)
-        way = (v * slow + v1 * slow1) / 2 * STEP * grip - scrub * abs(turn)
+        way = (v * slow + v1 * slow1) / 2 * STEP * both + (omega + w1) / 4 * STEP * track * apart
+        way -= scrub * abs(turn)
         middle = phi + turn / 2
         x, y, phi = x + way * math.cos(middle), y + way * math.sin(middle), phi + turn
         v, omega = v1, w1

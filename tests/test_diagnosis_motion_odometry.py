@@ -51,12 +51,14 @@ def test_planted_effect_is_named_with_its_size(
     assert result.gap is not None and result.gap.after.rmse_m < result.gap.before.rmse_m
 
 
-def test_slippery_patch_is_found_where_it_is() -> None:
+@pytest.mark.parametrize("track", [0.0, ROBOT.wheels.base], ids=["the body slips", "each wheel slips"])
+def test_slippery_patch_is_found_where_it_is(track: float) -> None:
     run = make_run(4)
     moving = run.poses[600]
-    run = make_run(4, slip=(0.3, moving[0], moving[1], 0.5))
+    run = make_run(4, slip=(0.3, moving[0], moving[1], 0.5), track=track)
     result = diagnose_odometry(run, ROBOT)
     assert [a.name for a in result.effects] == ["wheel_slip"]
+    assert result.unknown is None
     found = result.effects[0]
     assert abs(found["s"] - 0.3) < max(3 * found.stderr["s"], 0.03)
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks

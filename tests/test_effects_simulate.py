@@ -138,12 +138,23 @@ def test_a_slippery_patch_takes_its_share_of_the_way_but_not_of_the_wheels() -> 
     plain, _ = drive(straight)
     slipped, drivetrain = drive(straight, EFFECTS["wheel_slip"](s=0.25, x=1.5, y=0.0, r=0.5))
     np.testing.assert_array_equal(plain.twists, slipped.twists)
-    lost = 1.0 / 0.75 - 1.0  # of wheel's way: 1 m of patch takes 1.333 m
+    chord = 2 * np.sqrt(0.5**2 - (drivetrain.base / 2) ** 2)  # of each wheel, beside the middle of the patch
+    lost = chord * (1.0 / 0.75 - 1.0)  # 1 m of patch takes 1.333 m of wheel
     assert plain.poses[-1, 0] - slipped.poses[-1, 0] == pytest.approx(lost, abs=2 * 0.4 * TRUTH_STEP)
     assert read_wheels(slipped, drivetrain)[1][-1, 0] == pytest.approx(plain.poses[-1, 0], abs=1e-3)
     turning, _ = drive([(0.0, 0.0, 0.5), (4.0, 0.0, 0.0)], EFFECTS["wheel_slip"](s=0.25, x=0.0, y=0.0, r=0.5))
     free, _ = drive([(0.0, 0.0, 0.5), (4.0, 0.0, 0.0)])
     assert turning.poses[-1, 2] == pytest.approx(0.75 * free.poses[-1, 2], abs=1e-9)
+
+
+def test_a_patch_under_one_wheel_turns_the_body() -> None:
+    straight = [(0.0, 0.4, 0.0), (10.0, 0.0, 0.0)]
+    base = Drivetrain.of(robot()).base
+    left, _ = drive(straight, EFFECTS["wheel_slip"](s=0.25, x=1.5, y=base / 2, r=0.1))
+    right, _ = drive(straight, EFFECTS["wheel_slip"](s=0.25, x=1.5, y=-base / 2, r=0.1))
+    lost = 0.25 * 0.2  # [m] of that wheel, over 0.2 m of patch, and a little more as it slips
+    assert lost / base < left.poses[-1, 2] < 1.4 * lost / base
+    assert right.poses[-1, 2] == pytest.approx(-left.poses[-1, 2], abs=1e-9)
 
 
 def test_lag_and_dead_time_bend_and_shift_a_step() -> None:

@@ -190,9 +190,9 @@ def _follow(
         before = pose
         v, omega = told if motors is None else motors.step(told)
         pose, twist = simulator.step(v, omega, TRUTH_STEP)
-        grip = drivetrain.grip(float(before[0]), float(before[1]))
-        if grip < 1:
-            pose = before + grip * (pose - before)
+        slipped = _slipped(drivetrain, before, pose)
+        if slipped is not None:
+            pose = slipped
             simulator.shift(pose)
         poses.append(pose)
         twists.append(twist if motors is None else motors.twist)
@@ -204,6 +204,24 @@ def _follow(
         commands=np.array(given).reshape(-1, 2),
         contacts=0,
     )
+
+
+def _slipped(drivetrain: Drivetrain, before: Floats, after: Floats) -> Floats | None:
+    """Return where a step (3,) -> (3,) leads whose wheels slip on the way; None where the floor holds them."""
+    if not drivetrain.patches:
+        return None
+    step = after - before
+    middle = before[2] + step[2] / 2
+    ahead = np.array([np.cos(middle), np.sin(middle)])
+    distance = float(ahead @ step[:2])
+    x, y, phi = (float(value) for value in before)
+    moved, turned = drivetrain.moved(distance, float(step[2]), x, y, phi)
+    if (moved, turned) == (distance, float(step[2])):
+        return None
+    aside = step[:2] - distance * ahead
+    middle = phi + turned / 2
+    way = moved * np.array([np.cos(middle), np.sin(middle)]) + aside
+    return np.array([x + way[0], y + way[1], phi + turned])
 
 
 def _delayed(waiting: Sequence[Floats], late: float) -> Floats:

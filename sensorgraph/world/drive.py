@@ -215,7 +215,7 @@ def _drive(
     late = drivetrain.delay / TRUTH_STEP
     whole = math.floor(late + 1e-9)
     share = max(late - whole, 0.0)  # of a step that the older command still holds
-    v_max, is_slippery, grip = drivetrain.v_max, bool(drivetrain.patches), 1.0
+    v_max = drivetrain.v_max
     dv, domega = limits.a * TRUTH_STEP, limits.alpha * TRUTH_STEP
     x, y, phi = (float(value) for value in start)
     v = omega = u_v = u_omega = 0.0
@@ -239,9 +239,8 @@ def _drive(
         m_v = min(max(m_v, -v_max), v_max)
         v_next = v + min(max((m_v - v) * (1 - keep), -dv), dv)
         omega_next = omega + min(max((m_omega - omega) * (1 - keep), -domega), domega)
-        if is_slippery:
-            grip = drivetrain.grip(x, y)
-        v_mid, turn = grip * (v + v_next) / 2, grip * (omega + omega_next) / 2 * TRUTH_STEP
+        v_mid, omega_mid = drivetrain.moved((v + v_next) / 2, (omega + omega_next) / 2, x, y, phi)
+        turn = omega_mid * TRUTH_STEP
         x_next = x + v_mid * TRUTH_STEP * math.cos(phi + turn / 2)
         y_next = y + v_mid * TRUTH_STEP * math.sin(phi + turn / 2)
         phi += turn

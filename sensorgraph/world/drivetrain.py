@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -39,8 +40,18 @@ class Drivetrain:
             effect(drivetrain)  # type: ignore[arg-type]
         return drivetrain
 
+    def moved(self, v: float, omega: float, x: float, y: float, phi: float) -> tuple[float, float]:
+        """Return the twist (v, omega) of a body at (x, y, phi) whose wheels turn as for the one given: each slips by itself."""
+        if not self.patches:
+            return v, omega
+        half = self.base / 2
+        aside_x, aside_y = -half * math.sin(phi), half * math.cos(phi)
+        left = (v - half * omega) * self.grip(x + aside_x, y + aside_y)
+        right = (v + half * omega) * self.grip(x - aside_x, y - aside_y)
+        return (left + right) / 2, (right - left) / self.base
+
     def grip(self, x: float, y: float) -> float:
-        """Return the share of the wheels' motion that the body makes at (x, y) [m]."""
+        """Return the share of its motion that a wheel at (x, y) [m] brings to the floor."""
         share = 1.0
         for px, py, radius, lost in self.patches:
             if (x - px) ** 2 + (y - py) ** 2 <= radius**2:

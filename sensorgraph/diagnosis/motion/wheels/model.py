@@ -33,6 +33,8 @@ class SlipPatch:
     y: float
     r: float
     """[m, map]"""
+    track: float
+    """[m] between the points that slip, each where it is: the wheelbase; 0: the body slips as a whole, by its middle."""
     covariance: Floats
     """(4, 4) of s, x, y, r from the search."""
 
@@ -86,17 +88,31 @@ class WheelModel:
         """(2 n, layout.n + patches + structure)"""
         parts = [self.A]
         if self.patches:
-            parts.append(self.slip_columns(np.stack([patch.disc for patch in self.patches])))
+            parts += [self.slip_columns(patch.disc[None], patch.track) for patch in self.patches]
         if self.structure is not None:
             parts.append(self.structure.family.columns)
         return np.concatenate(parts, axis=1)
 
-    def slip_columns(self, discs: Floats) -> Floats:
-        """Return what the wheels say inside discs (k, 3), with a minus: it is lost. (2 n, k)"""
-        inside = share_inside(self.rows.increment_poses, discs)
-        return -self.rows.of_wheels(
-            self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
-        )
+    def slip_columns(self, discs: Floats, track: float) -> Floats:
+        """Return what the wheels say inside discs (k, 3), with a minus: it is lost. (2 n, k)
+
+        Parameters
+        ----------
+        track : [m] between the wheels that slip, each inside or not; 0: both are where the body's middle is
+        """
+        x, y, phi = self.rows.increment_poses.T
+        aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
+        middle = np.stack([x, y], axis=1)
+        if track == 0:
+            inside = share_inside(middle, discs)
+            return -self.rows.of_wheels(
+                self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
+            )
+        left, right = share_inside(middle + aside, discs), share_inside(middle - aside, discs)
+        half_turn = self.motion.turn * track / 2
+        lost_left = (self.motion.distance - half_turn)[:, None] * left
+        lost_right = (self.motion.distance + half_turn)[:, None] * right
+        return -self.rows.of_wheels((lost_left + lost_right) / 2, (lost_right - lost_left) / track)
 
     # noise
 

@@ -24,7 +24,7 @@ def best_patch(
 ) -> tuple[SlipPatch, float] | None:
     """Return the patch that the data ask for most beside other effects, and its evidence [nats].
 
-    None where the robot hardly moved.
+    Each wheel slips where it stands, or the body as a whole: the likelier. None where the robot hardly moved.
     """
     is_moving = np.abs(model.wheels.distance) > PATCH.min_moving
     positions = model.rows.increment_poses[is_moving, :2]
@@ -35,19 +35,30 @@ def best_patch(
         cells = cells[:: len(cells) // PATCH.max_centres + 1]
     centres = cells * PATCH.cell
     discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in PATCH.radii])
-    gains, _ = gains_of_discs(model, discs, terms)
+    found = [_best_disc(model, discs, track, terms, rng) for track in (model.robot.wheels.base, 0.0)]
+    return max(found, key=lambda one: one[1])
+
+
+def _best_disc(
+    model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm], rng: np.random.Generator
+) -> tuple[SlipPatch, float]:
+    """Return the best of discs (n, 3), improved by random steps, and its evidence [nats]."""
+    gains, _ = gains_of_discs(model, discs, track, terms)
     disc = discs[int(np.argmax(gains))]
     for step in PATCH.first_steps:
         near = disc + step * rng.uniform(-PATCH.first_spread, PATCH.first_spread, size=(PATCH.n_first, 3))
         near[:, 2] = np.clip(near[:, 2], *PATCH.radius_range)
         near = np.concatenate([disc[None], near])
-        gains, _ = gains_of_discs(model, near, terms)
+        gains, _ = gains_of_discs(model, near, track, terms)
         disc = near[int(np.argmax(gains))]
     x, y, r = (float(value) for value in disc)
-    return SlipPatch(x=x, y=y, r=r, covariance=np.zeros((4, 4))), float(gains.max()) - PATCH_PRICE
+    patch = SlipPatch(x=x, y=y, r=r, track=track, covariance=np.zeros((4, 4)))
+    return patch, float(gains.max()) - PATCH_PRICE
 
 
-def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[WheelTerm]) -> tuple[Floats, Floats]:
+def gains_of_discs(
+    model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm]
+) -> tuple[Floats, Floats]:
     """Return likelihood gained [nats] and share of the motion lost (n_discs,), given a set of effects."""
     regression = model.regression
     fit = regression.solve(model.prior(terms))
@@ -58,7 +69,7 @@ def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[WheelTerm])
     at_a_time = max(1, MAX_VALUES // len(residual))
     for first in range(0, len(discs), at_a_time):  # a long run has rows by the hundred thousand
         some = slice(first, first + at_a_time)
-        Z = model.whitener(model.slip_columns(discs[some]))
+        Z = model.whitener(model.slip_columns(discs[some], track))
         score[some] = residual @ Z
         cross = regression.A[:, free].T @ Z
         total[some] = np.einsum("ij,ij->j", Z, Z)
@@ -73,16 +84,17 @@ def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[WheelTerm])
 def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.random.Generator) -> None:
     """Move a patch to the middle of its likelihood and take its spread from there."""
     rest = [term for term in terms if term != model.patch_term(i)]
+    track = model.patches[i].track
     discs = _grid_about(model.patches[i].disc)
-    gains, lost = gains_of_discs(model, discs, rest)
+    gains, lost = gains_of_discs(model, discs, track, rest)
     for step in PATCH.refining_steps:
         near = _random_steps(discs[int(np.argmax(gains))], step, rng)
         if not len(near):
             continue
-        more_gains, more_lost = gains_of_discs(model, near, rest)
+        more_gains, more_lost = gains_of_discs(model, near, track, rest)
         discs = np.concatenate([discs, near])
         gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
-    model.patches[i] = _posterior_mean(discs, gains, lost)
+    model.patches[i] = _posterior_mean(discs, gains, lost, track)
     model.whiten()
 
 
@@ -110,7 +122,7 @@ def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats
     return near[(near[:, 2] > low) & (near[:, 2] < high)]
 
 
-def _posterior_mean(discs: Floats, gains: Floats, lost: Floats) -> SlipPatch:
+def _posterior_mean(discs: Floats, gains: Floats, lost: Floats, track: float) -> SlipPatch:
     """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r about it."""
     # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
     best = np.argsort(-gains)
@@ -125,4 +137,4 @@ def _posterior_mean(discs: Floats, gains: Floats, lost: Floats) -> SlipPatch:
     nearest = int(np.argmin(((values[:, 1:] - middle[1:]) ** 2).sum(axis=1)))
     x, y, r = (float(value) for value in discs[best[nearest]])
     off = values - values[nearest]
-    return SlipPatch(x=x, y=y, r=r, covariance=(off * weight[:, None]).T @ off)
+    return SlipPatch(x=x, y=y, r=r, track=track, covariance=(off * weight[:, None]).T @ off)

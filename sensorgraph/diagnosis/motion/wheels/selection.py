@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
 )
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
-from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
+from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
 from sensorgraph.diagnosis.motion.wheels.structure import (
     JUMP,
@@ -77,7 +77,7 @@ def _patch(
     patch, gain = found
     if gain + PATCH_PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
         # a patch that is not modelled looks like noise to the filter: judge it by a noise of its own
-        alone = model.profile_gain(model.slip_columns(patch.disc[None]))
+        alone = model.profile_gain(model.slip_columns(patch.disc[None], patch.track))
         gain = max(gain, alone - PATCH_PRICE - ODOMETRY.patch.noise_price)
     return patch, gain
 
@@ -214,9 +214,6 @@ def _rim_columns(model: WheelModel, terms: Sequence[WheelTerm]) -> Floats:
         if model.patch_term(i) not in terms:
             continue
         moved = np.concatenate([patch.disc + shift, patch.disc - shift])
-        inside = share_inside(model.rows.increment_poses, moved)
-        change = inside[:, :3] - inside[:, 3:]
-        parts.append(
-            model.rows.of_wheels(model.motion.distance[:, None] * change, model.motion.turn[:, None] * change)
-        )
+        columns = model.slip_columns(moved, patch.track)
+        parts.append(columns[:, :3] - columns[:, 3:])
     return np.concatenate(parts, axis=1)
