@@ -11,6 +11,7 @@ from scipy.sparse import csgraph
 
 from planners.clearance import Barriers
 from planners.joins.ompl_process import ask_ompl
+from planners.joins.raster_way import raster_way
 from planners.joins.settings import JOINS
 from planners.reach import Reach
 from planners.rooms import cell_graph
@@ -19,9 +20,13 @@ from planners.types import Floats
 
 
 def connect(
-    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int
+    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int, in_parts: bool = True
 ) -> tuple[list[Floats | None], JoinCounts]:
     """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL.
+
+    Parameters
+    ----------
+    in_parts : what OMPL does not find as a whole is searched for in parts
 
     Returns
     -------
@@ -40,8 +45,8 @@ def connect(
             paths[k] = _certified_path(way, barriers, reach.clearance)
             if paths[k] is None:
                 paths[k] = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
-            if paths[k] is None:
-                paths[k] = _connect_by_legs(starts[k], ends[k], reach, barriers, seed)
+            if paths[k] is None and in_parts:
+                paths[k] = _connect_in_parts(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, JoinCounts(
         direct=int(direct.sum()),
@@ -71,16 +76,24 @@ def connect_nearest(
     if path is None:
         path = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
     if path is None:
-        path = _connect_by_legs(start, goals[nearest[0]], reach, barriers, seed)
+        path = _connect_in_parts(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
         return None, JoinCounts(failed=1)
     return path, JoinCounts(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
 
 
-def _connect_by_legs(
+def _connect_in_parts(
     start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
 ) -> Floats | None:
-    """Find a path (k, 2) [m] in legs, over places on the shortest way from cell to cell, since OMPL did not find it whole."""
+    """Find a path (k, 2) [m] that OMPL did not find as a whole: in legs from cell to cell, or else over the raster's nodes."""
+    path = _path_over_cells(start, end, reach, barriers, seed)
+    return _path_over_nodes(start, end, reach, barriers, seed) if path is None else path
+
+
+def _path_over_cells(
+    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
+) -> Floats | None:
+    """Find a path (k, 2) [m] in legs, over places on the shortest way from cell to cell; None where that is no longer than a leg."""
     at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
     first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
     far, before = csgraph.dijkstra(
@@ -93,9 +106,34 @@ def _connect_by_legs(
         route.append(int(before[0, route[-1]]))
     cells = np.unravel_index(route[::-1][:: max(round(JOINS.leg_length / reach.cell), 1)][1:], reach.shape)
     stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
-    legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed)
+    return _joined_legs(stops, reach, barriers, seed)
+
+
+def _path_over_nodes(
+    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
+) -> Floats | None:
+    """Find a path (k, 2) [m] along the shortest way over the raster: straight pieces of it, or OMPL's paths from leg to leg."""
+    way = raster_way(start, end, reach)
+    if way is None:
+        return None
+    for slack in (0.0, JOINS.clearance_slack):
+        path = _certified_path(way, barriers, reach.clearance - slack)
+        if path is not None:
+            return path
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+    if along[-1] <= JOINS.leg_length:
+        return None
+    stops = way[np.searchsorted(along, np.arange(0.0, along[-1], JOINS.leg_length / 2))]
+    return _joined_legs(np.concatenate([stops, end[None]]), reach, barriers, seed, in_parts=False)
+
+
+def _joined_legs(
+    stops: Floats, reach: Reach, barriers: Barriers, seed: int, *, in_parts: bool = True
+) -> Floats | None:
+    """Find a path (k, 2) [m] from stop to stop (n, 2); None where a leg is missing."""
+    legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed, in_parts=in_parts)
     found = [leg for leg in legs if leg is not None]
-    return np.concatenate([start[None], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
+    return np.concatenate([stops[:1], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
 
 
 def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
