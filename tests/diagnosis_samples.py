@@ -37,8 +37,9 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
 def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
     """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), track [m] between the wheels that slip by themselves, clock, lag, dead, v_max; memory of the camera.
 
-    Three that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
-    that share of their speed per rad/s of turning; `since`, a lag only from this time on [s].
+    Some that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
+    that share of their speed per rad/s of turning; `since`, a lag only from this time on [s]. A fourth, `asym`: the floor
+    takes that share of left turns alone.
     """
     rng = np.random.default_rng(seed)
     commands = profile(rng, duration)
@@ -67,6 +68,7 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         slow, slow1 = 1 - sag * abs(omega), 1 - sag * abs(w1)
         way = (v * slow + v1 * slow1) / 2 * STEP * both + (omega + w1) / 4 * STEP * track * apart
         way -= scrub * abs(turn)
+        turn *= 1 - effect.get("asym", 0.0) * (turn > 0)
         middle = phi + turn / 2
         x, y, phi = x + way * math.cos(middle), y + way * math.sin(middle), phi + turn
         v, omega = v1, w1

@@ -314,3 +314,15 @@ def test_long_columns_are_whitened_in_blocks_as_the_filter_says() -> None:
     G, b = whitener.normal_equations([columns[:, :2], columns[:, 2:]], y)
     np.testing.assert_allclose(G, Z.T @ Z, atol=1e-9)
     np.testing.assert_allclose(b, Z.T @ whitener(y), atol=1e-9)
+
+
+def test_floor_that_takes_left_turns_alone_is_unknown_and_no_wheelbase() -> None:
+    result = diagnose_odometry(make_run(3, asym=0.06), ROBOT)
+    assert result.unknown is not None
+    assert "to the left and to the right" in result.unknown.statement
+    assert result.effects == ()
+
+
+def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
+    result = diagnose_odometry(make_run(3, base=0.05, asym=0.01), ROBOT)
+    assert [a.name for a in result.effects] == ["wheel_base"]

@@ -137,6 +137,8 @@ class OdometryStructureSettings:
     """[m] driven in a cell."""
     min_extent: float = 1.5
     """[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""
+    even_part: float = 0.5
+    """Of what an effect of the whole run explains, above which structure leaves it no name."""
     scale_sigma: float = 0.1
     """A priori, of each coefficient that is a scale; in seconds, of a clock offset."""
     yaw_sigma: float = 0.02

@@ -53,7 +53,8 @@ def odometry_result(
     found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
     found.sort(key=lambda a: -(a.evidence or 0.0))
     if model.structure is not None:  # what structure takes or leaves is nobody's to name
-        found = [a for a in found if _is_determined(a)]
+        taken = _taken_by_structure(model, terms, fit)
+        found = [a for a in found if _is_determined(a) and a.effect not in taken]
     named = [a for a in found if _is_material(a)]
     return ChannelResult(
         channel="odometry",
@@ -134,6 +135,21 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
         value = float(model.rows.clock + theta)
         stderr = float(np.hypot(error, model.robot.tolerances.stamp / ODOMETRY.stamp_averaging))
     return replace(effect(**{key: value}), stderr={key: stderr})
+
+
+def _taken_by_structure(model: WheelModel, terms: Sequence[WheelTerm], fit: RegressionFit) -> set[Effect]:
+    """Return effects of the whole run that structure is half as large as: they are the even part of something else.
+
+    Floor that takes a share of left turns alone is half a wheelbase and half a difference between left and right.
+    """
+    A, structure = model.regression.A, model.layout.n + len(model.patches)
+    size = float(np.linalg.norm(A[:, structure:] @ fit.theta[structure:]))
+    return {
+        term.effect
+        for term in terms
+        if term.effect is not WHEEL_SLIP
+        and size > ODOMETRY.structure.even_part * np.linalg.norm(A[:, term.column] * fit.theta[term.column])
+    }
 
 
 def _is_determined(a: Amendment) -> bool:
