@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from benchmarks.error_tables import ALL_MINUTES, DriveScore, picture, single_places, summary
 from benchmarks.offices import office
 from logs.run import Run, pair
 from planners import plan
@@ -46,39 +46,18 @@ from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.survey import survey_of
 from sensorgraph.planning.views import views_within
-from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-ALL_MINUTES = (2, 5, 10, 20, 40)
 FIRST_MINUTES = 5.0
 """[min] after which the next run is planned by what the graph does not know."""
 SECONDS_A_VIEW = 8.0
 """Of a tour, to start with; the number of views is then set by how long that tour took."""
 
-COLOURS = ("#1b1b1b", "#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0")
-LEAST_DRAWN = 0.01
-"""[%]"""
-
 Drive = Callable[[float], list[Run]]
 """Minutes -> the runs of so many minutes together."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DriveScore:
-    """One graph: how it was driven for, how long, and how good it is on fresh poses."""
-
-    way: str
-    minutes: float
-    scans: int
-    wrong: float
-    """Share of all rays more than 5 cm off."""
-    answered: float
-    wrong_of_answered: float
-    median: float
-    """[m]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,36 +201,6 @@ def row(way: str, runs: list[Run], found: Evaluation) -> DriveScore:
     )
 
 
-def picture(rows: list[DriveScore], path: Path) -> None:
-    """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
-    figure = new_figure(11.0, 3.4)
-    left, right = figure.subplots(1, 2)
-    colours = dict(zip(dict.fromkeys(r.way for r in rows), COLOURS, strict=False))
-    for way, colour in colours.items():
-        own = [r for r in rows if r.way == way]
-        minutes = [r.minutes for r in own]
-        style = {"color": colour, "lw": 1.8, "marker": "o", "ms": 4}
-        left.plot(minutes, [100 * r.wrong for r in own], label=way, **style)
-        right.plot(minutes, [100 * r.answered for r in own], **style)
-    left.set_yscale("log")
-    left.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
-    right.set_ylabel("rays answered [%]", color=INK)
-    for axes in (left, right):
-        minutes_axis(axes)
-    figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
-    save_figure(figure, path)
-
-
-def minutes_axis(axes: Any) -> None:
-    """Lay out an axis of minutes."""
-    axes.set_xscale("log")
-    axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
-    axes.minorticks_off()
-    axes.set_xlabel("driven [min]", color=INK)
-    axes.grid(color=SOLID, lw=0.6)
-    reduce_frame(axes)
-
-
 def place_of(name: str, robot: Robot, seed: int, thin: int) -> Place:
     """Return a place by the name of its arena: shipped, the seed of a random office, or FILE@X,Y."""
     path, _, at = name.partition("@")
@@ -276,74 +225,6 @@ def check_of(place: Place) -> Run:
     return check_run(place.arena, place.robot, rng, poses=poses)
 
 
-def summary(rows: list[dict[str, Any]], path: Path) -> None:
-    """Print the mean share wrong of each way with its 95 % interval over places, and by how much anytime differs; draw it."""
-    print("\n| driven by | places (runs) | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
-    print("|---|---:|" + "---:|" * len(ALL_MINUTES))
-    figure = new_figure(6.4, 3.4)
-    axes = figure.subplots()
-    ways_kept = list(dict.fromkeys(row["way"] for row in rows))
-    for way, colour in zip(ways_kept, COLOURS, strict=False):
-        shares = [np.array(list(wrong_by_place(rows, way, minutes).values())) for minutes in ALL_MINUTES]
-        mean = np.array([some.mean() if len(some) else np.nan for some in shares])
-        half = np.array([interval(some) for some in shares])
-        runs = sum(row["way"] == way for row in rows) // len(ALL_MINUTES)
-        print(line(f"{way} | {len(shares[-1])} ({runs})", shares))
-        axes.plot(ALL_MINUTES, mean, color=colour, lw=1.8, marker="o", ms=4, label=way)
-        axes.fill_between(
-            ALL_MINUTES, np.maximum(mean - half, LEAST_DRAWN), mean + half, color=colour, alpha=0.15, lw=0
-        )
-    for other in [way for way in ways_kept if way != "anytime"] if "anytime" in ways_kept else []:
-        both = common(rows, "anytime", other)
-        pairs = [[wrong_by_place(both, way, m) for way in ("anytime", other)] for m in ALL_MINUTES]
-        print(
-            line(
-                f"anytime less {other} | {len(pairs[-1][0])}",
-                [np.array([a[p] - b[p] for p in a]) for a, b in pairs],
-            )
-        )
-    axes.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
-    axes.set_yscale("log")
-    axes.set_ylim(bottom=LEAST_DRAWN)
-    minutes_axis(axes)
-    figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
-    save_figure(figure, path)
-
-
-def wrong_by_place(rows: list[dict[str, Any]], way: str, minutes: float) -> dict[str, float]:
-    """Return the share wrong [%] in each place, the mean of its seeds."""
-    shares: dict[str, list[float]] = {}
-    for row in rows:
-        if (row["way"], row["minutes"]) == (way, minutes):
-            shares.setdefault(row["arena"], []).append(100 * row["wrong"])
-    return {arena: float(np.mean(some)) for arena, some in shares.items()}
-
-
-def common(rows: list[dict[str, Any]], *some: str) -> list[dict[str, Any]]:
-    """Return the results of places, seeds and minutes that were driven in all of some ways."""
-    driven = [
-        {(row["arena"], row["seed"], row["minutes"]) for row in rows if row["way"] == way} for way in some
-    ]
-    return [
-        row for row in rows if all((row["arena"], row["seed"], row["minutes"]) in keys for keys in driven)
-    ]
-
-
-def line(name: str, shares: list[np.ndarray]) -> str:
-    """Return a line of the table: means [%] and their intervals, a cell for each length of drive."""
-    cells = " | ".join(
-        f"{some.mean() if len(some) else np.nan:.3f} ± {interval(some):.3f} %" for some in shares
-    )
-    return f"| {name} | {cells} |"
-
-
-def interval(some: np.ndarray) -> float:
-    """Return half the 95 % interval of a mean, by Student's t."""
-    if len(some) < 2:
-        return float("nan")
-    return float(stats.t.ppf(0.975, len(some) - 1) * some.std(ddof=1) / np.sqrt(len(some)))
-
-
 def main() -> None:
     """Drive, build, ask; print a table and draw it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -358,9 +239,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
     if options.table:
-        summary(kept(options.keep, options.thin), options.out)
+        rows = kept(options.keep, options.thin)
+        summary(rows, options.out)
+        single_places(rows)
         return
-    rows: list[DriveScore] = []
+    scores: list[DriveScore] = []
     print(
         "| arena | driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |"
     )
@@ -380,7 +263,7 @@ def main() -> None:
                     if (short, seed, way, minutes) in known:
                         continue
                     r = row(way, runs := drive(minutes), evaluate(build(runs), check))
-                    rows.append(r)
+                    scores.append(r)
                     print(
                         f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
                         f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
@@ -394,8 +277,8 @@ def main() -> None:
                         )
     if options.keep:
         summary(kept(options.keep, options.thin), options.out)
-    elif rows:
-        picture(rows, options.out)
+    elif scores:
+        picture(scores, options.out)
 
 
 def kept(path: Path | None, thin: int) -> list[dict[str, Any]]:

@@ -229,6 +229,14 @@ def test_every_window_tells_the_size_of_every_number_of_the_whole_sensor(good: S
         assert whole - {"scan_skew"} <= set(window.sizes)  # a laser without sweep has none
 
 
+def test_a_sector_varies_at_least_as_the_whole_sensor() -> None:
+    intervals = baseline_intervals(windows("range_bias", "b", [0.0, 0.004, -0.003, 0.002, -0.004]))
+    sector = EFFECTS["sector_bias"]
+    assert intervals["sector_bias"].limits("sector_bias") == intervals["range_bias"].limits("range_bias")
+    assert intervals["sector_bias"].contains(sector(theta1=-0.2, theta2=0.6, b=-0.007))
+    assert not intervals["sector_bias"].contains(sector(theta1=-0.2, theta2=0.6, b=0.06))
+
+
 def test_too_few_windows_have_no_interval() -> None:
     assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002])) == {}
 

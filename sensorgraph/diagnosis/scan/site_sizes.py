@@ -18,7 +18,12 @@ from scipy.special import stdtrit
 
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.sector_bias import SECTOR_BIAS
 from sensorgraph.types import Floats
+
+WHOLE_OF = {SECTOR_BIAS.name: RANGE_BIAS.name}
+"""Effect of some rays -> the same of all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +139,10 @@ def prediction_half_width(spread: float, dof: float, stderr: float) -> float:
 
 
 def baseline_intervals(windows: Sequence[WindowEstimate]) -> dict[str, BaselineInterval]:
-    """Return, per effect, what good windows show; effects of too few windows are left out."""
+    """Return, per effect, what good windows show; effects of too few windows are left out.
+
+    Readings of a part of the sensor vary at least as those of all of it.
+    """
     out = {}
     for name in sorted({name for w in windows for name in w.sizes}):
         having = [w for w in windows if name in w.sizes]
@@ -150,4 +158,4 @@ def baseline_intervals(windows: Sequence[WindowEstimate]) -> dict[str, BaselineI
             spread[k] = float(np.hypot(of_mean, between))
             stderr[k] = float(np.median(errors))
         out[name] = BaselineInterval(mean=mean, spread=spread, stderr=stderr, dof=len(having) - 1 + belief)
-    return out
+    return {part: out[whole] for part, whole in WHOLE_OF.items() if whole in out} | out
