@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
@@ -121,6 +121,9 @@ def judge(
             if a in names.accepted and local_rival(final, i, baseline.noise_bounds)
         }
         names = name_scan_effects(train, explained, found, listed, echoes=echoes) if echoes else names
+    if not names.named and not found.is_doubted and (told := told_by_tolerances(final)) is not None:
+        found = told if baseline is None else baseline.discount(told, train)
+        names = name_scan_effects(train, explained, found, listed)
     return found, names
 
 

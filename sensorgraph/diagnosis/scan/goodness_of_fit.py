@@ -111,17 +111,7 @@ def check(
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
     if not doubts:
         return GoodnessOfFit(immaterial=immaterial)
-    return GoodnessOfFit(
-        statement=doubts[0].statement,
-        deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
-        statistic=doubts[0].statistic,
-        threshold=doubts[0].threshold,
-        misfit=doubts[0].misfit,
-        failed=frozenset(i for d in doubts for i in d.failed),
-        size=doubts[0].size,
-        causes=doubts[0].causes or likely_causes(found),
-        immaterial=immaterial,
-    )
+    return _of_doubts(doubts[0], doubts, doubts[0].causes or likely_causes(found), immaterial)
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:
@@ -158,13 +148,18 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
 def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
     """Doubt a model that needs tolerances far wider than the nominal ones."""
     state, t = view.fitted.state, view.data.tolerances
-    limit = SCAN.goodness_of_fit.max_tolerance_scale
     poses = state.pose_scale * t.pose_xy / max(nominal.pose_xy, 1e-9)
     walls = state.map_scale * t.map / max(nominal.map, 1e-9)
+    return _beyond_tolerances(poses, walls, nominal, view.data.n_scans)
+
+
+def _beyond_tolerances(poses: float, walls: float, nominal: Tolerances, n_scans: int) -> list[Doubt]:
+    """Doubt poses and walls that are so many times worse than their tolerances."""
+    limit = SCAN.goodness_of_fit.max_tolerance_scale
     return [
         Doubt(
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
-            misfit=(scale - 1) * view.data.n_scans,
+            misfit=(scale - 1) * n_scans,
             statistic=scale,
             threshold=limit,
             size=ScanError(offset=scale * tolerance, affected=1.0),
@@ -176,6 +171,35 @@ def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
         )
         if scale >= limit
     ]
+
+
+def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
+    """Return what a fit's tolerances alone say of the set-up where they are far wider than stated; None where they are not.
+
+    Where effects have taken much of the readings, and none of them deserves its name, nothing else would say it.
+    """
+    data, state = fitted.solver.data, fitted.state
+    doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans)
+    if not doubts:
+        return None
+    return _of_doubts(max(doubts, key=lambda d: d.statistic), doubts, doubts[0].causes, ())
+
+
+def _of_doubts(
+    first: Doubt, doubts: Sequence[Doubt], causes: tuple[str, ...], immaterial: tuple[str, ...]
+) -> GoodnessOfFit:
+    """Tell the first of some doubts."""
+    return GoodnessOfFit(
+        statement=first.statement,
+        deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
+        statistic=first.statistic,
+        threshold=first.threshold,
+        misfit=first.misfit,
+        failed=frozenset(i for d in doubts for i in d.failed),
+        size=first.size,
+        causes=causes,
+        immaterial=immaterial,
+    )
 
 
 def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
