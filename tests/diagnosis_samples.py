@@ -15,6 +15,7 @@ from sensorgraph.world.robot import default_robot
 
 STEP = 0.005
 PERIOD = 0.05
+BASE = 0.4
 ROBOT = default_robot()
 
 
@@ -39,7 +40,8 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
 
     Some that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
     that share of their speed per rad/s of turning; `since`, a lag only from this time on [s]. A fourth, `asym`: the floor
-    takes that share of left turns alone.
+    takes that share of left turns alone; `play` [m], by which each wheel turns back before it moves the body; `pile`, the
+    share of the way by which a carpet carries the body along x; `spin`, the share that is lost while the robot gains more than 0.15 m/s².
     """
     rng = np.random.default_rng(seed)
     commands = profile(rng, duration)
@@ -49,7 +51,7 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     since = effect.get("since", 0.0)
     v_max = effect.get("v_max", np.inf)
     s, px, py, pr = effect.get("slip", (0.0, 0.0, 0.0, 0.0))
-    track = effect.get("track", 0.0)
+    track, play, slack = effect.get("track", 0.0), effect.get("play", 0.0), [0.0, 0.0]
 
     def grip(side: float) -> float:
         at_x, at_y = x - side * track / 2 * math.sin(phi), y + side * track / 2 * math.cos(phi)
@@ -69,6 +71,15 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         way = (v * slow + v1 * slow1) / 2 * STEP * both + (omega + w1) / 4 * STEP * track * apart
         way -= scrub * abs(turn)
         turn *= 1 - effect.get("asym", 0.0) * (turn > 0)
+        if play:
+            steps = [(v + v1) / 2 * STEP + side * BASE / 4 * (omega + w1) * STEP for side in (-1.0, 1.0)]
+            for wheel, step in enumerate(steps):
+                taken = min(max(slack[wheel] + step, 0.0), play)  # the gear's tooth between both flanks
+                steps[wheel], slack[wheel] = step - (taken - slack[wheel]), taken
+            way, turn = sum(steps) / 2, (steps[1] - steps[0]) / BASE
+        if (v + v1) * (v1 - v) > 0 and abs(v1 - v) > 0.15 * STEP:
+            way *= 1 - effect.get("spin", 0.0)
+        way += effect.get("pile", 0.0) * abs(way) * math.cos(phi)
         middle = phi + turn / 2
         x, y, phi = x + way * math.cos(middle), y + way * math.sin(middle), phi + turn
         v, omega = v1, w1

@@ -202,7 +202,7 @@ def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more
     """Columns of a distorted place hold no noise of the reference: what stretches x and y alike is the wheels' way."""
     signals = motion_signals(make_run(3))
     rows = aligned_rows(signals)
-    families = {family.kind: family for family in odometry_families(rows, signals.wheels)}
+    families = {family.kind: family for family in odometry_families(rows, signals.wheels, ROBOT.wheels.base)}
     place = families["reference place"].columns[: rows.n]
     distance = np.where(rows.valid, rows.D_along @ signals.wheels.distance, 0.0)
     of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx
@@ -326,3 +326,19 @@ def test_floor_that_takes_left_turns_alone_is_unknown_and_no_wheelbase() -> None
 def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
     result = diagnose_odometry(make_run(3, base=0.05, asym=0.01), ROBOT)
     assert [a.name for a in result.effects] == ["wheel_base"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        ({"play": 0.012}, "after a wheel has turned back"),
+        ({"pile": 0.03}, "depends on the heading"),
+        ({"spin": 0.3}, "accelerates"),
+    ],
+    ids=["play in a gear", "pile of a carpet", "wheels that spin"],
+)
+def test_what_no_wheel_effect_is_is_told_by_what_it_hangs_on(effect: dict[str, float], words: str) -> None:
+    result = diagnose_odometry(make_run(3, **effect), ROBOT)
+    assert result.effects == ()
+    assert result.unknown is not None
+    assert words in result.unknown.statement

@@ -137,6 +137,10 @@ class OdometryStructureSettings:
     """[m] driven in a cell."""
     min_extent: float = 1.5
     """[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""
+    least_turning: float = 0.02
+    """[m/s] of a wheel that turns: slower ones may stand."""
+    play: float = 0.005
+    """[m] after a wheel has turned back, within which play would show."""
     even_part: float = 0.5
     """Of what an effect of the whole run explains, above which structure leaves it no name."""
     scale_sigma: float = 0.1

@@ -117,7 +117,7 @@ class StructureCandidate:
 def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
     model.denoise_motion()
-    families = odometry_families(model.rows, model.motion)
+    families = odometry_families(model.rows, model.motion, model.robot.wheels.base)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)

@@ -29,8 +29,8 @@ HIGHEST_POWER = 4
 """Powers of a distorted position along each axis and of both together, up to 3."""
 
 
-def odometry_families(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
-    """Return differences that no library effect makes, with columns (2 n, k)."""
+def odometry_families(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
+    """Return differences that no library effect makes, with columns (2 n, k); `base` [m] is between the wheels."""
     rates = _rates(wheels)
     families = [
         _scales(rows, wheels, "time", "by a scale that changes in time", _pieces(wheels)),
@@ -50,7 +50,7 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements) -> list[Struc
     ]
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
-    families.append(_clock_pieces(rows, wheels))
+    families += [_clock_pieces(rows, wheels), _reversals(rows, wheels, rates, base), _headings(rows, wheels)]
     if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
         families += _distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
@@ -150,11 +150,15 @@ def _speeds(rates: Floats) -> list[Scale]:
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
     kernel = np.ones(5) / 5
     smooth = np.stack([np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in rates.T], axis=1)
-    acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
+    signed = np.gradient(smooth, wheels.middle, axis=0)
+    acceleration, gains = np.abs(signed), signed * smooth > 0
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
+    fast, turning = acceleration[:, 0] > a, acceleration[:, 1] > alpha
     return [
-        (f"above {a:.2f} m/s²", "way", acceleration[:, 0] > a),
-        (f"above {alpha:.2f} rad/s²", "turn", acceleration[:, 1] > alpha),
+        (f"above {a:.2f} m/s²", "way", fast),
+        (f"above {alpha:.2f} rad/s²", "turn", turning),
+        (f"gaining speed, above {a:.2f} m/s²", "way", fast & gains[:, 0]),
+        (f"gaining speed, above {alpha:.2f} rad/s²", "turn", turning & gains[:, 1]),
     ]
 
 
@@ -184,6 +188,54 @@ def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamil
         labels=[f"{span}, clock" for span in _spans(wheels, n)],
         sigma=ODOMETRY.structure.scale_sigma,
         statement="by a clock offset that changes in time",
+    )
+
+
+def _reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: float) -> StructureFamily:
+    """Return the family of wheels that move the body only some millimetres after they have turned back: play in a gear.
+
+    Parameters
+    ----------
+    rates : (n, 2) [m/s, rad/s] of the wheels' increments
+    base : [m] between the wheels
+    """
+    lost = []
+    for side in (-1.0, 1.0):
+        speed = rates[:, 0] + side * base / 2 * rates[:, 1]
+        way = np.abs(wheels.distance + side * base / 2 * wheels.turn)
+        sign = np.where(np.abs(speed) > ODOMETRY.structure.least_turning, np.sign(speed), 0.0)
+        moving = np.flatnonzero(sign)
+        turned_back = moving[1:][np.diff(sign[moving]) != 0]
+        travelled = np.cumsum(way)
+        since = np.searchsorted(turned_back, np.arange(len(way)), side="right") - 1
+        begin = np.append(travelled[turned_back] - way[turned_back], -np.inf)[
+            since
+        ]  # before the first: long ago
+        inside = np.clip(
+            (begin + ODOMETRY.structure.play - (travelled - way)) / np.maximum(way, 1e-9), 0.0, 1.0
+        )
+        lost.append((wheels.distance + side * base / 2 * wheels.turn) * inside)
+    left, right = lost
+    column = rows.of_wheels((left + right) / 2, (right - left) / base)
+    return StructureFamily(
+        kind="reversal",
+        columns=column[:, None],
+        labels=["after a wheel has turned back"],
+        sigma=1.0,
+        statement="by what is lost after a wheel has turned back: play",
+    )
+
+
+def _headings(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
+    """Return the family of a way that is longer in one direction of the map: a slope, the pile of a carpet."""
+    phi, nothing = rows.increment_poses[:, 2], np.zeros(len(wheels.start))
+    along = [np.abs(wheels.distance) * axis for axis in (np.cos(phi), np.sin(phi))]
+    return StructureFamily(
+        kind="heading",
+        columns=np.stack([rows.of_wheels(one, nothing) for one in along], axis=1),
+        labels=["along x of the map, way", "along y of the map, way"],
+        sigma=ODOMETRY.structure.scale_sigma,
+        statement="by a scale that depends on the heading",
     )
 
 
