@@ -258,6 +258,15 @@ def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Pa
     assert "Something unknown at wall w/edge_1." in (tmp_path / "report.html").read_text()
 
 
+def test_a_doubt_of_the_motion_says_what_differs(unknown: Finding) -> None:
+    scan = unknown.channels["scan"]
+    assert scan.unknown is not None and scan.unknown.deviation is not None
+    label = "by what is lost after a wheel has turned back: play"
+    told = replace(scan.unknown.deviation, channel="odometry", partition="reversal", label=label)
+    said = replace(unknown, channels={"scan": replace(scan, unknown=replace(scan.unknown, deviation=told))})
+    assert summarise(said).headline == f"Something unknown: odometry and reference pose differ {label}."
+
+
 def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found: Finding) -> None:
     a = replace(EFFECTS["wheel_radius"](s=0.02), evidence=1e6, probability=1.0)
     fit = FitQuality(rmse_m=0.02, normalised=2.0, nats_per_ray=-1.0)

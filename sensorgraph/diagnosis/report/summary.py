@@ -29,6 +29,9 @@ UNCHANGED = 0.97
 MAX_CHANGES = 5
 """Changes of the building that are listed."""
 
+BOTH_SIDES = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}
+"""Channel of motion -> what is compared."""
+
 
 class Outcome(StrEnum):
     """What kind of result a diagnosis has."""
@@ -74,7 +77,7 @@ def summarise(finding: Finding) -> Summary:
             details.insert(0, f"Found besides: {'; '.join(brief(b) for b in rest)}.")
         outcome = Outcome.UNDECIDED
     elif unknown is not None and all((a.probability or 0.0) <= 0.5 for a in effects):
-        headline, outcome = f"Something unknown {_place_phrase(unknown.deviation)}.", Outcome.UNKNOWN
+        headline, outcome = f"Something unknown{_place_phrase(unknown.deviation)}.", Outcome.UNKNOWN
         if effects:
             details.insert(0, f"Part of it is explained by {'; '.join(brief(a) for a in effects)}.")
     elif effects:
@@ -267,12 +270,15 @@ def intake_sentences(finding: Finding) -> list[str]:
 
 
 def _place_phrase(deviation: Deviation | None) -> str:
-    """Say where something unknown is."""
+    """Say where something unknown is, or between what."""
     if deviation is None:
-        return "is left"
+        return " is left"
+    if deviation.channel in BOTH_SIDES:
+        return f": {BOTH_SIDES[deviation.channel]} differ {deviation.label}"
     part = deviation.partition.removesuffix(" and half of the run")
     words = {"hit place": "", "robot place": "where the robot is"}
-    return f"{words.get(part, 'at ' + part)} {deviation.label}".strip()
+    where = f"{words.get(part, 'at ' + part)} {deviation.label}".strip()
+    return f" {where}"
 
 
 def main_channel(finding: Finding) -> str:
