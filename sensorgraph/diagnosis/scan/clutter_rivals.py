@@ -19,6 +19,8 @@ from sensorgraph.effects import Amendment
 def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | None:
     """Return a local effect beside which one of the model is no more than the site shows by itself; None: there is none.
 
+    One that is itself no more than the site shows stands for nothing.
+
     Parameters
     ----------
     index : of an effect of the whole sensor in the model
@@ -36,6 +38,7 @@ def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | 
         both = fit(data, (*rest, model[index], candidate.amendment), fitted.state, bounds, outer=3, inner=3)
         if is_rough(both.model[-1]):
             both = searched(data, both, bounds, rounds=3, first=1.0, turns=1)
-        if is_within_baseline(both, both.model[-2]):
-            return both.model[-1]
+        number, local = both.model[-2:]
+        if is_within_baseline(both, number) and not is_within_baseline(both, local):
+            return local
     return None
