@@ -9,6 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
+from sensorgraph.diagnosis.motion.motors.structure import jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -46,22 +47,25 @@ def drive_result(
     for term in sorted(selected.terms, key=lambda term: -evidence[term]):
         alternatives = _alternatives(model, term, selected)
         error = float(np.sqrt(covariance[term.column, term.column]))
-        found.append(
-            replace(
-                _sized(model, term, fit, error),
-                probability=probability(evidence[term], alternatives.values(), EVIDENCE),
-                evidence=evidence[term],
-            )
+        amendment = replace(
+            _sized(model, term, fit, error),
+            probability=probability(evidence[term], alternatives.values(), EVIDENCE),
+            evidence=evidence[term],
         )
+        found.append((amendment, term))
         rival = strongest_rival(term.effect, alternatives, EVIDENCE)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
         if rival is not None:
             rivals.append(rival)
+    changes = None if selected.structure is None else selected.structure.family.kind
+    steady = [
+        a for a, term in found if changes != jump_of(term.column)
+    ]  # a number that changes has no one size
     return ChannelResult(
         channel="drive",
-        effects=tuple(a for a in found if _is_material(model, a)),
-        within_tolerance=tuple(a for a in found if not _is_material(model, a)),
+        effects=tuple(a for a in steady if _is_material(model, a)),
+        within_tolerance=tuple(a for a in steady if not _is_material(model, a)),
         unknown=None if selected.structure is None else _unknown(model, selected.structure),
         rivals=tuple(rivals),
         deviations=deviations,

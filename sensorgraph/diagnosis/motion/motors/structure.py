@@ -17,6 +17,11 @@ WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
 """Numbers of the motors that a load, a warm gear or a restart may change during a run."""
 
 
+def jump_of(column: int) -> str:
+    """Return the kind of the families of a number of the motors that changes once; empty: it is not looked for."""
+    return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
+
+
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return differences that no effect makes, with columns (2 n, k)."""
     rows = model.rows
@@ -115,7 +120,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
             what = WHAT_CHANGES[term.column]
             out.append(
                 StructureFamily(
-                    kind=f"jump of the {what}",
+                    kind=jump_of(term.column),
                     columns=(fit.columns[:, term.column] * np.concatenate([later, later]))[:, None],
                     labels=[],
                     sigma=DRIVE.structure.delay_sigma,
