@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, floors_of_scraps, surely_stands
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
@@ -296,16 +296,6 @@ def test_clutter_is_no_price_of_what_surely_stands_alone_in_the_room(
     data = replace(prepare_scans(run, ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
     assert clutter_floor(disc, data) == floor
     assert price(disc, data) == price(disc, replace(data, clutter_nats={})) + floor
-
-
-def test_in_a_map_of_scraps_only_what_surely_stands_is_looked_for() -> None:
-    assert floors_of_scraps(()) == {}
-    floors = floors_of_scraps(("glass",))
-    assert floors == {"glass": np.inf, "unmapped_obstacle": np.inf}
-    for leans, floor in ((False, 0.0), (True, np.inf)):
-        run, disc = pillar_run(leans=leans)
-        data = replace(prepare_scans(run, ARENA, ROBOT)[0], clutter_nats=floors)
-        assert clutter_floor(disc, data) == floor
 
 
 def test_what_rays_go_through_does_not_surely_stand() -> None:

@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import floors_of_scraps, surely_stands
+from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
@@ -115,7 +115,7 @@ def learnt(
     tolerances = shift_tolerances(data, cuts)
     work.add(1)
     hidden = hidden_by_scraps(data.arena)
-    data = replace(data, tolerances=tolerances, clutter_nats=floors_of_scraps(hidden), memo={})
+    data = replace(data, tolerances=tolerances, clutter_nats=dict.fromkeys(hidden, float("inf")), memo={})
     parts = [window for n in cuts for window in data.windows(n)]
     fits = []
     for window in parts:

@@ -12,7 +12,6 @@ from scipy.special import stdtrit
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import floors_of_scraps
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
@@ -152,7 +151,7 @@ class SiteBaseline:
         intervals = baseline_intervals(windows)
         floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
         clutter = {name: max(nats - SCAN.selection.threshold, 0.0) for name, nats in floors.items()}
-        clutter |= floors_of_scraps(self.not_looked_for)
+        clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
         leads = {
             name: nats
             for name, nats in self._most_nats(windows, data.ranges.size).items()

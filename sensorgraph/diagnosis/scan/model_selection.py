@@ -272,7 +272,7 @@ def shortlist(
                 continue
             if (c.amendment.name, c.amendment.place) in struck:
                 continue
-            if clutter_floor(c.amendment, data) == np.inf:
+            if data.clutter_nats.get(c.amendment.name) == np.inf:
                 continue
             if c.gain < _least(current.model, c.amendment, gained):
                 continue

@@ -25,8 +25,7 @@ STAGES_OF_ONE_SENSOR = ("detection", "noise")
 
 def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
     """Return what the effects propose, best first."""
-    data = residuals.data
-    effects = [e for e in EFFECTS.values() if e.place == "spot" or data.clutter_nats.get(e.name) != np.inf]
+    effects = [e for e in EFFECTS.values() if residuals.data.clutter_nats.get(e.name) != np.inf]
     found = [c for effect in effects for c in _proposed(effect, residuals)]
     found += _of_one_sensor(effects, residuals)
     found += _swept(effects, residuals)

@@ -2,34 +2,25 @@
 
 Where a map has a wall it may be a little off, or lack what leans there, and a model that fits badly puts its largest discs
 there, or into space that nobody has looked into. How much such discs bring in good runs is what a further one pays. A thing
-in known free space that stops what is aimed at it is none of them, whatever else the building brings. In a map made of
-scraps nothing else is looked for: the largest of such discs would take the readings of what is really there.
+in known free space that stops what is aimed at it is none of them, whatever else the building brings.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools
 from sensorgraph.world.scene import Beams
 
 
 def clutter_floor(amendment: Amendment, data: ScanData) -> float:
-    """Return the further evidence [nats] that a name takes at this site; inf: it is not looked for."""
+    """Return the further evidence [nats] that a name takes at this site."""
     floor = data.clutter_nats.get(amendment.name, 0.0)
-    return 0.0 if floor > 0 and surely_stands(amendment, data) else floor
-
-
-def floors_of_scraps(hidden: Sequence[str]) -> dict[str, float]:
-    """Return the floors of effects that a map of scraps hides, if it is one, and of things that do not surely stand there."""
-    spots = [name for name, effect in EFFECTS.items() if effect.channel == "scan" and effect.place == "spot"]
-    return dict.fromkeys((*hidden, *spots) if hidden else (), np.inf)
+    return 0.0 if 0.0 < floor < np.inf and surely_stands(amendment, data) else floor
 
 
 def surely_stands(amendment: Amendment, data: ScanData) -> bool:
