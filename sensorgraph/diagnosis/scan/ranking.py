@@ -7,7 +7,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -34,6 +34,11 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     order = _by_gain(without_ends(data, tried))
     if not data.clutter_nats:
         return order
+    certain = [pair for pair in order if not _may_be_clutter(pair, data)]
+    if any(
+        gain >= threshold for _, gain in certain
+    ):  # what may be clutter waits: it would take the readings of others
+        order = certain
     first = _at_known_site(data, order, threshold)
     return [first, *(pair for pair in order if pair is not first)]
 
@@ -51,6 +56,12 @@ def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitt
         return order[0]
     alike = [pair for pair in order if pair[1] >= threshold and _is_plain(pair[0].model[-1])]
     return max(alike, key=whole, default=order[0])
+
+
+def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
+    """Tell whether a thing in the room may be what the building brings."""
+    amendment = pair[0].model[-1]
+    return amendment.effect.place == "spot" and not surely_stands(amendment, data)
 
 
 def _is_plain(amendment: Amendment) -> bool:
