@@ -39,38 +39,48 @@ def propose(residuals: Residuals) -> list[Proposal]:
     if residuals.short.sum() < PROPOSAL.min_rays:
         return []
     ends = residuals.ends(residuals.short)
-    scan = np.nonzero(residuals.short)[0]
     cell = np.floor(ends / 0.2).astype(np.intp)
     _, index, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     index = index.ravel()
-    there = [a.parameters for a in residuals.model if a.name == "unmapped_obstacle"]
     found = []
     for k in np.argsort(-counts)[:MAX_PLACES]:
         if counts[k] < PROPOSAL.min_rays:
             break
         middle = np.median(ends[index == k], axis=0)
         for reach in REACHES:
-            near = np.hypot(*(ends - middle).T) < reach
-            if len(np.unique(scan[near])) < 4:
-                continue
-            directions = np.stack(
-                [residuals.beams.ux[residuals.short][near], residuals.beams.uy[residuals.short][near]], axis=1
-            )
-            fitted = _circle(ends[near], directions)
-            far = np.hypot(*(ends[near] - middle).T)
-            small = float(np.clip(np.quantile(far, 0.5), 0.01, 0.3))
-            compact = (middle + 0.5 * small * directions.mean(axis=0), small, 0.0)
-            for centre, radius, spread in (fitted, compact):
-                if any(
-                    np.hypot(a["x"] - centre[0], a["y"] - centre[1]) < a["r"] + radius + 0.1 for a in there
-                ):
-                    continue
-                if spread < 0.08 and (spread or small < 0.15):
-                    gain = 8.0 * float((far < radius + 0.1).sum()) * max(0.1, 1 - spread / 0.1)
-                    gain -= 8.0 * _n_through(residuals, centre, radius)
-                    values = {"x": float(centre[0]), "y": float(centre[1]), "r": float(radius)}
-                    found.append(Proposal(values=values, gain=gain, xy=centre))
+            found += _things_about(residuals, ends, middle, reach)
     return sorted(found, key=lambda one: -one.gain)[:MAX_PROPOSED]
+
+
+def _things_about(residuals: Residuals, ends: Floats, middle: Floats, reach: float) -> list[Proposal]:
+    """Propose the disc that short readings within `reach` [m] of a place lie on, and a small one at the place itself.
+
+    Parameters
+    ----------
+    ends : (n, 2) [m, map] of all short readings
+    """
+    scan, ray = np.nonzero(residuals.short)
+    near = np.hypot(*(ends - middle).T) < reach
+    if len(np.unique(scan[near])) < 4:
+        return []
+    directions = np.stack(
+        [axis[scan[near], ray[near]] for axis in (residuals.beams.ux, residuals.beams.uy)], axis=1
+    )
+    fitted = _circle(ends[near], directions)
+    far = np.hypot(*(ends[near] - middle).T)
+    small = float(np.clip(np.quantile(far, 0.5), 0.01, 0.3))
+    compact = (middle + 0.5 * small * directions.mean(axis=0), small, 0.0)
+    there = [a.parameters for a in residuals.model if a.name == "unmapped_obstacle"]
+    found = []
+    for centre, radius, spread in (fitted, compact):
+        if any(np.hypot(a["x"] - centre[0], a["y"] - centre[1]) < a["r"] + radius + 0.1 for a in there):
+            continue
+        if spread < 0.08 and (spread or small < 0.15):
+            gain = 8.0 * float((far < radius + 0.1).sum()) * max(0.1, 1 - spread / 0.1)
+            gain -= 8.0 * _n_through(residuals, centre, radius)
+            values = {"x": float(centre[0]), "y": float(centre[1]), "r": float(radius)}
+            found.append(Proposal(values=values, gain=gain, xy=centre))
+    return found
 
 
 def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
