@@ -35,9 +35,8 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
-    if any(
-        gain >= threshold for _, gain in certain
-    ):  # what may be clutter waits: it would take the readings of others
+    # what may be clutter waits for what is none: it would take its readings
+    if any(gain >= threshold for _, gain in certain):
         order = certain
     first = _at_known_site(data, order, threshold)
     return [first, *(pair for pair in order if pair is not first)]

@@ -100,14 +100,13 @@ class WheelModel:
         ----------
         track : [m] between the wheels that slip, each inside or not; 0: both are where the body's middle is
         """
-        x, y, phi = self.rows.increment_poses.T
-        aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
-        middle = np.stack([x, y], axis=1)
+        middle, phi = self.rows.increment_poses[:, :2], self.rows.increment_poses[:, 2]
         if track == 0:
             inside = share_inside(middle, discs)
             return -self.rows.of_wheels(
                 self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
             )
+        aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
         left, right = share_inside(middle + aside, discs), share_inside(middle - aside, discs)
         half_turn = self.motion.turn * track / 2
         lost_left = (self.motion.distance - half_turn)[:, None] * left
