@@ -32,9 +32,9 @@ class SimulationError:
 
         Parameters
         ----------
-        top_speed : [m/s] of the robot; a fast one may be off by more
+        top_speed : [m/s] of the robot; a fast one may be off by more, a slow one by less
         """
-        factor = max(1.0, top_speed / settings.reference_speed)
+        factor = top_speed / settings.reference_speed
         return self.drift > settings.min_drift * factor or self.speed > settings.min_speed_error * factor
 
 
@@ -74,7 +74,7 @@ def reference_error(turn: Floats, missing: Floats) -> ReferenceError:
 
 
 def simulation_error(
-    distance: Floats, turn: Floats, missing: Floats, dt: Floats, base: float
+    distance: Floats, turn: Floats, missing: Floats, dt: Floats, base: float, aside: Floats | None = None
 ) -> SimulationError:
     """Return by how much dead reckoning is off that misses something.
 
@@ -84,9 +84,10 @@ def simulation_error(
     missing : (2 n,) [m, then rad] of each step that the simulation lacks
     dt : (n,) [s] of each step
     base : [m] wheelbase
+    aside : (n,) [m] of each step to the left that the simulation lacks, too
     """
     n = len(distance)
-    away, yaw = missing[:n], missing[n:]
+    away, yaw = missing[:n] + 1j * (np.zeros(n) if aside is None else aside), missing[n:]
     step = float(np.median(dt))
     heading, error = np.cumsum(turn), np.cumsum(yaw)
     true = np.cumsum(distance * np.exp(1j * heading))
@@ -96,7 +97,7 @@ def simulation_error(
     # from a common pose: what the error had turned before the start is turned back
     ahead = (off[starts + k] - off[starts]) * np.exp(-1j * error[starts]) - (true[starts + k] - true[starts])
     drift = float(np.sqrt(np.mean(np.abs(ahead) ** 2))) if len(starts) else 0.0
-    wheel = (away / dt) ** 2 + (base / 2 * yaw / dt) ** 2
+    wheel = np.abs(away / dt) ** 2 + (base / 2 * yaw / dt) ** 2
     return SimulationError(
         drift=drift * EVIDENCE.reckoning_time / (k * step), speed=float(np.sqrt(np.mean(wheel)))
     )

@@ -1,7 +1,7 @@
 """Odometry against the reference pose: wheel effects, slippery patches, and the clock between the two.
 
 Reference poses are averaged over a tenth of a second. What the body did from one average to the next, along its
-heading and in yaw, is compared with what the wheels say.
+heading and in yaw, is compared with what the wheels say; across its heading, with what wheels can roll.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming, odometry_result
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.selection import select
+from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.world.robot import Robot
@@ -39,7 +40,8 @@ def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult
         model = WheelModel(moved, signals.wheels, robot)
     deviations = deviations_before_naming(model)
     terms = select(model, rng)
-    return odometry_result(model, terms, deviations, signals.notes, rng)
+    aside = sideways_structure(model)
+    return odometry_result(model, terms, aside, deviations, signals.notes, rng)
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:

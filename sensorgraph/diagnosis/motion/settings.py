@@ -46,7 +46,7 @@ class EvidenceSettings:
     reckoning_time: float = 60.0
     """[s] of dead reckoning after which a simulation without something is judged."""
     min_drift: float = 0.05
-    """[m] by which it must be off then for the user to mind, of a robot that drives 0.4 m/s; a faster one in proportion."""
+    """[m] by which it must be off then for the user to mind, of a robot that drives 0.4 m/s; another one in proportion."""
     min_speed_error: float = 0.005
     """[m/s] by which the wheels' speed must be off for the user to mind; in proportion, too."""
     reference_speed: float = 0.4
@@ -143,6 +143,10 @@ class OdometryStructureSettings:
     """[m] after a wheel has turned back, within which play would show."""
     even_part: float = 0.5
     """Of what an effect of the whole run explains, above which structure leaves it no name."""
+    n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)
+    """Tenths of a second in which a reference jumps, that are tried."""
+    jump_sigma: float = 0.05
+    """[m or rad] a priori, of each jump of the reference."""
     scale_sigma: float = 0.1
     """A priori, of each coefficient that is a scale; in seconds, of a clock offset."""
     yaw_sigma: float = 0.02

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationE
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
+from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind
 from sensorgraph.types import Bools, Floats
 
 
@@ -27,7 +27,7 @@ class StructureFamily:
     kind: str
     """What they vary with: `time`, `jump`, `speed`, …; several families may be of one kind."""
     columns: Floats
-    """(2 n, k)"""
+    """(n_kinds n, k)"""
     labels: Sequence[str]
     """(k,) what each column stands for; empty where columns are not reported one by one."""
     sigma: float
@@ -59,15 +59,15 @@ class AcceptedStructure:
     """Statements of the families that explain most after it."""
 
 
-Noise = tuple[WhiteningFilter, WhiteningFilter]
-"""Of translation and of rotation."""
+Noise = tuple[WhiteningFilter, ...]
+"""Of each kind of rows, for instance translation and rotation."""
 MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
 """Noises of earlier fits that a fit may begin at, times that columns and noise are fitted in turn, and times that rows
 are weighed anew by what the columns leave."""
 MIN_GAIN = 0.5
 """[nats] with less, another round changes nothing."""
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
-"""Fits the noise of a residual (n,) of translation (0) or rotation (1) to its valid part."""
+"""Fits the noise of a residual (n,) of one kind of rows, counted from 0, to its valid part."""
 
 
 class StructureTest:
@@ -76,21 +76,21 @@ class StructureTest:
     def __init__(
         self, valid: Bools, y: Floats, fit_noise: NoiseFitter, nuisances: Floats | None = None
     ) -> None:
-        """Compare over rows y (2 n,), those of `valid` (n,).
+        """Compare over rows y of one kind or several (n_kinds n,), those of `valid` (n,) of each.
 
         Parameters
         ----------
-        nuisances : (2 n, m) columns that are part of every model, in units of their standard deviation a priori
+        nuisances : (n_kinds n, m) columns that are part of every model, in units of their standard deviation a priori
         """
         self.nuisances = np.zeros((len(y), 0)) if nuisances is None else nuisances
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
         self._noises: list[Noise] = []
         white = WhiteningFilter.white(0, 1.0)
-        self.whitener = Whitener.plain((white, white), valid)
+        self.whitener = Whitener.plain((white,) * (len(y) // len(valid)), valid)
         self.residual = y
 
     def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
-        """Return the family that explains most beside the model's own columns (2 n, k), and its evidence [nats]."""
+        """Return the family that explains most beside the model's own columns (n_kinds n, k), and its evidence [nats]."""
         here = self._evidence(own)
         screened = self._screened(own, candidates)
         k = int(np.argmax(screened))
@@ -107,7 +107,7 @@ class StructureTest:
         return list(found.values())
 
     def explained(self, own: Floats, families: Sequence[StructureFamily]) -> Floats:
-        """Return by how much the rows (2 n,) differ between the models with families and without.
+        """Return by how much the rows (n_kinds n,) differ between the models with families and without.
 
         All rows weigh alike: what is off in a few rows by much is an outlier to evidence, and all the more to a user.
         """
@@ -127,7 +127,7 @@ class StructureTest:
         limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
         sums, squares = 0.0, 0.0
-        for noise, part in zip(self.whitener.filters, both_kinds(self.residual, self.n), strict=True):
+        for noise, part in zip(self.whitener.filters, by_kind(self.residual, self.n), strict=True):
             white = np.where(self.valid, noise(part), 0.0)
             limited = np.clip(white, -limit, limit)
             sums += float(np.square(np.bincount(block, limited)).sum())
@@ -135,7 +135,7 @@ class StructureTest:
         return max(1.0, sums / max(squares, 1e-12))
 
     def gain(self, own: Floats, family: StructureFamily) -> float:
-        """Return the evidence of one family beside columns (2 n, k) [nats]."""
+        """Return the evidence of one family beside columns (n_kinds n, k) [nats]."""
         return self._evidence(own, family) - self._evidence(own)
 
     def log_likelihood_ratio(self, more: Floats, fewer: Floats) -> float:
@@ -163,8 +163,8 @@ class StructureTest:
         return self._evidence_under(noise, own, family)
 
     def _noise(self, residual: Floats) -> Noise:
-        translation, rotation = both_kinds(residual, self.n)
-        return self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
+        parts = enumerate(by_kind(residual, self.n))
+        return tuple(self.fit_noise(kind, part, self.valid) for kind, part in parts)
 
     def _evidence_under(self, noise: Noise, own: Floats, family: StructureFamily | None) -> float:
         """Fit columns by rows that noise whitens; leave whitener and residual as fitted."""
@@ -173,11 +173,11 @@ class StructureTest:
             self.residual, price = self._fit_columns(own, family)
             self.whitener = Whitener.robust(noise, self.valid, self.residual, EVIDENCE.huber_limit)
         self.residual, price = self._fit_columns(own, family)
-        parts = zip(noise, both_kinds(self.residual, self.n), strict=True)
+        parts = zip(noise, by_kind(self.residual, self.n), strict=True)
         return sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
 
     def _parts(self, own: Floats, family: StructureFamily | None) -> list[tuple[Floats, Floats]]:
-        """Return columns (2 n, .) and their scales (.), which bring them to units of their norm or prior."""
+        """Return columns (n_kinds n, .) and their scales (.), which bring them to units of their norm or prior."""
         parts = [
             (own, 1 / np.maximum(np.linalg.norm(own, axis=0), 1e-12)),
             (self.nuisances, np.ones(self.nuisances.shape[1])),
@@ -187,7 +187,7 @@ class StructureTest:
         return parts
 
     def _fit_columns(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, float]:
-        """Return what columns leave (2 n,) and the price of the family's freedom: prior and Occam factor [nats]."""
+        """Return what columns leave (n_kinds n,) and the price of the family's freedom: prior and Occam factor [nats]."""
         parts, k = self._parts(own, family), own.shape[1]
         scale = np.concatenate([scale for _, scale in parts])
         G, b = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
@@ -203,7 +203,7 @@ class StructureTest:
         return self.y - fitted, price
 
     def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[float]:
-        """Return the evidence of each family beside columns (2 n, k) if the noise stays as it is [nats]."""
+        """Return the evidence of each family beside columns (n_kinds n, k) if the noise stays as it is [nats]."""
         parts = self._parts(own, None)
         parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
         scale = np.concatenate([scale for _, scale in parts])

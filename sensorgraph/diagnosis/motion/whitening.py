@@ -105,35 +105,36 @@ def huber_loss(white: Floats, limit: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Whitener:
-    """Whitens rows of two kinds, translation and rotation, one kind after the other."""
+    """Whitens rows of one or several kinds, for instance translation and rotation, one kind after the other."""
 
-    filters: tuple[WhiteningFilter, WhiteningFilter]
+    filters: tuple[WhiteningFilter, ...]
+    """(n_kinds,)"""
     valid: Bools
     """(n,) rows of each kind that count."""
     weights: Floats
-    """(2 n,) by which whitened rows are multiplied."""
+    """(n_kinds n,) by which whitened rows are multiplied."""
 
     @classmethod
-    def plain(cls, filters: tuple[WhiteningFilter, WhiteningFilter], valid: Bools) -> Whitener:
+    def plain(cls, filters: tuple[WhiteningFilter, ...], valid: Bools) -> Whitener:
         """Weigh all rows alike."""
-        return cls(filters=filters, valid=valid, weights=np.ones(2 * len(valid)))
+        return cls(filters=filters, valid=valid, weights=np.ones(len(filters) * len(valid)))
 
     @classmethod
     def robust(
         cls,
-        filters: tuple[WhiteningFilter, WhiteningFilter],
+        filters: tuple[WhiteningFilter, ...],
         valid: Bools,
         residual: Floats,
         limit: float,
     ) -> Whitener:
-        """Weigh rows by the residual (2 n,): beyond `limit` standard deviations, by its size and not its square."""
+        """Weigh rows by the residual (n_kinds n,): beyond `limit` standard deviations, by its size and not its square."""
         white = cls.plain(filters, valid)(residual)
         return cls(filters=filters, valid=valid, weights=np.sqrt(huber_weights(white, limit)))
 
     def __call__(self, columns: Floats) -> Floats:
-        """Return rows (2 n,) or columns (2 n, k) whitened along time and weighted; 0 where not valid."""
+        """Return rows (n_kinds n,) or columns (n_kinds n, k) whitened along time and weighted; 0 where not valid."""
         out, n = np.empty(columns.shape), len(self.valid)
-        for f, part, white in zip(self.filters, both_kinds(columns, n), both_kinds(out, n), strict=True):
+        for f, part, white in zip(self.filters, by_kind(columns, n), by_kind(out, n), strict=True):
             f.write(part, white)
         keep = np.where(self.valid_rows, self.weights, 0.0)
         out *= keep if out.ndim == 1 else keep[:, None]
@@ -144,14 +145,14 @@ class Whitener:
 
         Parameters
         ----------
-        parts : (2 n, .) columns that stand side by side, k in all
-        y : (2 n,)
+        parts : (n_kinds n, .) columns that stand side by side, k in all
+        y : (n_kinds n,)
         """
         k, n = sum(part.shape[1] for part in parts), len(self.valid)
         G, b = np.zeros((k, k)), np.zeros(k)
         keep = np.where(self.valid_rows, self.weights, 0.0)
-        for noise, first in zip(self.filters, (0, n), strict=True):
-            kind = slice(first, first + n)
+        for i, noise in enumerate(self.filters):
+            kind = slice(i * n, (i + 1) * n)
             for rows in blocks(n):
                 columns = [noise.block(part[kind], rows) for part in (*parts, y[:, None])]
                 Z = np.concatenate(columns, axis=1) * keep[kind][rows, None]
@@ -161,12 +162,12 @@ class Whitener:
 
     @property
     def valid_rows(self) -> Bools:
-        """(2 n,)"""
-        return np.concatenate([self.valid, self.valid])
+        """(n_kinds n,)"""
+        return np.tile(self.valid, len(self.filters))
 
     @property
     def sigmas(self) -> Floats:
-        """(2,) of the filtered rows of each kind."""
+        """(n_kinds,) of the filtered rows of each kind."""
         return np.array([f.sigma for f in self.filters])
 
     @property
@@ -175,12 +176,17 @@ class Whitener:
         return -float(self.valid.sum()) * float(np.log(self.sigmas).sum())
 
     def nats_and_rms(self, residual: Floats) -> tuple[float, float]:
-        """Return mean negative log-likelihood and RMS of a whitened residual (2 n,), all rows weighed alike."""
+        """Return mean negative log-likelihood and RMS of a whitened residual (n_kinds n,), all rows weighed alike."""
         some = self.valid_rows
         white = Whitener.plain(self.filters, self.valid)(residual)[some]
         sigma = np.repeat(self.sigmas, len(self.valid))[some]
         nats = float(np.mean(0.5 * white**2 + np.log(sigma * np.sqrt(2 * np.pi))))
         return nats, float(np.sqrt(np.mean(white**2)))
+
+
+def by_kind(rows: Floats, n: int) -> list[Floats]:
+    """Return rows (n_kinds n, ...) kind by kind, (n, ...) each: views."""
+    return [rows[first : first + n] for first in range(0, len(rows), n)]
 
 
 def both_kinds(rows: Floats, n: int) -> tuple[Floats, Floats]:

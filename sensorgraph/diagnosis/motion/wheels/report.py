@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, ridge_solution
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
@@ -38,6 +38,7 @@ RMSE_WINDOW = 1.0
 def odometry_result(
     model: WheelModel,
     terms: Sequence[WheelTerm],
+    aside: AcceptedStructure | None,
     deviations: tuple[Deviation, ...],
     notes: Mapping[str, object],
     rng: np.random.Generator,
@@ -46,6 +47,7 @@ def odometry_result(
 
     Parameters
     ----------
+    aside : what moves the body across its heading
     deviations : what the bare simulator showed, before any selection
     """
     fit = model.regression.solve(model.prior(terms))
@@ -60,7 +62,7 @@ def odometry_result(
         channel="odometry",
         effects=tuple(named),
         within_tolerance=tuple(a for a in found if not _is_material(a)),
-        unknown=_unknown(model),
+        unknown=_unknown(model, aside),
         rivals=tuple(_rivals(model, terms, named, rng)),
         deviations=deviations,
         gap=_gap(model, terms),
@@ -226,11 +228,16 @@ def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
     return tuple(out[: ODOMETRY.max_listed])
 
 
-def _unknown(model: WheelModel) -> Unknown | None:
-    """Say what structure entered the model in the stead of effects."""
-    if model.structure is None:
+def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | None:
+    """Say what structure entered the model in the stead of effects, or moves the body aside: the more evident."""
+    found = sorted(
+        [one for one in (model.structure, aside) if one is not None], key=lambda one: -one.evidence
+    )
+    if not found:
         return None
-    family, evidence, size = model.structure.family, model.structure.evidence, model.structure.size
+    first = found[0]
+    family, evidence, size = first.family, first.evidence, first.size
+    rivals = [one.family.statement for one in found[1:]] + list(first.rivals)
     return Unknown(
         statement=f"odometry and reference pose differ {family.statement}, which no effect of the library explains; {size.sentence()}",
         deviation=Deviation(
@@ -246,8 +253,8 @@ def _unknown(model: WheelModel) -> Unknown | None:
         statistic=evidence,
         size=size.to_dict(),
         consequence=size.sentence(),
-        families=(family.statement, *model.structure.rivals),
-        threshold=model.structure.threshold,
+        families=(family.statement, *rivals[:2]),
+        threshold=first.threshold,
     )
 
 

@@ -41,10 +41,14 @@ class OdometryRows:
     """(n,)"""
     along: Floats
     """(n,) [m] of the reference along its heading."""
+    across: Floats
+    """(n,) [m] of the reference to the left of its heading."""
     yaw: Floats
     """(n,) [rad] of the reference."""
     D_along: sparse.csr_array
     """(n, n_increments) turns distances of increments into rows along the heading."""
+    D_across: sparse.csr_array
+    """(n, n_increments) turns distances of increments into rows across the heading: the robot turns within a row."""
     D_yaw: sparse.csr_array
     """(n, n_increments) turns turns of increments into rows of yaw."""
     slopes: Floats
@@ -112,8 +116,10 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
         averages=np.column_stack([smooth, averages[:, 2]]),
         valid=valid & has_room,
         along=step[:, 0] * np.cos(phi) + step[:, 1] * np.sin(phi),
+        across=step[:, 1] * np.cos(phi) - step[:, 0] * np.sin(phi),
         yaw=step[:, 2],
         D_along=_sparse(weights * np.cos(heading[index] - phi[:, None]), index, len(start)),
+        D_across=_sparse(weights * np.sin(heading[index] - phi[:, None]), index, len(start)),
         D_yaw=_sparse(weights, index, len(start)),
         slopes=_slopes(t, wheels, clock, heading, phi),
         increment_poses=np.stack([*increment_poses, heading], axis=1),

@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.motion.wheels.structure import (
     jump_spacing,
     nearer_jumps,
     odometry_families,
+    reference_jumps,
 )
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
@@ -117,15 +118,18 @@ class StructureCandidate:
 def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
     model.denoise_motion()
+    fit = model.regression.solve(model.prior(model.layout.terms))
     families = odometry_families(model.rows, model.motion, model.robot.wheels.base)
+    jumps = reference_jumps(model.rows, model.y - model.columns @ fit.theta)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
-    family, gain = _best_structure(model, test, own, families)
+    # jumps leave something to a patch that stands where they are: they are asked in its stead
+    family, gain = _best_structure(model, test, own, families if model.patches else [*families, *jumps])
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
-        candidate = _in_stead_of_patches(model, test, own, candidate, families)
+        candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
     needed = max(
         ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * model.rows.n
     )
@@ -189,7 +193,8 @@ def _in_stead_of_patches(
     families: Sequence[StructureFamily],
 ) -> StructureCandidate:
     """Return the better candidate of structure beside the patches and structure in their stead."""
-    family, total = _best_structure(model, test, model.A, families)  # patches need not leave what they mimic
+    # patches need not leave what they mimic
+    family, total = _best_structure(model, test, model.A, families)
     gain = total - test.log_likelihood_ratio(own, model.A)
     if gain + PATCH_PRICE * len(model.patches) > beside.evidence:
         return StructureCandidate(family=family, evidence=total, replaces_patches=True)

@@ -8,11 +8,13 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.special import gammaln
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
 from sensorgraph.types import Bools, Floats
 
 Part = Literal["way", "turn", "way and turn"]
@@ -287,6 +289,38 @@ def _distorted_reference(rows: OdometryRows, distance: Floats) -> list[Structure
             is_of_reference=True,
         ),
     ]
+
+
+def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamily]:
+    """Return families of a reference that jumps at one moment, at two, at four and so on: where most is left.
+
+    A camera that takes over from another is off by a constant before and after; what a wheel loses on a slippery patch
+    takes as long as the patch.
+
+    Parameters
+    ----------
+    residual : (2 n,) what a model without patches leaves
+    """
+    parts = [residual[: rows.n], residual[rows.n :]]
+    spreads = [MAD_TO_SIGMA * float(np.median(np.abs(part[rows.valid]))) + 1e-12 for part in parts]
+    size = sum((part / spread) ** 2 for part, spread in zip(parts, spreads, strict=True))
+    largest = np.argsort(-np.where(rows.valid, size, 0.0))
+    out = []
+    for k in ODOMETRY.structure.n_reference_jumps:
+        columns = np.zeros((2 * rows.n, 2 * k))
+        columns[largest[:k], np.arange(k)] = columns[rows.n + largest[:k], k + np.arange(k)] = 1.0
+        out.append(
+            StructureFamily(
+                kind="reference jumps",
+                columns=columns,
+                labels=[],
+                sigma=ODOMETRY.structure.jump_sigma,
+                statement="by jumps of the reference at single moments",
+                is_of_reference=True,
+                choice_price=float(gammaln(rows.n + 1) - gammaln(k + 1) - gammaln(rows.n - k + 1)),
+            )
+        )
+    return out
 
 
 def _spans(wheels: WheelIncrements, n: int) -> list[str]:

@@ -1,0 +1,127 @@
+"""Motion across the heading: wheels cannot tell of it, and no effect of the library makes it.
+
+A body that slides outward in a curve, is carried aside by the floor, or a reference whose heading changes: all of them
+move the body to its left or right, which neither distance nor turn shows. A heading of the reference that is off by a
+constant, and a body that turns about a point ahead of or behind `base_link`, are set-up and free in every model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
+from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import (
+    AcceptedStructure,
+    StructureFamily,
+    StructureTest,
+)
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
+from sensorgraph.types import Bools, Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SidewaysRows:
+    """What the body did across its heading, row by row, and what makes it."""
+
+    y: Floats
+    """(n,) [m] to the left, less what the wheels' way says; 0 where not valid."""
+    distance: Floats
+    """(n,) [m] of the wheels."""
+    turn: Floats
+    """(n,) [rad] of the wheels."""
+    rate: Floats
+    """(n,) [rad/s] of the wheels' turns."""
+    heading: Floats
+    """(n,) [rad] in the map."""
+
+
+def sideways_rows(model: WheelModel) -> SidewaysRows:
+    """Return the rows across the heading of a model."""
+    rows, wheels = model.rows, model.motion
+    turn = rows.D_yaw @ wheels.turn
+    return SidewaysRows(
+        y=np.where(rows.valid, rows.across - rows.D_across @ wheels.distance, 0.0),
+        distance=rows.D_along @ wheels.distance,
+        turn=turn,
+        rate=turn / np.gradient(rows.stamps),
+        heading=rows.poses[:, 2],
+    )
+
+
+def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
+    """Return what moves the body aside, if anything does that a user would mind."""
+    rows, aside = model.rows, sideways_rows(model)
+    limits = noise_limits(model.robot, model.wheels, rows.stamps)
+    mask = rows.valid[:, None]
+    # a reference whose positions are older than its headings slides in curves, too: within the tolerance of a clock
+    nuisance = clock_sigma(model.robot, EVIDENCE) * (aside.distance * aside.rate)[:, None]
+    noise = LimitedNoiseFitter(limits)
+    test = StructureTest(rows.valid, aside.y, noise, np.where(mask, nuisance, 0.0))
+    own = np.where(mask, np.stack([aside.distance, aside.turn], axis=1), 0.0)
+    families = sideways_families(aside, mask)
+    family, gain = test.best(own, families)
+    dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
+    needed = max(ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * rows.n)
+    if gain < needed:
+        return None
+    size = _size(model, aside, StructureTest(rows.valid, aside.y, noise).explained(own, [family]))
+    if not size.is_material(model.robot.limits.v):
+        return None
+    rivals = [one.statement for one in test.ranking(own, families) if one is not family]
+    return AcceptedStructure(
+        family=family, evidence=gain, threshold=needed, size=size, rivals=tuple(rivals[:2])
+    )
+
+
+def sideways_families(aside: SidewaysRows, mask: Bools) -> list[StructureFamily]:
+    """Return what may move a body aside, with columns (n, k).
+
+    Parameters
+    ----------
+    mask : (n, 1) rows that count
+    """
+    sigma = ODOMETRY.structure.scale_sigma
+    backward, to_right = aside.distance < 0, aside.turn < 0
+    way = np.abs(aside.distance)
+    piece = np.arange(len(aside.y)) * ODOMETRY.structure.n_pieces // len(aside.y)
+    pieces = [piece == k for k in range(1, ODOMETRY.structure.n_pieces)]
+    kinds: list[tuple[str, str, list[Floats]]] = [
+        ("curve", "by sliding sideways in curves", [aside.distance * aside.rate]),
+        (
+            "direction",
+            "sideways, otherwise forward than backward or to the left than to the right",
+            [aside.distance * backward, aside.turn * to_right],
+        ),
+        (
+            "heading",
+            "sideways, by a way that depends on the heading",
+            [-way * np.sin(aside.heading), way * np.cos(aside.heading)],
+        ),
+        ("time", "sideways, by a heading that changes in time", [aside.distance * part for part in pieces]),
+    ]
+    return [
+        StructureFamily(
+            kind=kind,
+            columns=np.where(mask, np.stack(columns, axis=1), 0.0),
+            labels=[],
+            sigma=sigma,
+            statement=statement,
+        )
+        for kind, statement, columns in kinds
+    ]
+
+
+def _size(model: WheelModel, aside: SidewaysRows, missing: Floats) -> SimulationError:
+    """Return by how much a simulation is off that misses what is across (n,) [m]."""
+    return simulation_error(
+        aside.distance,
+        aside.turn,
+        np.zeros(2 * len(missing)),
+        np.gradient(model.rows.stamps),
+        model.robot.wheels.base,
+        missing,
+    )
