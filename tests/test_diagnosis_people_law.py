@@ -61,6 +61,11 @@ def floor() -> Floats:
     return np.where(on_ramp & ahead, 1.1 / np.cos(SENSOR.bearings), np.inf)
 
 
+def pushed() -> Floats:
+    """Somebody pushes a round thing to where it stands for the second half of the run."""
+    return np.where((T > 15.0)[:, None], disc(np.full(len(T), 1.3), np.full(len(T), 3.2), 0.2), np.inf)
+
+
 def short_readings(before: Floats) -> tuple[FitResiduals, Bools]:
     """Let something stand before the walls, and return what a fit of the room takes for short."""
     rng = np.random.default_rng(4)
@@ -86,8 +91,9 @@ def test_somebody_who_walks_up_and_down_may_be_people() -> None:
         (stuck(ANGLE), "repeat the scan before"),
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
         (floor(), "too wide for a person"),
+        (pushed(), "does not walk"),
     ],
-    ids=["rays that stick", "ghosts", "floor"],
+    ids=["rays that stick", "ghosts", "floor", "pushed there half-way"],
 )
 def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: str) -> None:
     reason, causes = why_not_people(*short_readings(before))

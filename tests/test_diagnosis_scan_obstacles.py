@@ -102,3 +102,13 @@ def test_a_move_is_looked_for_where_most_rays_are_strange() -> None:
     )
     found = strangest_obstacles(residuals)  # type: ignore[arg-type]
     assert found == [f"thing_{n - 2 - k}" for k in range(PROPOSAL.max_obstacles)]
+
+
+def test_what_bulges_from_a_wall_is_no_round_thing_that_stands_there(hall: Arena) -> None:
+    inside, before = (
+        diagnose(to_and_fro(hall, (EFFECTS["unmapped_obstacle"](x=3.0, y=y, r=0.3),)), hall, ROBOT)
+        for y in (5.12, 4.5)
+    )
+    assert [a.name for a in before.effects] == ["unmapped_obstacle"] and before.unknown is None
+    assert inside.effects == ()
+    assert inside.unknown is not None and "before room/edge_2" in inside.unknown.statement

@@ -243,6 +243,9 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     if is_absurd:
         words = "odometry and reference do not belong together: way or turn differ in sign or by half"
         return without_close_calls(replace(result, effects=(), unknown=Unknown(statement=words)))
+    if result.unknown is not None:  # what brings less than that may be a part of it
+        least = result.unknown.statistic
+        result = replace(result, effects=tuple(a for a in result.effects if (a.evidence or 0.0) > least))
     slips = [a for a in result.effects if a.effect.place == "spot"]
     mimics = slips if len(slips) > 1 and result.unknown is not None else []  # of the unknown, patch by patch
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}

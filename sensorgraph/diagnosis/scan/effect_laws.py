@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import ScanError
@@ -17,6 +18,11 @@ from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
+
+WALL_CAUSES: tuple[str, ...] = (
+    "furniture that leans at the wall, a door that stands open, a radiator",
+    "a reflector, which seems wider than it is",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +102,41 @@ def _telltales() -> list[Telltale]:
     """Return the combinations of effects that cast doubt on themselves, each once."""
     found = [effect.diagnostics.telltale for effect in EFFECTS.values()]
     return list(dict.fromkeys(telltale for telltale in found if telltale is not None))
+
+
+def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
+    """Doubt something round whose middle lies in a wall of the map: what shows of it is a bulge of the wall.
+
+    At a site known by its good runs, maps are wrong at walls everywhere, and the clutter there has its price.
+
+    Parameters
+    ----------
+    gains : [nats] that each effect of the model brings
+    """
+    data = view.data
+    if data.clutter_nats:
+        return []
+    out = []
+    for index, a in enumerate(view.fitted.model):
+        if a.effect.place != "spot":
+            continue
+        x, y = a["x"], a["y"]
+        if data.arena.contains(np.array([[x, y]]))[0]:
+            continue
+        far = shapely.distance(shapely.points(x, y), shapely.linestrings(data.arena.walls))
+        wall = data.arena.names[int(np.argmin(far))]
+        out.append(
+            Doubt(
+                statement=f"readings end before {wall} about ({x:.1f}, {y:.1f}) m: something stands against the wall, or it "
+                "shines there",
+                misfit=gains[index],
+                statistic=gains[index],
+                threshold=SCAN.selection.threshold,
+                failed=frozenset([index]),
+                causes=WALL_CAUSES,
+            )
+        )
+    return out
 
 
 def absences(view: FitResiduals) -> list[Doubt]:

@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.scan.consequence import (
 )
 from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
-from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws
+from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
@@ -96,8 +96,12 @@ def check(
     view = FitResiduals(data, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
+    laws = broken_laws(view, gains, gained)
+    # a fringe of another effect's readings is no doubt, and no name
+    fringes = frozenset(i for d in laws for i in d.failed if fitted.model[i].effect.diagnostics.explains)
     doubts = [
-        *broken_laws(view, gains, gained),
+        *laws,
+        *in_walls(view, gains),
         *_stretched(view, nominal),
         *absences(view),
         *_dispersed(view, found),
@@ -110,8 +114,9 @@ def check(
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
     if not doubts:
-        return GoodnessOfFit(immaterial=immaterial)
-    return _of_doubts(doubts[0], doubts, doubts[0].causes or likely_causes(found), immaterial)
+        return GoodnessOfFit(failed=fringes, immaterial=immaterial)
+    told = _of_doubts(doubts[0], doubts, doubts[0].causes or likely_causes(found), immaterial)
+    return replace(told, failed=told.failed | fringes)
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:

@@ -74,8 +74,8 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     still = _standing_share(view, short)
     if still > settings.max_standing_share:
         return (
-            f"{short_ones}, and {100 * still:.0f} % of the rays that come to where they end {settings.standing_time:g} s "
-            "before or later end there, too: what stands there does not walk",
+            f"{short_ones}, and at {100 * still:.0f} % of the places where they end most rays end there, too, that come "
+            f"{settings.standing_time:g} s to {settings.standing_window:g} s later or before: what stands there does not walk",
             STANDING_CAUSES,
         )
     return "", ()
@@ -154,24 +154,32 @@ def _spacing(view: FitResiduals) -> float:
 
 
 def _standing_share(view: FitResiduals, short: Bools) -> float:
-    """Return how many of the rays that come to the end of a short reading at other times end there, too.
+    """Return at how many of the places where short readings end something stands for a while, later or before.
 
-    It is near 1 for what stands, also where it is seen from all sides, and near 0 for what walked through.
+    It is near 1 for what stands, also where it came or left during the run, and near 0 for what walked through.
     """
     settings = SCAN.goodness_of_fit
     beams, z, stamps = view.beams, view.z, view.data.stamps
     ends, at = view.ends(short), stamps[np.nonzero(short)[0]]
     step = -(-len(ends) // settings.standing_places)
-    ended = reached = 0
+    stands, judged = 0, 0
     for (x, y), when in zip(ends[::step], at[::step], strict=True):
         dx, dy = x - beams.ox, y - beams.oy
         along, across = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
-        other = np.abs(stamps - when) > settings.standing_time
-        comes = other[:, None] & (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
+        comes = (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
         ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
-        ended += int(ends_there.sum())
-        reached += int((ends_there | comes & (z > along)).sum())
-    return ended / reached if reached > settings.min_standing_rays else 0.0
+        reaches = ends_there | comes & (z > along)
+        later = stamps - when
+        shares = []
+        for side in (later, -later):
+            scans = (side > settings.standing_time) & (side < settings.standing_window)
+            n = int(reaches[scans].sum())
+            if n >= settings.min_standing_rays:
+                shares.append(float(ends_there[scans].sum()) / n)
+        if shares:
+            judged += 1
+            stands += max(shares) > 0.5
+    return stands / judged if judged >= settings.min_standing_places else 0.0
 
 
 def clustered(view: FitResiduals, some: Bools) -> float:

@@ -383,15 +383,19 @@ class GoodnessOfFitSettings:
     min_found_share: float = 0.7
     """Of these that it must show, if they are people."""
     standing_time: float = 3.0
-    """[s] before and after a short reading that are left out: a person walks some 3 m meanwhile."""
+    """[s] after and before a short reading that are left out: a person walks some 3 m meanwhile."""
+    standing_window: float = 20.0
+    """[s] after and before it, within which what stands is still there."""
     standing_reach: float = 0.1
     """[m] beside the end of a short reading, within which another ray comes there."""
     standing_places: int = 200
     """Ends of short readings that are looked at."""
-    min_standing_rays: int = 100
-    """Rays that must come there at other times."""
+    min_standing_rays: int = 5
+    """That must come to such a place, later or before."""
+    min_standing_places: int = 20
+    """That are looked at so often."""
     max_standing_share: float = 0.5
-    """Share of these rays that end there, above which the short readings are no people."""
+    """Share of these places at which most rays end, above which the short readings are no people."""
     max_uniform_distance: tuple[float, float] = (0.15, 2.2)
     """Distance of the ranges of strays from uniform: at least this, and this over the root of their count."""
     max_clustered_strays: tuple[float, float] = (0.35, 3.0)
