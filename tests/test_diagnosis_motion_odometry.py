@@ -124,14 +124,30 @@ def worn_half_way(run: Run, at: float = 35.0) -> Run:
     return replace(run, odometry=odometry, odom_twists=run.odom_twists * grown)
 
 
+def out_of_round(run: Run) -> Run:
+    """Return the run as wheels report it of which the right one sits 6 % of its radius off its axle."""
+    v, omega = run.odom_twists.T
+    right = v + ROBOT.wheels.base / 2 * omega
+    turns = np.cumsum(right) * np.gradient(run.odom_stamps) / ROBOT.wheels.radius
+    wobble = 0.06 * np.cos(turns) * right
+    v, omega = v + wobble / 2, omega + wobble / ROBOT.wheels.base
+    period = np.gradient(run.odom_stamps)
+    phi = np.cumsum(omega * period)
+    middle = phi - omega * period / 2
+    steps = (v * period)[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
+    odometry = np.column_stack([np.cumsum(steps, axis=0), wrap(phi)])
+    return replace(run, odometry=odometry, odom_twists=np.column_stack([v, omega]))
+
+
 @pytest.mark.parametrize(
     ("distort", "said"),
     [
+        (out_of_round, "once in every turn of a wheel"),
         (turned_by_place, "yaw of the reference"),
         (bent_by_place, "reference"),
         (worn_half_way, "changes once"),
     ],
-    ids=["turned by place", "bent by place", "worn half-way"],
+    ids=["out of round", "turned by place", "bent by place", "worn half-way"],
 )
 def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
     result = diagnose_odometry(distort(make_run(11)), ROBOT)
@@ -202,7 +218,7 @@ def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more
     """Columns of a distorted place hold no noise of the reference: what stretches x and y alike is the wheels' way."""
     signals = motion_signals(make_run(3))
     rows = aligned_rows(signals)
-    families = {family.kind: family for family in odometry_families(rows, signals.wheels, ROBOT.wheels.base)}
+    families = {family.kind: family for family in odometry_families(rows, signals.wheels, ROBOT.wheels)}
     place = families["reference place"].columns[: rows.n]
     distance = np.where(rows.valid, rows.D_along @ signals.wheels.distance, 0.0)
     of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx

@@ -141,6 +141,8 @@ class OdometryStructureSettings:
     """[m/s] of a wheel that turns: slower ones may stand."""
     play: float = 0.005
     """[m] after a wheel has turned back, within which play would show."""
+    radius_factors: tuple[float, ...] = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
+    """Times the wheels' radius in robot.yaml, by which their turns are counted; 1 % of 60 m is a turn."""
     even_part: float = 0.5
     """Of what an effect of the whole run explains, above which structure leaves it no name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import ScanError
@@ -17,7 +16,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
-from sensorgraph.types import Bools
+from sensorgraph.types import Bools, Floats
 
 WALL_CAUSES: tuple[str, ...] = (
     "furniture that leans at the wall, a door that stands open, a radiator",
@@ -123,8 +122,7 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         x, y = a["x"], a["y"]
         if data.arena.contains(np.array([[x, y]]))[0]:
             continue
-        far = shapely.distance(shapely.points(x, y), shapely.linestrings(data.arena.walls))
-        wall = data.arena.names[int(np.argmin(far))]
+        wall = data.arena.names[_nearest_wall(data.arena.walls, np.array([x, y]))]
         out.append(
             Doubt(
                 statement=f"readings end before {wall} about ({x:.1f}, {y:.1f}) m: something stands against the wall, or it "
@@ -137,6 +135,14 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
             )
         )
     return out
+
+
+def _nearest_wall(walls: Floats, point: Floats) -> int:
+    """Return which of walls (n, 2, 2) [m] is nearest to a point (2,)."""
+    way = walls[:, 1] - walls[:, 0]
+    share = ((point - walls[:, 0]) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
+    foot = walls[:, 0] + np.clip(share, 0.0, 1.0)[:, None] * way
+    return int(np.argmin(np.hypot(*(foot - point).T)))
 
 
 def absences(view: FitResiduals) -> list[Doubt]:

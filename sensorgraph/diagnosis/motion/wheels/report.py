@@ -205,7 +205,7 @@ def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
     fit = regression.solve(model.prior([]))
     residual = regression.y - regression.A @ fit.theta
     out = []
-    for family in _steady(odometry_families(model.rows, motion, model.robot.wheels.base)):
+    for family in _steady(odometry_families(model.rows, motion, model.robot.wheels)):
         Z = model.whitener(family.columns)
         clusters = model.clusters.astype(np.intp)
         sums = np.stack([np.bincount(clusters, weights=z) for z in (Z * residual[:, None]).T])
@@ -271,7 +271,7 @@ def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
     nominal = np.zeros(columns.shape[1])
     nominal[model.layout.clock] = -rows.clock
     # the floor: what is left when all structure is fitted, too
-    families = _steady(odometry_families(model.rows, model.motion, model.robot.wheels.base))
+    families = _steady(odometry_families(model.rows, model.motion, model.robot.wheels))
     rich = np.concatenate([columns, *[family.columns for family in families]], axis=1)
     theta = ridge_solution(model.whitener(rich), regression.y)
     n_valid = rows.valid_rows.sum()

@@ -119,7 +119,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
     model.denoise_motion()
     fit = model.regression.solve(model.prior(model.layout.terms))
-    families = odometry_families(model.rows, model.motion, model.robot.wheels.base)
+    families = odometry_families(model.rows, model.motion, model.robot.wheels)
     jumps = reference_jumps(model.rows, model.y - model.columns @ fit.theta)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
@@ -141,19 +141,21 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
     explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
     size = _size(model, test.explained(beside, explained), candidate.family)
-    if not candidate.replaces_patches and not size.is_material(model.robot.limits.v):
+    is_material = size.is_material(model.robot.limits.v)
+    if not candidate.replaces_patches and not is_material:
         return
-    rivals = [family.statement for family in likely]
     if candidate.replaces_patches:
         model.patches = []
         terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
-    model.structure = AcceptedStructure(
-        family=candidate.family,
-        evidence=candidate.evidence,
-        threshold=needed,
-        size=size,
-        rivals=[text for text in rivals if text != candidate.family.statement][:2],
-    )
+    if is_material:
+        rivals = [family.statement for family in likely]
+        model.structure = AcceptedStructure(
+            family=candidate.family,
+            evidence=candidate.evidence,
+            threshold=needed,
+            size=size,
+            rivals=[text for text in rivals if text != candidate.family.statement][:2],
+        )
     model.fit_noise()
     _take_back(model, terms)
 

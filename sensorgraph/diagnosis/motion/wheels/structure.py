@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.robot import Wheels
 
 Part = Literal["way", "turn", "way and turn"]
 PARTS: tuple[Part, Part] = ("way", "turn")
@@ -31,8 +32,14 @@ HIGHEST_POWER = 4
 """Powers of a distorted position along each axis and of both together, up to 3."""
 
 
-def odometry_families(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
-    """Return differences that no library effect makes, with columns (2 n, k); `base` [m] is between the wheels."""
+def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
+    """Return differences that no library effect makes, with columns (2 n, k).
+
+    Parameters
+    ----------
+    size : radius and distance of the wheels
+    """
+    base = size.base
     rates = _rates(wheels)
     families = [
         _scales(rows, wheels, "time", "by a scale that changes in time", _pieces(wheels)),
@@ -53,6 +60,7 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, base: float) 
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
     families += [_clock_pieces(rows, wheels), _reversals(rows, wheels, rates, base), _headings(rows, wheels)]
+    families += _turns_of_a_wheel(rows, wheels, size)
     if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
         families += _distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
@@ -226,6 +234,33 @@ def _reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base:
         sigma=1.0,
         statement="by what is lost after a wheel has turned back: play",
     )
+
+
+def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
+    """Return families of wheels that are out of round or sit askew: they move the body more and less once a turn.
+
+    A wheel's turns are counted by its own way. Over a long run that needs its radius better than robot.yaml has it, so
+    that some are tried.
+    """
+    ways = [wheels.distance + side * size.base / 2 * wheels.turn for side in (-1.0, 1.0)]
+    out = []
+    for factor in ODOMETRY.structure.radius_factors:
+        columns = []
+        for side, way in zip((-1.0, 1.0), ways, strict=True):
+            angle = (np.cumsum(way) - way / 2) / (factor * size.radius)
+            for wave in (np.cos(angle), np.sin(angle)):
+                columns.append(rows.of_wheels(way * wave / 2, side * way * wave / size.base))
+        out.append(
+            StructureFamily(
+                kind="turns of a wheel",
+                columns=np.stack(columns, axis=1),
+                labels=[f"{wheel} wheel, once a turn" for wheel in ("left", "left", "right", "right")],
+                sigma=ODOMETRY.structure.scale_sigma,
+                statement="once in every turn of a wheel: it is out of round, or its encoder sits askew",
+                choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
+            )
+        )
+    return out
 
 
 def _headings(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
