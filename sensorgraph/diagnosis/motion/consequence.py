@@ -27,15 +27,17 @@ class SimulationError:
         """Say it in words."""
         return f"a simulation without it is off by {self.drift:.2g} m after a minute and by {100 * self.speed:.2g} cm/s"
 
-    def is_material(self, top_speed: float, settings: EvidenceSettings = EVIDENCE) -> bool:
-        """Tell whether a user would mind.
+    def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+        """Tell whether a user would surely mind.
 
         Parameters
         ----------
         top_speed : [m/s] of the robot; a fast one may be off by more, a slow one by less
+        evidence : [nats] that something is off at all
         """
         factor = top_speed / settings.reference_speed
-        return self.drift > settings.min_drift * factor or self.speed > settings.min_speed_error * factor
+        drift, speed = sure_share(evidence) * self.drift, sure_share(evidence) * self.speed
+        return drift > settings.min_drift * factor or speed > settings.min_speed_error * factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +57,15 @@ class ReferenceError:
         """Say it in words."""
         return f"the reference is off by {100 * self.place:.2g} cm and {np.degrees(self.yaw):.2g} degrees"
 
-    def is_material(self, top_speed: float, settings: EvidenceSettings = EVIDENCE) -> bool:
-        """Tell whether a user would mind."""
-        return self.place > settings.min_place_error or self.yaw > settings.min_yaw_error
+    def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+        """Tell whether a user would surely mind, given the evidence [nats] that something is off at all."""
+        share = sure_share(evidence)
+        return share * self.place > settings.min_place_error or share * self.yaw > settings.min_yaw_error
+
+
+def sure_share(evidence: float) -> float:
+    """Return the share of a size that is left two standard errors below it, given the evidence that it is not 0 [nats]."""
+    return max(1.0 - 2.0 / float(np.sqrt(2.0 * max(evidence, 1e-9))), 0.0)
 
 
 def reference_error(turn: Floats, missing: Floats) -> ReferenceError:

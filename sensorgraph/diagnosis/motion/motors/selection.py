@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.consequence import simulation_error
+from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
@@ -104,8 +104,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     changed = _coefficient(test, own, family) if np.isfinite(family.materiality) else 0.0
     # a command waits up to a period for the base's loop: where the two beat, delays of two stretches differ by half of it
     least = max(family.materiality, model.robot.tolerances.control_period / 2)
-    surely = abs(changed) * max(1 - 2 / np.sqrt(2 * gain), 0.0)  # two standard errors less
-    if not size.is_material(model.robot.limits.v) and surely < least:
+    if not size.is_material(model.robot.limits.v, gain) and sure_share(gain) * abs(changed) < least:
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
     if changed:

@@ -141,7 +141,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
     explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
     size = _size(model, test.explained(beside, explained), candidate.family)
-    is_material = size.is_material(model.robot.limits.v)
+    is_material = size.is_material(model.robot.limits.v, candidate.evidence)
     if not candidate.replaces_patches and not is_material:
         return
     if candidate.replaces_patches:

@@ -69,7 +69,7 @@ def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
     if gain < needed:
         return None
     size = _size(model, aside, StructureTest(rows.valid, aside.y, noise).explained(own, [family]))
-    if not size.is_material(model.robot.limits.v):
+    if not size.is_material(model.robot.limits.v, gain):
         return None
     rivals = [one.statement for one in test.ranking(own, families) if one is not family]
     return AcceptedStructure(
