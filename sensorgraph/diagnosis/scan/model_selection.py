@@ -23,6 +23,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
+from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
@@ -116,6 +117,7 @@ def explain(
         n_small += small
         if n_small == 2:  # what is left is smaller still
             break
+    current = _without_usual(data, current, noise_bounds)
     gains, n = {}, len(current.model)
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
@@ -129,6 +131,17 @@ def explain(
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
+
+
+def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
+    """Take out numbers of the sensor that lie within what good runs of the site show, the last found first.
+
+    Beside a bias that is news, a drift that is none would take half of it. One that stands alone takes from nobody.
+    """
+    for index in range(len(current.model) - 1, -1, -1):
+        if len(current.model) > 1 and is_within_baseline(current, current.model[index]):
+            current = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
+    return current
 
 
 def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:

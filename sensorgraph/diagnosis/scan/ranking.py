@@ -8,7 +8,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
-from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor, spread_evidence
+from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools
@@ -54,16 +54,7 @@ def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitt
     if not _is_plain(order[0][0].model[-1]):
         return order[0]
     alike = [pair for pair in order if pair[1] >= threshold and _is_plain(pair[0].model[-1])]
-    first = max(alike, key=whole, default=order[0])
-    # what has more parameters must be told all along the way: a warm-up, not one place that reads less at the start
-    is_number = bool(first[0].model[-1].effect.nuisances)
-    plainer = [
-        pair
-        for pair in alike
-        if is_number and n_parameters(pair[0].model[-1]) < n_parameters(first[0].model[-1])
-        and spread_evidence(data, first[0], pair[0]) < threshold
-    ]
-    return max(plainer, key=whole, default=first)
+    return max(alike, key=whole, default=order[0])
 
 
 def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:

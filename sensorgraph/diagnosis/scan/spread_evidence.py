@@ -29,8 +29,13 @@ def evidence(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted
 
 
 def must_be_spread(amendment: Amendment) -> bool:
-    """Tell whether an effect of the sensor has no sharper test than that all parts of the way show it."""
-    return is_of_sensor(amendment) and not amendment.effect.nuisances
+    """Tell whether an effect of the sensor has no sharper test than that all parts of the way show it.
+
+    A warm-up has none: it begins where the robot begins, and another place may read a little more.
+    """
+    effect = amendment.effect
+    has_more = any(v != 0.0 and effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items())
+    return is_of_sensor(amendment) and (has_more or not effect.nuisances)
 
 
 def is_of_sensor(amendment: Amendment) -> bool:
