@@ -58,13 +58,11 @@ def judged_around_things(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:
     whole = data.judged_to_horizon(np.isfinite(data.into_unknown.horizon))
     null = fit(whole, (), start_state(whole, noise_bounds), noise_bounds, outer=1, inner=4)
     residuals = FitResiduals(whole, null)
-    beams = residuals.beams
     some = np.zeros(whole.ranges.shape, dtype=np.bool_)
     for effect in (e for e in EFFECTS.values() if e.place == "spot" and e.diagnostics.propose is not None):
         assert effect.diagnostics.propose is not None
         for proposal in effect.diagnostics.propose(residuals):
             if surely_stands(effect(**proposal.values), whole):
-                dx, dy = proposal.values["x"] - beams.ox, proposal.values["y"] - beams.oy
-                ahead, aside = dx * beams.ux + dy * beams.uy, np.abs(dx * beams.uy - dy * beams.ux)
-                some |= (ahead > 0) & (aside < proposal.values["r"] + AROUND)
+                ahead, aside = residuals.beams.towards(proposal.values["x"], proposal.values["y"])
+                some |= (ahead > 0) & (np.abs(aside) < proposal.values["r"] + AROUND)
     return data.judged_to_horizon(some) if some.any() else data

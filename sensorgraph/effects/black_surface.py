@@ -22,7 +22,8 @@ from sensorgraph.effects.proposals import (
 )
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Floats
-from sensorgraph.world.scene import Beams, Scene
+from sensorgraph.world.beams import Beams
+from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:

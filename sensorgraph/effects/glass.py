@@ -22,8 +22,9 @@ from sensorgraph.effects.proposals import (
 from sensorgraph.effects.set_up import third_of_map_error, wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
+from sensorgraph.world.scene import RIGHT_ANGLE, Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:

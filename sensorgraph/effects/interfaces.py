@@ -13,7 +13,7 @@ from typing import Protocol
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.scene import Beams
+from sensorgraph.world.beams import Beams
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

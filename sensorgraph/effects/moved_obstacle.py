@@ -104,8 +104,7 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
     centre = walls[members].reshape(-1, 2).mean(axis=0)
     radius = float(np.hypot(*(walls[members].reshape(-1, 2) - centre).T).max()) + 1.5 * NUDGE_DISTANCE
     ox, oy = np.broadcast_to(beams.ox, shape), np.broadcast_to(beams.oy, shape)
-    aside = (centre[0] - ox) * beams.uy - (centre[1] - oy) * beams.ux
-    ahead = (centre[0] - ox) * beams.ux + (centre[1] - oy) * beams.uy
+    ahead, aside = beams.towards(centre[0], centre[1])
     some = (np.abs(aside) < radius) & (ahead > 0) & ~np.isnan(residuals.z)
     if not some.any():
         return None

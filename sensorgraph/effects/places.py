@@ -11,8 +11,9 @@ from sensorgraph.effects.effect import Amendment, Parameter
 from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
-from sensorgraph.world.scene import Beams, Scene
+from sensorgraph.world.scene import Scene
 
 OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
 

@@ -11,7 +11,8 @@ from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Beams, Scene
+from sensorgraph.world.beams import Beams
+from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Scene
 
 GAMMAS = np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 """[rad] that are tried, ..."""

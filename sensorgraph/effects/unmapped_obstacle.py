@@ -85,9 +85,7 @@ def _things_about(residuals: Residuals, ends: Floats, middle: Floats, reach: flo
 
 def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
     """Count the rays that go through a disc, by its inner part."""
-    beams = residuals.beams
-    dx, dy = centre[0] - beams.ox, centre[1] - beams.oy
-    ahead, aside = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+    ahead, aside = residuals.beams.towards(centre[0], centre[1])
     aimed = (ahead > radius) & (np.abs(aside) < 0.7 * radius)
     with np.errstate(invalid="ignore"):
         return int((aimed & (residuals.reached > ahead + radius + 0.1)).sum())

@@ -1,4 +1,4 @@
-"""Scene: what the simulator knows of a run; Beams: what every ray of it would read, as a distribution.
+"""Scene: what the simulator knows of a run, and the rays that it shoots.
 
 A scene goes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each effect of
 `sensorgraph.effects` changes one of them, so any subset composes. `Beams` are the result; `draw_readings` samples readings
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,7 +18,8 @@ from scipy.special import ndtr
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_starts
 from sensorgraph.world.sensor_parts import check_parts, part_names, part_of, sensor_of_rays
@@ -52,70 +52,6 @@ class Transform(Protocol):
 
 Caster = Callable[[Floats, Floats, Floats, Floats], Floats]
 """Origins and unit directions (n_scans, n_rays) of rays, x and y [m, map] -> their ranges [m]; inf where nothing is."""
-
-
-@dataclass(eq=False)
-class Beams:
-    """Every ray of every scan; arrays (n_scans, n_rays) unless said otherwise."""
-
-    ox: Floats
-    """(n_scans, 1) or (n_scans, n_rays) [m] origin in map."""
-    oy: Floats
-    ux: Floats
-    """Unit direction in map."""
-    uy: Floats
-    ranges: Floats
-    """[m] length of the straight path to what is hit; inf where nothing is."""
-    wall: Ints
-    """Index in `Scene.walls`; -1 nothing, DISC a round obstacle, below it a mover."""
-    nx: Floats
-    """Unit normal of what is hit, facing the ray (n . u <= 0); 0 where nothing is hit."""
-    ny: Floats
-    reading: Floats
-    """[m] expected value of a return."""
-    slope: Floats | float = 1.0
-    """d reading / d range."""
-    p_return: Floats | float = 1.0
-    """Chance that the ray returns at all, the sensor's limits aside."""
-    sigma: Floats | float = 0.01
-    """[m] standard deviation of a return."""
-    straight: Bools | None = None
-    """Where the reading follows from `ranges` by `slope`; None: everywhere."""
-    within: Bools | None = None
-    """Where the nearest surface lies inside a cone, not at its edge, so that turning changes nothing; None: nowhere."""
-
-    @property
-    def cosine(self) -> Floats:
-        """Cosine of the incidence, 1 = head-on; 0 where nothing is hit."""
-        return np.asarray(-(self.nx * self.ux + self.ny * self.uy))
-
-    @cached_property
-    def incidence(self) -> Floats:
-        """[rad] between ray and normal, 0 = head-on; nan where nothing is hit."""
-        hit = np.isfinite(self.ranges)
-        return np.where(hit, np.arccos(np.clip(self.cosine, -1.0, 1.0)), np.nan)
-
-    def forget(self) -> None:
-        """Forget what was derived from rays that have changed since."""
-        self.__dict__.pop("incidence", None)
-
-    def along(self, walls: Floats) -> Floats:
-        """Return how far [m] from the first end of its wall each ray hits; nan off the walls."""
-        on = self.wall >= 0
-        a = walls[np.where(on, self.wall, 0), 0]
-        b = walls[np.where(on, self.wall, 0), 1]
-        r = np.where(on, self.ranges, 0.0)
-        r = np.where(np.isfinite(r), r, 0.0)
-        x, y = self.ox + r * self.ux - a[..., 0], self.oy + r * self.uy - a[..., 1]
-        d = b - a
-        length = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
-        return np.where(on, (x * d[..., 0] + y * d[..., 1]) / length, np.nan)
-
-    def bent(self) -> Bools:
-        """Return `straight`, made an array of its own to write in."""
-        if self.straight is None:
-            self.straight = np.ones(self.ranges.shape, dtype=np.bool_)
-        return self.straight
 
 
 @dataclass(eq=False)
@@ -383,11 +319,9 @@ def _meet_discs(beams: Beams, discs: Floats, index: int) -> None:
     """Stop rays at discs (n_scans or 1, n_discs, 3) that stand nearer than what they hit so far."""
     for k in range(discs.shape[1]):
         cx, cy, radius = (discs[:, k, i][:, None] for i in range(3))  # (n_scans or 1, 1)
-        x, y = cx - beams.ox, cy - beams.oy
-        ahead = x * beams.ux + y * beams.uy
-        aside2 = (x * beams.uy - y * beams.ux) ** 2
+        ahead, aside = beams.towards(cx, cy)
         with np.errstate(invalid="ignore"):
-            r = ahead - np.sqrt(radius**2 - aside2)  # nan beside the disc
+            r = ahead - np.sqrt(radius**2 - aside**2)  # nan beside the disc
         met = (r > 0) & (r < beams.ranges)
         if not met.any():
             continue

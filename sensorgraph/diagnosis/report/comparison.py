@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.scene import Beams
+from sensorgraph.world.beams import Beams
 
 MAX_P_ALTERNATIVE = 0.002
 """Chance of the other side of an edge in depth, above which a ray is not compared."""

@@ -99,9 +99,8 @@ def _outlines(view: FitResiduals) -> Bools | None:
         place, r = np.array([[a["x"], a["y"]]]), a["r"]
         if not arena.contains(place)[0] or Barriers(arena).distances(place)[0] < r + aside:
             continue
-        x, y = place[0, 0] - beams.ox, place[0, 1] - beams.oy
-        ahead = x * beams.ux + y * beams.uy > 0
-        near = ahead & (np.abs(x * beams.uy - y * beams.ux) < r + max(r, aside))
+        ahead, beside = beams.towards(place[0, 0], place[0, 1])
+        near = (ahead > 0) & (np.abs(beside) < r + max(r, aside))
         out = near if out is None else out | near
     return out
 

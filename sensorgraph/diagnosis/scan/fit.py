@@ -30,7 +30,8 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.scene import Beams, Scene
+from sensorgraph.world.beams import Beams
+from sensorgraph.world.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -28,8 +28,9 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_order import neighbouring_rays
-from sensorgraph.world.scene import Beams, apply_range_limits
+from sensorgraph.world.scene import apply_range_limits
 
 SQRT_TAU = np.sqrt(2 * np.pi)
 SETTINGS = SCAN.likelihood

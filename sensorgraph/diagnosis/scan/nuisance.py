@@ -16,8 +16,8 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.robot import Tolerances
-from sensorgraph.world.scene import Beams
 
 SETTINGS = SCAN.nuisance
 MIN_COSINE = 1e-3

@@ -164,8 +164,7 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
     step = -(-len(ends) // settings.standing_places)
     stands, judged = 0, 0
     for (x, y), when in zip(ends[::step], at[::step], strict=True):
-        dx, dy = x - beams.ox, y - beams.oy
-        along, across = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+        along, across = beams.towards(x, y)
         comes = (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
         ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
         reaches = ends_there | comes & (z > along)

@@ -18,9 +18,10 @@ from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot, Tolerances
-from sensorgraph.world.scene import Beams, Scene
+from sensorgraph.world.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

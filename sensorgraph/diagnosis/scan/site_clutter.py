@@ -14,7 +14,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools
-from sensorgraph.world.scene import Beams
+from sensorgraph.world.beams import Beams
 
 
 def clutter_floor(amendment: Amendment, data: ScanData) -> float:
@@ -49,8 +49,7 @@ def surely_stands(amendment: Amendment, data: ScanData) -> bool:
 def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bools]:
     """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or beside it."""
     beams, near = _beams(data), SCAN.goodness_of_fit.outline_distance
-    dx, dy = x - beams.ox, y - beams.oy
-    ahead, aside = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+    ahead, aside = beams.towards(x, y)
     face = ahead - np.sqrt(np.maximum(r**2 - aside**2, 0.0))
     free = beams.ranges if data.horizon is None else np.minimum(beams.ranges, data.horizon)
     ahead = np.where((face > 0) & (free > face + 2 * near), ahead, np.inf)
