@@ -349,7 +349,7 @@ def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
     [
         ({"play": 0.012}, "after a wheel has turned back"),
         ({"pile": 0.03}, "depends on the heading"),
-        ({"spin": 0.3}, "accelerates"),
+        ({"spin": 0.3}, "they spin"),
     ],
     ids=["play in a gear", "pile of a carpet", "wheels that spin"],
 )

@@ -129,6 +129,8 @@ class OdometryStructureSettings:
     """[rad/s] of a robot that turns at 1 rad/s; of a faster one in proportion."""
     acceleration_quantile: float = 0.85
     """Of the run's accelerations, above which the robot accelerates."""
+    spinning_quantiles: tuple[float, ...] = (0.5, 0.7, 0.8, 0.9, 0.95)
+    """Of the accelerations of the wheels, above which they may spin."""
     cell: float = 1.0
     """[m] of the raster of places."""
     max_cells: int = 24

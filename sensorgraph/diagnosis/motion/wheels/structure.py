@@ -24,6 +24,8 @@ Scale = tuple[str, Part, Bools]
 """Label, what is scaled, and (n_increments,) which increments."""
 JUMP = "jump"
 """Kind of the families of a scale that changes once."""
+SMOOTHED = 5
+"""Increments that a wheel's speed is averaged over before its acceleration is taken."""
 HIGHEST_WAVE = 5
 """Half waves of a distorted yaw along each axis, 0 to 4."""
 HIGHEST_WAVES = 7
@@ -60,6 +62,7 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
     families += [_clock_pieces(rows, wheels), _reversals(rows, wheels, rates, base), _headings(rows, wheels)]
+    families.append(_spinning(rows, wheels, base))
     families += _turns_of_a_wheel(rows, wheels, size)
     if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
         families += _distorted_reference(rows, rows.D_along @ wheels.distance)
@@ -158,18 +161,19 @@ def _speeds(rates: Floats) -> list[Scale]:
 
 
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
-    kernel = np.ones(5) / 5
-    smooth = np.stack([np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in rates.T], axis=1)
-    signed = np.gradient(smooth, wheels.middle, axis=0)
-    acceleration, gains = np.abs(signed), signed * smooth > 0
+    smooth = np.stack([_smoothed(x) for x in rates.T], axis=1)
+    acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
-    fast, turning = acceleration[:, 0] > a, acceleration[:, 1] > alpha
     return [
-        (f"above {a:.2f} m/s²", "way", fast),
-        (f"above {alpha:.2f} rad/s²", "turn", turning),
-        (f"gaining speed, above {a:.2f} m/s²", "way", fast & gains[:, 0]),
-        (f"gaining speed, above {alpha:.2f} rad/s²", "turn", turning & gains[:, 1]),
+        (f"above {a:.2f} m/s²", "way", acceleration[:, 0] > a),
+        (f"above {alpha:.2f} rad/s²", "turn", acceleration[:, 1] > alpha),
     ]
+
+
+def _smoothed(x: Floats) -> Floats:
+    """Return a series averaged over some increments."""
+    kernel = np.ones(SMOOTHED) / SMOOTHED
+    return np.convolve(np.pad(x, SMOOTHED // 2, mode="edge"), kernel, mode="valid")
 
 
 def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
@@ -233,6 +237,33 @@ def _reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base:
         labels=["after a wheel has turned back"],
         sigma=1.0,
         statement="by what is lost after a wheel has turned back: play",
+    )
+
+
+def _spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
+    """Return the family of wheels that lose a share of their way while they gain speed, each by itself.
+
+    Parameters
+    ----------
+    base : [m] between the wheels
+    """
+    period = wheels.end - wheels.start
+    gained, ways = [], []
+    for side in (-1.0, 1.0):
+        way = wheels.distance + side * base / 2 * wheels.turn
+        speed = _smoothed(way / period)
+        gained.append(np.gradient(speed, wheels.middle) * np.sign(speed))
+        ways.append(way)
+    columns = []
+    for level in np.quantile(np.concatenate(gained), ODOMETRY.structure.spinning_quantiles):
+        left, right = (way * (gain > max(level, 0.0)) for way, gain in zip(ways, gained, strict=True))
+        columns.append(rows.of_wheels((left + right) / 2, (right - left) / base))
+    return StructureFamily(
+        kind="spinning",
+        columns=np.stack(columns, axis=1),
+        labels=[f"the {1 - q:.0%} that gain most" for q in ODOMETRY.structure.spinning_quantiles],
+        sigma=ODOMETRY.structure.scale_sigma,
+        statement="by what wheels lose while they gain speed: they spin",
     )
 
 
