@@ -267,6 +267,15 @@ def test_a_doubt_of_the_motion_says_what_differs(unknown: Finding) -> None:
     assert summarise(said).headline == f"Something unknown: odometry and reference pose differ {label}."
 
 
+def test_what_another_channel_does_not_know_either_is_said_too(unknown: Finding) -> None:
+    words = "odometry and reference pose differ by jumps, which no effect of the library explains; it is off by 1 cm"
+    odometry = ChannelResult(channel="odometry", unknown=Unknown(statement=words))
+    both = summarise(replace(unknown, channels={**unknown.channels, "odometry": odometry}))
+    sentence = "Odometry and reference pose differ by jumps; it is off by 1 cm."
+    assert both.headline == summarise(unknown).headline
+    assert sentence in both.details and sentence not in summarise(unknown).details
+
+
 def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found: Finding) -> None:
     a = replace(EFFECTS["wheel_radius"](s=0.02), evidence=1e6, probability=1.0)
     fit = FitQuality(rmse_m=0.02, normalised=2.0, nats_per_ray=-1.0)

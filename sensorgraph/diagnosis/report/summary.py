@@ -98,7 +98,7 @@ def summarise(finding: Finding) -> Summary:
             else "No effect of the library explains it: "
         )
         details.insert(0, f"{lead}{text}.")
-        details[1:1] = _of_use(unknown, text)
+        details[1:1] = [*_of_use(unknown, text), *_elsewhere(finding, unknown)]
         if (
             finding.intake.get("share_at_walls", 1.0) < SCAN.alignment.good_share
         ):  # said first: names mean little there
@@ -190,6 +190,16 @@ def _of_use(unknown: Unknown, said: str) -> list[str]:
     if causes:
         out.append(f"It may be {'; or '.join(causes)}.")
     return out
+
+
+def _elsewhere(finding: Finding, told: Unknown) -> list[str]:
+    """Say what is unknown in other channels than the one of the headline: it may be the same thing."""
+    others = [one.unknown for one in finding.channels.values() if one.unknown is not None]
+    return [
+        sentence_case(one.statement.replace(", which no effect of the library explains", "", 1))
+        for one in others
+        if one is not told
+    ]
 
 
 def _misplaced(unknown: Unknown) -> Summary:
