@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.map_error import is_map_error, required_ratio
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.ranking import n_parameters
@@ -168,35 +168,11 @@ def _is_blurred_corner(amendment: Amendment) -> bool:
     return amendment.effect.on_part_of_wall and values["b"] - values["a"] < SCAN.naming.min_part
 
 
-def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there, or is a wall.
-
-    A disc that is as large as discs may be has been fitted to something flat.
-    """
-    if amendment.effect.place != "spot":
-        return False
-    data, values = fitted.solver.data, amendment.parameters
-    if values["r"] > amendment.effect.parameter("r").high - amendment.effect.sizes["r"]:
-        return True
-    place = np.array([[values["x"], values["y"]]])
-    if data.arena.contains(place)[0]:
-        return False
-    stands_out = values["r"] - float(Barriers(data.arena).distances(place)[0])
-    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
-
-
 def is_measured(amendment: Amendment) -> bool:
     """Tell whether the run says how large an effect is: no size is less than its own standard error."""
     sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
     error = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
     return not sizes or error < size_ratio(amendment.effect, amendment.parameters)
-
-
-def required_ratio(fitted: Fitted) -> float:
-    """Return how many materialities an effect must have: more, where the tolerances proved too tight."""
-    scale = max(fitted.state.map_scale, fitted.state.pose_scale)
-    is_stretched = scale > SCAN.nuisance.stretched_scale
-    return SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)
 
 
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import log_p_at
+from sensorgraph.diagnosis.scan.map_error import is_map_error
 from sensorgraph.diagnosis.scan.people_law import STRAY_CAUSES, clustered, why_not_people
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -117,7 +118,7 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         return []
     out = []
     for index, a in enumerate(view.fitted.model):
-        if a.effect.place != "spot":
+        if a.effect.place != "spot" or is_map_error(view.fitted, a):
             continue
         x, y = a["x"], a["y"]
         if data.arena.contains(np.array([[x, y]]))[0]:

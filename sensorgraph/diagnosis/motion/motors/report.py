@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import jump_of
+from sensorgraph.diagnosis.motion.motors.structure import WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -58,10 +58,11 @@ def drive_result(
             rival = _late_clock(evidence[term])
         if rival is not None:
             rivals.append(rival)
-    changes = None if selected.structure is None else selected.structure.family.kind
-    steady = [
-        a for a, term in found if changes != jump_of(term.column)
-    ]  # a number that changes has no one size
+    # a lag or a delay that changes has no one size, and the other one takes a part of the change
+    is_change = selected.structure is not None and selected.structure.family.kind in map(
+        jump_of, WHAT_CHANGES
+    )
+    steady = [a for a, term in found if not (is_change and jump_of(term.column))]
     return ChannelResult(
         channel="drive",
         effects=tuple(a for a in steady if _is_material(model, a)),
