@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
+from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error, sure_share
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
@@ -21,6 +21,9 @@ from sensorgraph.diagnosis.motion.structure_test import (
 )
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
 from sensorgraph.types import Bools, Floats
+
+CURVE = "curve"
+"""Kind of the family of what slides in curves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +71,9 @@ def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
     needed = max(ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * rows.n)
     if gain < needed:
         return None
-    size = _size(model, aside, StructureTest(rows.valid, aside.y, noise).explained(own, [family]))
-    if not size.is_material(model.robot.limits.v, gain):
+    missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
+    size = _size(model, aside, missing)
+    if not size.is_material(model.robot.limits.v, gain) and not _is_late(model, family, missing, gain):
         return None
     rivals = [one.statement for one in test.ranking(own, families) if one is not family]
     return AcceptedStructure(
@@ -90,7 +94,11 @@ def sideways_families(aside: SidewaysRows, mask: Bools) -> list[StructureFamily]
     piece = np.arange(len(aside.y)) * ODOMETRY.structure.n_pieces // len(aside.y)
     pieces = [piece == k for k in range(1, ODOMETRY.structure.n_pieces)]
     kinds: list[tuple[str, str, list[Floats]]] = [
-        ("curve", "by sliding sideways in curves", [aside.distance * aside.rate]),
+        (
+            CURVE,
+            "by sliding sideways in curves, or by positions that are older than headings",
+            [aside.distance * aside.rate],
+        ),
         (
             "direction",
             "sideways, otherwise forward than backward or to the left than to the right",
@@ -113,6 +121,19 @@ def sideways_families(aside: SidewaysRows, mask: Bools) -> list[StructureFamily]
         )
         for kind, statement, columns in kinds
     ]
+
+
+def _is_late(model: WheelModel, family: StructureFamily, missing: Floats, evidence: float) -> bool:
+    """Tell whether sliding in curves is as if positions were late by more than a user minds.
+
+    Sliding outward by k v omega is what positions show that are k older than the headings: however long the robot drives,
+    they are off by k v and no more.
+    """
+    if family.kind != CURVE:
+        return False
+    column = family.columns[:, 0]
+    late = abs(float(column @ missing)) / max(float(column @ column), 1e-12)
+    return sure_share(evidence) * late * model.robot.limits.v > EVIDENCE.min_place_error
 
 
 def _size(model: WheelModel, aside: SidewaysRows, missing: Floats) -> SimulationError:
