@@ -41,9 +41,10 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     Some that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
     that share of their speed per rad/s of turning; `since`, a lag only from this time on [s]. A fourth, `asym`: the floor
     takes that share of left turns alone; `play` [m], by which each wheel turns back before it moves the body; `pile`, the
-    share of the way by which a carpet carries the body along x; `spin`, the share that is lost while the robot gains more than 0.15 m/s².
+    share of the way by which a carpet carries the body along x; `spin`, the share that is lost while the robot gains more than 0.15 m/s²;
+    `outages` of the link [s, s], in which a watchdog stops the base.
     """
-    rng = np.random.default_rng(seed)
+    rng, outages = np.random.default_rng(seed), effect.get("outages", ())
     commands = profile(rng, duration)
     n, per = round(duration / STEP), round(PERIOD / STEP)
     late = round(effect.get("dead", 0.0) / STEP)
@@ -62,6 +63,8 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     poses, wheels, given = [(x, y, phi)], [(0.0, 0.0)], commands.tolist()
     for k in range(n):  # of plain floats: 16,000 steps of arrays take five times as long
         u, w = given[(k - late) // per] if k >= late else (0.0, 0.0)
+        if any(begin <= k * STEP < end for begin, end in outages):
+            u, w = 0.0, 0.0
         u, keep = min(max(u, -v_max), v_max), keeps[k * STEP >= since]
         v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
         left, right = (grip(1.0), grip(-1.0)) if s else (1.0, 1.0)

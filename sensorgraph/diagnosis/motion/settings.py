@@ -273,6 +273,12 @@ class DriveStructureSettings:
     """The same of the turn rate."""
     deadbands: tuple[float, ...] = (0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.21, 0.24, 0.28, 0.33)
     """Shares of the largest command below which motors may do nothing."""
+    still_share: float = 0.03
+    """Of the largest speed, below which a base stands."""
+    asked_share: float = 0.15
+    """Of the largest speed, above which commands ask it to move."""
+    stop_time: float = 0.25
+    """[s] that it must stand so: longer than a base waits for the next tick of its loop."""
     gain_sigma: float = 0.1
     """A priori, of each coefficient that is a gain."""
     delay_sigma: float = 0.05

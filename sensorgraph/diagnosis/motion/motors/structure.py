@@ -55,6 +55,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             statement="by a delay that changes in time",
         ),
         _slopes(model),
+        _stops(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
     ]
@@ -101,6 +102,34 @@ def _slopes(model: DriveModel) -> StructureFamily:
         sigma=DRIVE.structure.slope_sigma,
         statement="by the direction in which the robot heads, as on a floor that slopes",
     )
+
+
+def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
+    """Return the family of a base that stands for a while though commands ask it to move."""
+    rows, settings = model.rows, DRIVE.structure
+    asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
+    top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+    still = (np.abs(moved) < settings.still_share * top).all(axis=0)
+    stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
+    columns = fit.simulated * np.tile(
+        _lasting(stands, round(settings.stop_time / float(np.median(rows.end - rows.start)))), 2
+    )
+    return StructureFamily(
+        kind="stops",
+        columns=rows.masked(columns[:, None]),
+        labels=[],
+        sigma=settings.deadband_sigma,
+        statement="by standing at times though commands ask it to move: a link that drops out, a watchdog, a bumper",
+    )
+
+
+def _lasting(some: Bools, least: int) -> Bools:
+    """Return those of a series (n,) that stand in a run of at least so many."""
+    edges = np.diff(np.concatenate([[0], some.astype(np.intp), [0]]))
+    out = np.zeros(len(some), dtype=np.bool_)
+    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        out[begin:end] = end - begin >= least
+    return out
 
 
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
