@@ -42,6 +42,16 @@ def test_planted_effect_is_named_with_its_size(
     assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
 
 
+@pytest.mark.parametrize(("period", "named"), [(0.04, ["dead_time"]), (0.08, [])])
+def test_a_base_that_keeps_step_with_commands_may_wait_half_a_period_more(
+    period: float, named: list[str]
+) -> None:
+    robot = replace(ROBOT, tolerances=replace(ROBOT.tolerances, control_period=period))
+    result = diagnose_drive(make_run(3, dead=0.03), robot)
+    assert [a.name for a in result.effects] == named and result.unknown is None
+    assert [a.name for a in (*result.effects, *result.within_tolerance)] == ["dead_time"]
+
+
 def test_a_slow_loop_of_the_base_may_make_as_much_of_a_change() -> None:
     slow = replace(ROBOT, tolerances=replace(ROBOT.tolerances, control_period=0.2))
     assert diagnose_drive(make_run(3, lag=0.06, since=50.0), slow).unknown is None
