@@ -106,7 +106,6 @@ def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
     assert result.unknown.size["speed_m_s"] == pytest.approx(0.03 / np.sqrt(2), rel=0.4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
     outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
@@ -115,6 +114,7 @@ def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
     assert result.unknown is not None and "by standing at times" in result.unknown.statement
 
 
+@pytest.mark.slow
 def test_wheels_that_misread_at_speed_are_no_saturation() -> None:
     run = make_run(8)
     v = run.odom_twists[:, 0]

@@ -16,6 +16,9 @@ from sensorgraph.types import Bools, Floats
 WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
 """Numbers of the motors that a load, a warm gear or a restart may change during a run."""
 
+SLOWED_DOWN = 3.0
+"""Time constants after which a base that brakes stands: 5 % of its speed are left."""
+
 
 def jump_of(column: int) -> str:
     """Return the kind of the families of a number of the motors that changes once; empty: it is not looked for."""
@@ -111,9 +114,15 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
     top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
     still = (np.abs(moved) < settings.still_share * top).all(axis=0)
     stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
-    columns = fit.simulated * np.tile(
-        _lasting(stands, round(settings.stop_time / float(np.median(rows.end - rows.start)))), 2
-    )
+    lasting = _lasting(stands, round(settings.stop_time / float(np.median(rows.end - rows.start))))
+    commands, motors = model.simulation.commands, fit.motors
+    without = commands.values.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], lasting.astype(np.intp), [0]])))
+    for first, last in edges.reshape(-1, 2):  # it has slowed down before
+        begin = rows.start[first] - motors.delay - SLOWED_DOWN * motors.tau
+        end = rows.end[last - 1] - motors.delay
+        without[(commands.stamps > begin) & (commands.stamps < end)] = 0.0
+    columns = model.simulation.rates_of(motors, without) - fit.simulated
     return StructureFamily(
         kind="stops",
         columns=rows.masked(columns[:, None]),
