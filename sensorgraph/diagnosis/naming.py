@@ -11,7 +11,7 @@ from scipy.special import expit
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
-from sensorgraph.diagnosis.scan.map_error import is_map_error, required_ratio
+from sensorgraph.diagnosis.scan.materiality import is_map_error, required_ratio
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.ranking import n_parameters

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -97,7 +96,7 @@ def _outlines(view: FitResiduals) -> Bools | None:
         if a.effect.place != "spot":
             continue
         place, r = np.array([[a["x"], a["y"]]]), a["r"]
-        if not arena.contains(place)[0] or Barriers(arena).distances(place)[0] < r + aside:
+        if not arena.contains(place)[0] or view.data.barriers.distances(place)[0] < r + aside:
             continue
         ahead, beside = beams.towards(place[0, 0], place[0, 1])
         near = (ahead > 0) & (np.abs(beside) < r + max(r, aside))

@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import log_p_at
-from sensorgraph.diagnosis.scan.map_error import is_map_error
+from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.people_law import STRAY_CAUSES, clustered, why_not_people
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN

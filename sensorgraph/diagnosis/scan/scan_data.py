@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
+from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
@@ -117,6 +118,16 @@ class ScanData:
             begin=self.begin,
             memo=self.memo,
         )
+
+    @property
+    def barriers(self) -> Barriers:
+        """What stands, and what nobody has looked into."""
+        key = b"barriers"
+        if key not in self.memo:
+            self.memo[key] = Barriers(self.arena)
+        kept = self.memo[key]
+        assert isinstance(kept, Barriers)
+        return kept
 
     def subset(self, scans: NDArray[np.intp] | Bools) -> ScanData:
         """Return the data of some scans only: indices, or a mask (n_scans,)."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -34,7 +33,7 @@ def surely_stands(amendment: Amendment, data: ScanData) -> bool:
     if amendment.effect.place != "spot" or "r" not in values:
         return False
     at, near = np.array([[values["x"], values["y"]]]), SCAN.goodness_of_fit.outline_distance
-    if not data.arena.contains(at)[0] or _barriers(data).distances(at)[0] < values["r"] + near:
+    if not data.arena.contains(at)[0] or data.barriers.distances(at)[0] < values["r"] + near:
         return False
     stopped, passed, beside = _met(data, at[0, 0], at[0, 1], values["r"])
     n_stopped, n_passed = int(stopped.sum()), int(passed.sum())
@@ -71,14 +70,4 @@ def _beams(data: ScanData) -> Beams:
         data.memo[key] = data.scene().shoot()
     kept = data.memo[key]
     assert isinstance(kept, Beams)
-    return kept
-
-
-def _barriers(data: ScanData) -> Barriers:
-    """Return what stands, and what nobody has looked into."""
-    key = b"barriers"
-    if key not in data.memo:
-        data.memo[key] = Barriers(data.arena)
-    kept = data.memo[key]
-    assert isinstance(kept, Barriers)
     return kept

@@ -1,10 +1,9 @@
-"""Whether something round is where the map itself may be wrong, by the tolerances that the fit has found."""
+"""Whether an effect is more than the set-up may hide, by the tolerances that the fit has found."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -23,7 +22,7 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     place = np.array([[values["x"], values["y"]]])
     if data.arena.contains(place)[0]:
         return False
-    stands_out = values["r"] - float(Barriers(data.arena).distances(place)[0])
+    stands_out = values["r"] - float(data.barriers.distances(place)[0])
     return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
 
 
