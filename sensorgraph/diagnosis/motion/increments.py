@@ -48,6 +48,11 @@ class WheelIncrements:
         """(n, 2) [m/s, rad/s]"""
         return np.stack([self.distance, self.turn], axis=1) / (self.end - self.start)[:, None]
 
+    def sides(self, base: float) -> tuple[Floats, Floats]:
+        """Return the ways (n,), (n,) [m] of the left and the right wheel, `base` [m] apart."""
+        half_turn = self.turn * base / 2
+        return self.distance - half_turn, self.distance + half_turn
+
 
 def wheel_increments(run: Run) -> WheelIncrements:
     """Return what the odometry says between its stamps.

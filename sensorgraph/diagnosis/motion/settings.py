@@ -111,7 +111,7 @@ class LimitedNoiseSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryStructureSettings:
-    """Structure in odometry against reference that no effect makes (`wheels/structure`, `wheels/selection`)."""
+    """Structure in odometry against reference that no effect makes (`wheels/structure`, `wheels/each_wheel`, `wheels/reference_structure`, `wheels/selection`)."""
 
     n_pieces: int = 6
     """Pieces of the run, each with its own scales."""

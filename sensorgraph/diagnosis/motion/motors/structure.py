@@ -114,13 +114,15 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
     top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
     still = (np.abs(moved) < settings.still_share * top).all(axis=0)
     stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
-    lasting = _lasting(stands, round(settings.stop_time / float(np.median(rows.end - rows.start))))
+    least = round(settings.stop_time / float(np.median(rows.end - rows.start)))
     commands, motors = model.simulation.commands, fit.motors
     without = commands.values.copy()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], lasting.astype(np.intp), [0]])))
-    for first, last in edges.reshape(-1, 2):  # it has slowed down before
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], stands.astype(np.intp), [0]])))
+    for first, beyond in edges.reshape(-1, 2):
+        if beyond - first < least:
+            continue
         begin = rows.start[first] - motors.delay - SLOWED_DOWN * motors.tau
-        end = rows.end[last - 1] - motors.delay
+        end = rows.end[beyond - 1] - motors.delay
         without[(commands.stamps > begin) & (commands.stamps < end)] = 0.0
     columns = model.simulation.rates_of(motors, without) - fit.simulated
     return StructureFamily(
@@ -130,15 +132,6 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
         sigma=settings.deadband_sigma,
         statement="by standing at times though commands ask it to move: a link that drops out, a watchdog, a bumper",
     )
-
-
-def _lasting(some: Bools, least: int) -> Bools:
-    """Return those of a series (n,) that stand in a run of at least so many."""
-    edges = np.diff(np.concatenate([[0], some.astype(np.intp), [0]]))
-    out = np.zeros(len(some), dtype=np.bool_)
-    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        out[begin:end] = end - begin >= least
-    return out
 
 
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:

@@ -107,11 +107,10 @@ class WheelModel:
                 self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
             )
         aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
-        left, right = share_inside(middle + aside, discs), share_inside(middle - aside, discs)
-        half_turn = self.motion.turn * track / 2
-        lost_left = (self.motion.distance - half_turn)[:, None] * left
-        lost_right = (self.motion.distance + half_turn)[:, None] * right
-        return -self.rows.of_wheels((lost_left + lost_right) / 2, (lost_right - lost_left) / track)
+        left, right = self.motion.sides(track)
+        lost_left = left[:, None] * share_inside(middle + aside, discs)
+        lost_right = right[:, None] * share_inside(middle - aside, discs)
+        return -self.rows.of_sides(lost_left, lost_right, track)
 
     # noise
 

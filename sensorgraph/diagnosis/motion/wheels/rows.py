@@ -71,9 +71,13 @@ class OdometryRows:
         rows = np.concatenate([self.D_along @ distance, self.D_yaw @ turn])
         return self.masked(rows)
 
+    def of_sides(self, left: Floats, right: Floats, base: float) -> Floats:
+        """Return the same of the ways of the left and the right wheel (n_increments, ...), `base` [m] apart."""
+        return self.of_wheels((left + right) / 2, (right - left) / base)
+
     def masked(self, rows: Floats) -> Floats:
-        """Return rows (2 n, ...), 0 where not valid."""
-        some = self.valid_rows
+        """Return rows of one kind or several (n_kinds n, ...), 0 where not valid."""
+        some = np.tile(self.valid, len(rows) // self.n)
         return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
 
 

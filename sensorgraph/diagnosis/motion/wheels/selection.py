@@ -23,12 +23,13 @@ from sensorgraph.diagnosis.motion.structure_test import (
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
+from sensorgraph.diagnosis.motion.wheels.reference_structure import reference_jumps
 from sensorgraph.diagnosis.motion.wheels.structure import (
     JUMP,
+    evidence_needed,
     jump_spacing,
     nearer_jumps,
     odometry_families,
-    reference_jumps,
 )
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
@@ -130,9 +131,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
-    needed = max(
-        ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * model.rows.n
-    )
+    needed = evidence_needed(dispersion, model.rows)
     if not candidate.replaces_patches:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:

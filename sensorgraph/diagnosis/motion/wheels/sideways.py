@@ -20,7 +20,9 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
 )
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
-from sensorgraph.types import Bools, Floats
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.wheels.structure import evidence_needed
+from sensorgraph.types import Floats
 
 CURVE = "curve"
 """Kind of the family of what slides in curves."""
@@ -47,7 +49,7 @@ def sideways_rows(model: WheelModel) -> SidewaysRows:
     rows, wheels = model.rows, model.motion
     turn = rows.D_yaw @ wheels.turn
     return SidewaysRows(
-        y=np.where(rows.valid, rows.across - rows.D_across @ wheels.distance, 0.0),
+        y=rows.masked(rows.across - rows.D_across @ wheels.distance),
         distance=rows.D_along @ wheels.distance,
         turn=turn,
         rate=turn / np.gradient(rows.stamps),
@@ -59,18 +61,18 @@ def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
     """Return what moves the body aside, if anything does that a user would mind."""
     rows, aside = model.rows, sideways_rows(model)
     limits = noise_limits(model.robot, model.wheels, rows.stamps)
-    mask = rows.valid[:, None]
     # a reference whose positions are older than its headings slides in curves, too: within the tolerance of a clock
     nuisance = clock_sigma(model.robot, EVIDENCE) * (aside.distance * aside.rate)[:, None]
     noise = LimitedNoiseFitter(limits)
-    test = StructureTest(rows.valid, aside.y, noise, np.where(mask, nuisance, 0.0))
-    own = np.where(mask, np.stack([aside.distance, aside.turn], axis=1), 0.0)
-    families = sideways_families(aside, mask)
+    test = StructureTest(rows.valid, aside.y, noise, rows.masked(nuisance))
+    own = rows.masked(np.stack([aside.distance, aside.turn], axis=1))
+    families = sideways_families(rows, aside)
     family, gain = test.best(own, families)
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
-    needed = max(ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * rows.n)
+    needed = evidence_needed(dispersion, rows)
     if gain < needed:
         return None
+    # of all that slides: beside the nuisance a part of it would be the clock's
     missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
     size = _size(model, aside, missing)
     if not size.is_material(model.robot.limits.v, gain) and not _is_late(model, family, missing, gain):
@@ -81,13 +83,8 @@ def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
     )
 
 
-def sideways_families(aside: SidewaysRows, mask: Bools) -> list[StructureFamily]:
-    """Return what may move a body aside, with columns (n, k).
-
-    Parameters
-    ----------
-    mask : (n, 1) rows that count
-    """
+def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[StructureFamily]:
+    """Return what may move a body aside, with columns (n, k)."""
     sigma = ODOMETRY.structure.scale_sigma
     backward, to_right = aside.distance < 0, aside.turn < 0
     way = np.abs(aside.distance)
@@ -114,7 +111,7 @@ def sideways_families(aside: SidewaysRows, mask: Bools) -> list[StructureFamily]
     return [
         StructureFamily(
             kind=kind,
-            columns=np.where(mask, np.stack(columns, axis=1), 0.0),
+            columns=rows.masked(np.stack(columns, axis=1)),
             labels=[],
             sigma=sigma,
             statement=statement,

@@ -1,0 +1,109 @@
+"""Structure that each wheel makes by itself, as families of columns: play, spinning, wheels out of round."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.types import Floats
+from sensorgraph.world.robot import Wheels
+
+SMOOTHED = 5
+"""Increments that a wheel's speed is averaged over before its acceleration is taken."""
+
+
+def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: float) -> StructureFamily:
+    """Return the family of wheels that move the body only some millimetres after they have turned back: play in a gear.
+
+    Parameters
+    ----------
+    rates : (n, 2) [m/s, rad/s] of the wheels' increments
+    base : [m] between the wheels
+    """
+    lost, by_turning = [], base / 2 * rates[:, 1]
+    speeds = rates[:, 0] - by_turning, rates[:, 0] + by_turning
+    for speed, signed in zip(speeds, wheels.sides(base), strict=True):
+        way = np.abs(signed)
+        sign = np.where(np.abs(speed) > ODOMETRY.structure.least_turning, np.sign(speed), 0.0)
+        moving = np.flatnonzero(sign)
+        turned_back = moving[1:][np.diff(sign[moving]) != 0]
+        travelled = np.cumsum(way)
+        since = np.searchsorted(turned_back, np.arange(len(way)), side="right") - 1
+        # before the first: long ago
+        begin = np.append(travelled[turned_back] - way[turned_back], -np.inf)[since]
+        inside = np.clip(
+            (begin + ODOMETRY.structure.play - (travelled - way)) / np.maximum(way, 1e-9), 0.0, 1.0
+        )
+        lost.append(signed * inside)
+    left, right = lost
+    column = rows.of_sides(left, right, base)
+    return StructureFamily(
+        kind="reversal",
+        columns=column[:, None],
+        labels=["after a wheel has turned back"],
+        sigma=1.0,
+        statement="by what is lost after a wheel has turned back: play",
+    )
+
+
+def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
+    """Return the family of wheels that lose a share of their way while they gain speed, each by itself.
+
+    Parameters
+    ----------
+    base : [m] between the wheels
+    """
+    period, ways = wheels.end - wheels.start, wheels.sides(base)
+    speeds = [smoothed(way / period) for way in ways]
+    gained = [np.gradient(speed, wheels.middle) * np.sign(speed) for speed in speeds]
+    columns = []
+    for level in np.quantile(np.concatenate(gained), ODOMETRY.structure.spinning_quantiles):
+        left, right = (way * (gain > max(level, 0.0)) for way, gain in zip(ways, gained, strict=True))
+        columns.append(rows.of_sides(left, right, base))
+    return StructureFamily(
+        kind="spinning",
+        columns=np.stack(columns, axis=1),
+        labels=[f"the {1 - q:.0%} that gain most" for q in ODOMETRY.structure.spinning_quantiles],
+        sigma=ODOMETRY.structure.scale_sigma,
+        statement="by what wheels lose while they gain speed: they spin",
+    )
+
+
+def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
+    """Return families of wheels that are out of round or sit askew: they move the body more and less once a turn.
+
+    A wheel's turns are counted by its own way. Over a long run that needs its radius better than robot.yaml has it, so
+    that some are tried.
+    """
+    left, right = wheels.sides(size.base)
+    nothing, out = np.zeros(len(left)), list[StructureFamily]()
+    for factor in ODOMETRY.structure.radius_factors:
+        radius = factor * size.radius
+        columns = [rows.of_sides(lost, nothing, size.base) for lost in _by_angle(left, radius)]
+        columns += [rows.of_sides(nothing, lost, size.base) for lost in _by_angle(right, radius)]
+        out.append(
+            StructureFamily(
+                kind="turns of a wheel",
+                columns=np.stack(columns, axis=1),
+                labels=[f"{wheel} wheel, once a turn" for wheel in ("left", "left", "right", "right")],
+                sigma=ODOMETRY.structure.scale_sigma,
+                statement="once in every turn of a wheel: it is out of round, or its encoder sits askew",
+                choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
+            )
+        )
+    return out
+
+
+def _by_angle(way: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return the way (n,) [m] of a wheel by cosine and sine of the angle that it has turned."""
+    angle = (np.cumsum(way) - way / 2) / radius
+    return way * np.cos(angle), way * np.sin(angle)
+
+
+def smoothed(x: Floats) -> Floats:
+    """Return a series averaged over some increments."""
+    kernel = np.ones(SMOOTHED) / SMOOTHED
+    return np.convolve(np.pad(x, SMOOTHED // 2, mode="edge"), kernel, mode="valid")

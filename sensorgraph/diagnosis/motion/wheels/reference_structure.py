@@ -1,0 +1,101 @@
+"""Structure that the reference makes, and no wheel, as families of columns: bent over the place, or jumping."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import gammaln
+
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
+from sensorgraph.types import Floats
+
+HIGHEST_WAVE = 5
+"""Half waves of a distorted yaw along each axis, 0 to 4."""
+HIGHEST_WAVES = 7
+"""Half waves of both axes together, 1 to 6."""
+HIGHEST_POWER = 4
+"""Powers of a distorted position along each axis and of both together, up to 3."""
+
+
+def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureFamily]:
+    """Return families of a reference that is distorted over the place.
+
+    Parameters
+    ----------
+    distance : (n,) [m] of the wheels; steps of the reference itself would bring its noise into the columns
+    """
+    xy = (rows.averages[1:, :2] + rows.averages[:-1, :2]) / 2
+    low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max())
+    u, v = ((xy - low) / size).T
+    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
+    du, dv = distance * c / size, distance * s / size
+    # change over a row of the waves cos(π a u) cos(π b v), and of the powers u^a v^b about the middle
+    waves = [
+        -np.pi * a * np.sin(np.pi * a * u) * np.cos(np.pi * b * v) * du
+        - np.pi * b * np.cos(np.pi * a * u) * np.sin(np.pi * b * v) * dv
+        for a in range(HIGHEST_WAVE)
+        for b in range(HIGHEST_WAVE)
+        if 0 < a + b < HIGHEST_WAVES
+    ]
+    u, v = u - 0.5, v - 0.5
+    powers = [
+        a * u ** max(a - 1, 0) * v**b * du + b * u**a * v ** max(b - 1, 0) * dv
+        for a in range(HIGHEST_POWER)
+        for b in range(HIGHEST_POWER)
+        if 0 < a + b < HIGHEST_POWER
+    ]
+    nothing = np.zeros(rows.n)
+    yaw = [rows.masked(np.concatenate([nothing, wave])) for wave in waves]
+    position = [rows.masked(np.concatenate([axis * p, nothing])) for p in powers for axis in (c, s)]
+    return [
+        StructureFamily(
+            kind="reference yaw",
+            columns=np.stack(yaw, axis=1),
+            labels=["yaw of the reference by place"] * len(yaw),
+            sigma=ODOMETRY.structure.yaw_sigma,
+            statement="by a yaw of the reference that depends on the place",
+            is_of_reference=True,
+        ),
+        StructureFamily(
+            kind="reference place",
+            columns=np.stack(position, axis=1),
+            labels=["position of the reference by place"] * len(position),
+            sigma=ODOMETRY.structure.position_sigma,
+            statement="by a position of the reference that is distorted over the place",
+            is_of_reference=True,
+        ),
+    ]
+
+
+def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamily]:
+    """Return families of a reference that jumps at one moment, at two, at four and so on: where most is left.
+
+    A camera that takes over from another is off by a constant before and after; what a wheel loses on a slippery patch
+    takes as long as the patch.
+
+    Parameters
+    ----------
+    residual : (2 n,) what a model without patches leaves
+    """
+    parts = [residual[: rows.n], residual[rows.n :]]
+    spreads = [MAD_TO_SIGMA * float(np.median(np.abs(part[rows.valid]))) + 1e-12 for part in parts]
+    size = sum((part / spread) ** 2 for part, spread in zip(parts, spreads, strict=True))
+    largest = np.argsort(-np.where(rows.valid, size, 0.0))
+    out = []
+    for k in ODOMETRY.structure.n_reference_jumps:
+        columns = np.zeros((2 * rows.n, 2 * k))
+        columns[largest[:k], np.arange(k)] = columns[rows.n + largest[:k], k + np.arange(k)] = 1.0
+        out.append(
+            StructureFamily(
+                kind="reference jumps",
+                columns=columns,
+                labels=[],
+                sigma=ODOMETRY.structure.jump_sigma,
+                statement="by jumps of the reference at single moments",
+                is_of_reference=True,
+                choice_price=float(gammaln(rows.n + 1) - gammaln(k + 1) - gammaln(rows.n - k + 1)),
+            )
+        )
+    return out
