@@ -193,9 +193,12 @@ class Solver:
 
     def maximise(self, system: System, state: State) -> tuple[Floats, Floats]:
         """Solve for (g, p) under prior and boxes."""
-        tau = self.scaled(state)
-        g, p = boxed(system.matrix, system.right, tau, SCAN.nuisance.max_tolerances * tau, self.locked)
+        g, p = boxed(system.matrix, system.right, self.scaled(state), self.box(state), self.locked)
         return g, p
+
+    def box(self, state: State) -> Floats:
+        """Return how large each nuisance may become."""
+        return np.asarray(SCAN.nuisance.max_tolerances * self.scaled(state))
 
     def scaled(self, state: State) -> Floats:
         """Return the prior widths, widened where tolerances are too tight."""
@@ -319,6 +322,8 @@ def iterate(
             state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         if scales_free:
             state.pose_scale, state.map_scale = _scales(solver, system, state, noise_bounds)
+            box = solver.box(state)  # it may have shrunk since g was solved for
+            state.g = np.clip(state.g, -box, box)
     assert best is not None
     return best
 
