@@ -199,6 +199,13 @@ def test_without_an_effect_nuisances_stay_small_and_scales_at_one(null: Fitted) 
     assert 0.9 < null.state.noise.core < 1.1
 
 
+def test_corners_stay_within_a_box_that_shrinks(hall: Arena) -> None:
+    """A wall that stands 3 cm off must not pass for a careful map: the scale of its tolerance shrinks after a solve."""
+    data = data_of(hall, (EFFECTS["moved_wall"](d=0.03).at("w/edge_0"),))
+    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=7)
+    assert (np.abs(got.state.g) <= got.solver.box(got.state) * (1 + 1e-9)).all()
+
+
 def test_screening_foresees_the_gain_of_a_fit(hall: Arena) -> None:
     data = data_of(hall, (EFFECTS["range_bias"](b=0.008),))
     free = NoiseBounds()

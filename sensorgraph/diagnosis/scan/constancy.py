@@ -19,16 +19,19 @@ from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
+from sensorgraph.diagnosis.scan.gauss_newton import Solver, iterate
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
+from sensorgraph.diagnosis.scan.parts_of_run import (
+    Parts,
+    equations_of_parts,
+    inverse_of_whole,
+    parts_of_run,
+)
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
-
-Parts = Sequence[tuple[Floats, Floats]]
-"""Normal equations (matrix (m, m), right (m,)) of parts of a run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +83,7 @@ def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     if found is None:
         return []
     failed = range(len(fitted.model)) if view is not fitted else [found.number.index]
-    when = float(view.solver.data.stamps[_rows(view)[found.part][0]] - view.solver.data.begin)
+    when = float(view.solver.data.stamps[parts_of_run(view)[found.part][0]] - view.solver.data.begin)
     return [
         Doubt(
             statement=_sentence(found.first, found.second, when),
@@ -96,24 +99,19 @@ def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
 
 def _candidates(fitted: Fitted) -> list[NumberChange]:
     """Return the changes that are likely to first order, the likeliest first; one per number."""
-    rows = _rows(fitted)
+    rows = parts_of_run(fitted)
     if len(rows[-1]) < SCAN.constancy.min_scans:
         return []
-    parts = _equations(fitted.solver, fitted.solution, rows)
+    parts = equations_of_parts(fitted.solver, fitted.solution, rows)
     screened = [_screened(parts, fitted, number) for number in _numbers(fitted)]
     return sorted((c for c in screened if _is_likely(c)), key=lambda c: -c.gain)
 
 
 def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
     """Return the likeliest of the first candidates that is sure and large; None where every number holds."""
-    found = [_refitted(fitted, c, _rows(fitted)) for c in candidates[: SCAN.constancy.max_refitted]]
+    found = [_refitted(fitted, c, parts_of_run(fitted)) for c in candidates[: SCAN.constancy.max_refitted]]
     sure = [c for c in found if _is_likely(c) and _is_sure(c) and _is_large(c, fitted)]
     return max(sure, key=lambda c: c.gain, default=None)
-
-
-def _rows(fitted: Fitted) -> list[Ints]:
-    """Return the scans of each part of the run."""
-    return np.array_split(np.arange(fitted.solver.data.n_scans), SCAN.constancy.n_parts)
 
 
 def _numbers(fitted: Fitted) -> list[SensorNumber]:
@@ -136,31 +134,11 @@ def _numbers(fitted: Fitted) -> list[SensorNumber]:
     return out
 
 
-def _equations(solver: Solver, solution: Solution, rows: Sequence[Ints]) -> Parts:
-    """Return the normal equations of parts of the run."""
-    weight, scale = solution.responsibilities.weight, solution.state.pose_scale
-    systems = [solver.of_scans(some).assemble(weight[some], scale) for some in rows]
-    return [(system.matrix, system.right) for system in systems]
-
-
-def _inverse(parts: Parts, solver: Solver, solution: Solution) -> Floats:
-    """Return the inverse (m, m) of the whole system with its priors; 0 for what is held or at its bound."""
-    tau, g = solver.scaled(solution.state), solution.state.g
-    total = np.sum([matrix for matrix, _ in parts], axis=0)
-    n, k = len(tau), len(total)
-    total[np.arange(k), np.arange(k)] += np.concatenate([1 / tau**2, np.full(k - n, 1e-9)])
-    at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau
-    free = np.concatenate([~(solver.locked | at_bound), np.ones(k - n, dtype=np.bool_)])
-    out = np.zeros((k, k))
-    out[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
-    return out
-
-
 def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChange:
     """Return the likeliest change of a number, to first order."""
     solver, chosen = fitted.solver, number.unknowns
     x = np.concatenate([fitted.state.g, fitted.solution.p])
-    inverse = _inverse(parts, solver, fitted.solution)
+    inverse = inverse_of_whole(parts, solver, fitted.solution)
     matrices = np.array([matrix for matrix, _ in parts])
     scores = np.array([right - matrix @ x for matrix, right in parts])
     trimmed = max(1, round(SCAN.constancy.trimmed_share * len(parts)))
@@ -191,10 +169,10 @@ def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> Num
     state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
     start = np.concatenate([fitted.solution.p, list(change.jump.values())])
     solution = iterate(solver, state, start, bounds, rounds=SCAN.constancy.rounds, noise_free=False)
-    parts = _equations(solver, solution, rows)
+    parts = equations_of_parts(solver, solution, rows)
     x = np.concatenate([solution.state.g, solution.p])
     scores = np.array([right - matrix @ x for matrix, right in parts])
-    each = (scores - scores.mean(axis=0)) @ _inverse(parts, solver, solution)[:, -k:]
+    each = (scores - scores.mean(axis=0)) @ inverse_of_whole(parts, solver, solution)[:, -k:]
     scatter = each.T @ each
     scatter += 1e-9 * np.trace(scatter) * np.eye(k)
     jump, before = solution.p[-k:], np.concatenate([fitted.state.g, fitted.solution.p])[number.unknowns]

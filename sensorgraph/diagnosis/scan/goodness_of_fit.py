@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.bearing_errors import wrong_bearings
 from sensorgraph.diagnosis.scan.consequence import (
     SCATTER_CAUSES,
     ScanError,
@@ -109,7 +110,11 @@ def check(
     doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
-    doubts = [d for d in _told_in_order(changes(fitted, null), doubts) if d.misfit > share * gained]
+    doubts = [
+        d
+        for d in _told_in_order([*changes(fitted, null), *wrong_bearings(fitted, null)], doubts)
+        if d.misfit > share * gained
+    ]
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
@@ -120,13 +125,13 @@ def check(
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:
-    """Order by misfit, but what changed once before all that it brings with it.
+    """Order by misfit, but what changed once, or the bearings, before all that they bring with them.
 
     One place that holds more than the change explains is none of that: readings are off there, and the change stands for it.
     """
     at_places = [d.deviation.z for d in doubts if d.deviation is not None and d.deviation.xy is not None]
     most = max((0.5 * z**2 for z in at_places), default=0.0)
-    first = [d for d in changed if d.misfit >= most]
+    first = sorted((d for d in changed if d.misfit >= most), key=lambda d: -d.misfit)
     rest = [d for d in (*changed, *doubts) if d not in first]
     return [*first, *sorted(rest, key=lambda d: -d.misfit)]
 

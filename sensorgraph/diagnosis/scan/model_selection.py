@@ -82,6 +82,7 @@ def explain(
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < most:
+        begun = current.j
         with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
             tried, also = _try(data, current, noise_bounds, struck, current.j - null.j, tick)
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
@@ -93,16 +94,18 @@ def explain(
             again = fit(data, current.model, best.state, noise_bounds, outer=1, inner=4)
             if again.j > current.j:
                 current = again
+                null = null if current.model else current
             gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
+        enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
-                chosen=best.model[-1].name
-                if gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
-                else "",
+                chosen=best.model[-1].name if enough else "",
             )
         )
-        if gain < max(threshold, _least(current.model, best.model[-1], current.j - null.j)):
+        if not enough and current.j > begun + threshold:
+            continue  # all were measured against a fit that had not come to its end
+        if not enough:
             break
         mine = best.model[-1]
         others = [*((f.model[-1], g) for f, g in order[1:]), *also]

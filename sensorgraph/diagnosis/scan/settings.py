@@ -431,6 +431,20 @@ class ConstancySettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BearingSettings:
+    """Bearing errors that depend on the bearing (`bearing_errors`)."""
+
+    n_knots: int = 12
+    """Bearings between which errors are interpolated."""
+    min_rays: int = 3
+    """Per knot, below which a sensor is not asked."""
+    rounds: int = 8
+    """Of the fit."""
+    max_uneven_share: float = 0.1
+    """Of the square of the errors, that may be left of a wider field of view, for it to be called that."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HeldOutSettings:
     """Scans that are kept from every fit and choice (`held_out_gap`)."""
 
@@ -550,6 +564,7 @@ class ScanSettings:
     observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     constancy: ConstancySettings = field(default_factory=ConstancySettings)
+    bearings: BearingSettings = field(default_factory=BearingSettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

@@ -1,0 +1,75 @@
+"""Bearing errors: what was planted is found, and nothing where rays point as they should."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scan_samples import data_of, hall_arena
+
+from planners.types import Floats
+from sensorgraph.diagnosis.scan.bearing_errors import bearing_errors, wrong_bearings
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS, Amendment
+
+
+def null_of(data: ScanData, model: tuple[Amendment, ...] = ()) -> Fitted:
+    return fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+
+
+def told(error: Floats | float, *effects: Amendment) -> tuple[ScanData, Floats]:
+    """Drive with a laser whose rays point further left than its description says, by errors (n_rays,) [rad]."""
+    data = data_of(hall_arena(), effects)
+    bearings = data.sensor.bearings - error
+    return replace(data, sensor=replace(data.sensor, bearings=bearings), memo={}), bearings
+
+
+def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
+    true = data_of(hall_arena()).sensor.bearings
+    ripple = np.radians(1.0) * np.sin(2 * true + 0.4)
+    data, bearings = told(ripple)
+    found = bearing_errors(null_of(data))
+    assert found is not None and not found.is_stretched
+    expected = np.interp(found.knots, bearings, ripple - ripple.mean())
+    np.testing.assert_allclose(found.errors, expected, atol=np.radians(0.15))
+    (doubt,) = wrong_bearings(null_of(data))
+    assert "bearings are off by up to" in doubt.statement and doubt.size is not None
+    assert doubt.size.is_material(data.sensor.sigma)
+
+
+@pytest.mark.parametrize("stretch", [0.02, -0.015])
+def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) -> None:
+    true = data_of(hall_arena()).sensor.bearings
+    data, bearings = told(true - true / (1 + stretch))
+    found = bearing_errors(null_of(data))
+    assert found is not None and found.is_stretched
+    assert found.stretch == pytest.approx(stretch, abs=0.003)
+    widths = [float(w) for w in re.findall(r"([\d.]+)°", found.sentence())]
+    assert widths == pytest.approx([np.degrees(np.ptp(true)), np.degrees(np.ptp(bearings))], abs=0.3)
+    assert ("wider" in found.sentence()) is (stretch > 0)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (EFFECTS["mount_yaw"](delta=0.02),),
+        (EFFECTS["scan_skew"](T=0.05),),
+        (EFFECTS["map_scale"](s=0.01, dx=0.0, dy=0.0),),
+    ],
+)
+def test_true_bearings_are_not_doubted(effects: tuple[Amendment, ...]) -> None:
+    data = data_of(hall_arena(), effects)
+    sizes = [d.size for d in wrong_bearings(null_of(data, effects), null_of(data))]
+    assert not any(size is None or size.is_material(data.sensor.sigma) for size in sizes)
+
+
+def test_effects_that_only_stand_for_wrong_bearings_lose_their_names() -> None:
+    true = data_of(hall_arena()).sensor.bearings
+    data, _ = told(np.radians(1.0) * np.sin(2 * true))
+    (doubt,) = wrong_bearings(null_of(data, (EFFECTS["mount_yaw"](delta=0.002),)), null_of(data))
+    assert doubt.failed == {0}
