@@ -15,7 +15,7 @@ from scipy.special import fdtri
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import iterate
+from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
 from sensorgraph.diagnosis.scan.parts_of_run import equations_of_parts, inverse_of_whole, parts_of_run
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
@@ -83,19 +83,8 @@ def bearing_errors(fitted: Fitted) -> BearingErrors | None:
     if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * SCAN.constancy.n_parts:
         return None
     knots = np.linspace(bearings.min(), bearings.max(), settings.n_knots)
-    hats = _hats(bearings, knots)
-    turned = solver.stack[:, Nuisance.MOUNT_YAW]
-    wider = solver.with_columns(turned[:, None, :] * hats)
-    state = fitted.state.copy()
-    bounds = replace(
-        SCAN.noise,
-        min_pose_scale=min(1.0, state.pose_scale),
-        max_scale=max(1.0, state.pose_scale, state.map_scale),
-    )
-    state.delta[:] = 0.0  # what was left to poses and map is to be asked for anew
-    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
-    start = np.concatenate([fitted.solution.p, np.zeros(len(knots))])
-    solution = iterate(wider, state, start, bounds, rounds=settings.rounds)
+    hats, turned = _hats(bearings, knots), solver.stack[:, Nuisance.MOUNT_YAW]
+    wider, solution = _with_profile(fitted, turned[:, None, :] * hats)
     found = solution.p[-len(knots) :]
     rows = parts_of_run(fitted)
     parts = equations_of_parts(wider, solution, rows)
@@ -118,6 +107,20 @@ def bearing_errors(fitted: Fitted) -> BearingErrors | None:
         offset=float(np.sqrt(np.square(off).mean())) if off.size else 0.0,
         affected=float(used.mean()),
     )
+
+
+def _with_profile(fitted: Fitted, columns: Floats) -> tuple[Solver, Solution]:
+    """Fit further columns (n_scans, k, n_rays) beside all that a fit has."""
+    wider, state = fitted.solver.with_columns(columns), fitted.state.copy()
+    bounds = replace(
+        SCAN.noise,
+        min_pose_scale=min(1.0, state.pose_scale),
+        max_scale=max(1.0, state.pose_scale, state.map_scale),
+    )
+    state.delta[:] = 0.0  # what was left to poses and map is to be asked for anew
+    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
+    start = np.concatenate([fitted.solution.p, np.zeros(columns.shape[1])])
+    return wider, iterate(wider, state, start, bounds, rounds=SCAN.bearings.rounds)
 
 
 def wrong_bearings(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
@@ -152,7 +155,12 @@ def _sure(fitted: Fitted) -> BearingErrors | None:
     found = bearing_errors(fitted)
     if found is None or found.gain - _price(found) < SCAN.selection.threshold:
         return None
-    return found if found.amplitude_z > _least_z() else None
+    if found.amplitude_z < _least_z():
+        return None
+    solver = fitted.solver
+    hats = _hats(solver.data.sensor.bearings, found.knots)
+    biased = _with_profile(fitted, solver.stack[:, Nuisance.BIAS][:, None, :] * hats)[1]
+    return found if found.gain > biased.j - fitted.j else None  # else readings are off there, not bearings
 
 
 def _price(found: BearingErrors) -> float:
