@@ -7,16 +7,15 @@ nothing of it, and noise would be taken for the cause.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtri
 
+from sensorgraph.diagnosis.scan.column_fit import fit_columns
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
-from sensorgraph.diagnosis.scan.parts_of_run import equations_of_parts, inverse_of_whole, parts_of_run
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.models.cones.settings import measures_cones
@@ -84,43 +83,22 @@ def bearing_errors(fitted: Fitted) -> BearingErrors | None:
         return None
     knots = np.linspace(bearings.min(), bearings.max(), settings.n_knots)
     hats, turned = _hats(bearings, knots), solver.stack[:, Nuisance.MOUNT_YAW]
-    wider, solution = _with_profile(fitted, turned[:, None, :] * hats)
-    found = solution.p[-len(knots) :]
-    rows = parts_of_run(fitted)
-    parts = equations_of_parts(wider, solution, rows)
-    inverse = inverse_of_whole(parts, wider, solution)
-    x = np.concatenate([solution.state.g, solution.p])
-    scores = np.array([right - matrix @ x for matrix, right in parts])
-    each = (scores - scores.mean(axis=0)) @ inverse[:, -len(knots) :]
+    got = fit_columns(fitted, turned[:, None, :] * hats, np.zeros(len(knots)), rounds=settings.rounds)
     used = solver.jacobian.valid & data.returned
     mass = hats @ used.sum(axis=0)
-    errors = found - float(mass @ found) / max(float(mass.sum()), 1.0)
-    information = np.linalg.inv(inverse[-len(knots) :, -len(knots) :])
+    errors = got.values - float(mass @ got.values) / max(float(mass.sum()), 1.0)
+    information = np.linalg.inv(got.covariance)
     along = information @ errors / max(float(errors @ information @ errors), 1e-12)
-    scatter = float(np.sqrt(np.square(each @ along).sum()))
+    scatter = float(np.sqrt(np.square(got.each @ along).sum()))
     off = ((errors @ hats) * turned)[used]
     return BearingErrors(
         knots=knots,
         errors=errors,
-        gain=solution.j - fitted.j,
+        gain=got.gain,
         amplitude_z=1 / max(scatter, 1e-9),
         offset=float(np.sqrt(np.square(off).mean())) if off.size else 0.0,
         affected=float(used.mean()),
     )
-
-
-def _with_profile(fitted: Fitted, columns: Floats) -> tuple[Solver, Solution]:
-    """Fit further columns (n_scans, k, n_rays) beside all that a fit has."""
-    wider, state = fitted.solver.with_columns(columns), fitted.state.copy()
-    bounds = replace(
-        SCAN.noise,
-        min_pose_scale=min(1.0, state.pose_scale),
-        max_scale=max(1.0, state.pose_scale, state.map_scale),
-    )
-    state.delta[:] = 0.0  # what was left to poses and map is to be asked for anew
-    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
-    start = np.concatenate([fitted.solution.p, np.zeros(columns.shape[1])])
-    return wider, iterate(wider, state, start, bounds, rounds=SCAN.bearings.rounds)
 
 
 def wrong_bearings(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
@@ -159,8 +137,9 @@ def _sure(fitted: Fitted) -> BearingErrors | None:
         return None
     solver = fitted.solver
     hats = _hats(solver.data.sensor.bearings, found.knots)
-    biased = _with_profile(fitted, solver.stack[:, Nuisance.BIAS][:, None, :] * hats)[1]
-    return found if found.gain > biased.j - fitted.j else None  # else readings are off there, not bearings
+    columns = solver.stack[:, Nuisance.BIAS][:, None, :] * hats
+    biased = fit_columns(fitted, columns, np.zeros(len(hats)), rounds=SCAN.bearings.rounds)
+    return found if found.gain > biased.gain else None  # else readings are off there, not bearings
 
 
 def _price(found: BearingErrors) -> float:

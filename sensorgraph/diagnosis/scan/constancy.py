@@ -16,17 +16,18 @@ import numpy as np
 from scipy.special import fdtri
 
 from sensorgraph.diagnosis.report.quantities import brief
-from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
-from sensorgraph.diagnosis.scan.effect_laws import Doubt
-from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, iterate
-from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
-from sensorgraph.diagnosis.scan.parts_of_run import (
+from sensorgraph.diagnosis.scan.column_fit import (
     Parts,
     equations_of_parts,
+    fit_columns,
     inverse_of_whole,
     parts_of_run,
 )
+from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
+from sensorgraph.diagnosis.scan.effect_laws import Doubt
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
+from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
@@ -158,32 +159,21 @@ def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> Num
     """Fit the two values together with all else, and take the error of the jump from the scatter of the parts."""
     number, k = change.number, len(change.number.unknowns)
     late = np.arange(fitted.solver.data.n_scans) >= rows[change.part][0]
-    solver = fitted.solver.with_columns(fitted.solver.stack[:, number.columns] * late[:, None, None])
-    state = fitted.state.copy()
-    bounds = replace(
-        SCAN.noise,
-        min_pose_scale=min(1.0, state.pose_scale),
-        max_scale=max(1.0, state.pose_scale, state.map_scale),
-    )
-    state.delta[:] = 0.0  # what one value left to poses and map is to be asked for anew
-    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
-    start = np.concatenate([fitted.solution.p, list(change.jump.values())])
-    solution = iterate(solver, state, start, bounds, rounds=SCAN.constancy.rounds, noise_free=False)
-    parts = equations_of_parts(solver, solution, rows)
-    x = np.concatenate([solution.state.g, solution.p])
-    scores = np.array([right - matrix @ x for matrix, right in parts])
-    each = (scores - scores.mean(axis=0)) @ inverse_of_whole(parts, solver, solution)[:, -k:]
-    scatter = each.T @ each
+    columns = fitted.solver.stack[:, number.columns] * late[:, None, None]
+    jump = np.array(list(change.jump.values()))
+    got = fit_columns(fitted, columns, jump, rounds=SCAN.constancy.rounds, noise_free=False)
+    scatter = got.each.T @ got.each
     scatter += 1e-9 * np.trace(scatter) * np.eye(k)
-    jump, before = solution.p[-k:], np.concatenate([fitted.state.g, fitted.solution.p])[number.unknowns]
-    first = _moved(number.amendment, x[number.unknowns] - before)
-    freedom = (len(parts) - 1 - k) / len(parts)
+    before = np.concatenate([fitted.state.g, fitted.solution.p])[number.unknowns]
+    after = np.concatenate([got.solution.state.g, got.solution.p])[number.unknowns]
+    first = _moved(number.amendment, after - before)
+    freedom = (len(rows) - 1 - k) / len(rows)
     return replace(
         change,
         first=first,
-        second=_moved(first, jump),
-        gain=solution.j - fitted.j,
-        wald=float(jump @ np.linalg.solve(scatter, jump)) / k * freedom,
+        second=_moved(first, got.values),
+        gain=got.gain,
+        wald=float(got.values @ np.linalg.solve(scatter, got.values)) / k * freedom,
     )
 
 

@@ -445,6 +445,22 @@ class BearingSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LateScanSettings:
+    """Two delays in place of one (`late_scans`)."""
+
+    starts: tuple[float, ...] = (-0.15, -0.05, -0.015, 0.015, 0.05, 0.15)
+    """[s] from the common delay, at which the second begins."""
+    min_share: float = 1e-3
+    """Of either delay."""
+    first_share: float = 0.2
+    """Of the scans, that the second delay begins with."""
+    rounds: int = 40
+    """Of expectation and maximisation."""
+    refit_rounds: int = 8
+    """Of the fit in which each scan has one of the two."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HeldOutSettings:
     """Scans that are kept from every fit and choice (`held_out_gap`)."""
 
@@ -565,6 +581,7 @@ class ScanSettings:
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     constancy: ConstancySettings = field(default_factory=ConstancySettings)
     bearings: BearingSettings = field(default_factory=BearingSettings)
+    late_scans: LateScanSettings = field(default_factory=LateScanSettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

@@ -1,0 +1,87 @@
+"""Further columns beside a fit, and whether what the whole run says of them is what its parts say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Floats, Ints
+
+Parts = Sequence[tuple[Floats, Floats]]
+"""Normal equations (matrix (m, m), right (m,)) of parts of a run."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColumnFit:
+    """Coefficients of further columns, fitted together with all that a fit has."""
+
+    values: Floats
+    """(k,)"""
+    solution: Solution
+    gain: float
+    """[nats] that they make the readings likelier."""
+    each: Floats
+    """(n_parts, k) by how much each part of the run would move them."""
+    covariance: Floats
+    """(k, k) of the values, if rays are independent."""
+
+
+def fit_columns(
+    fitted: Fitted, columns: Floats, start: Floats, *, rounds: int, noise_free: bool = True
+) -> ColumnFit:
+    """Fit columns (n_scans, k, n_rays) beside a fit, from a start (k,).
+
+    Poses and map begin anew within their tolerances, or in what the fit had widened them to: what was left to them is to be
+    asked for again.
+    """
+    k, solver, state = len(start), fitted.solver.with_columns(columns), fitted.state.copy()
+    bounds = replace(
+        SCAN.noise,
+        min_pose_scale=min(1.0, state.pose_scale),
+        max_scale=max(1.0, state.pose_scale, state.map_scale),
+    )
+    state.delta[:] = 0.0
+    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
+    p = np.concatenate([fitted.solution.p, start])
+    solution = iterate(solver, state, p, bounds, rounds=rounds, noise_free=noise_free)
+    parts = equations_of_parts(solver, solution, parts_of_run(fitted))
+    x = np.concatenate([solution.state.g, solution.p])
+    scores = np.array([right - matrix @ x for matrix, right in parts])
+    inverse = inverse_of_whole(parts, solver, solution)
+    return ColumnFit(
+        values=solution.p[-k:],
+        solution=solution,
+        gain=solution.j - fitted.j,
+        each=(scores - scores.mean(axis=0)) @ inverse[:, -k:],
+        covariance=inverse[-k:, -k:],
+    )
+
+
+def parts_of_run(fitted: Fitted) -> list[Ints]:
+    """Return the scans of each part of the run."""
+    return np.array_split(np.arange(fitted.solver.data.n_scans), SCAN.constancy.n_parts)
+
+
+def equations_of_parts(solver: Solver, solution: Solution, rows: Sequence[Ints]) -> Parts:
+    """Return the normal equations of parts of the run."""
+    weight, scale = solution.responsibilities.weight, solution.state.pose_scale
+    systems = [solver.of_scans(some).assemble(weight[some], scale) for some in rows]
+    return [(system.matrix, system.right) for system in systems]
+
+
+def inverse_of_whole(parts: Parts, solver: Solver, solution: Solution) -> Floats:
+    """Return the inverse (m, m) of the whole system with its priors; 0 for what is held or at its bound."""
+    tau, g = solver.scaled(solution.state), solution.state.g
+    total = np.sum([matrix for matrix, _ in parts], axis=0)
+    n, k = len(tau), len(total)
+    total[np.arange(k), np.arange(k)] += np.concatenate([1 / tau**2, np.full(k - n, 1e-9)])
+    at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau
+    free = np.concatenate([~(solver.locked | at_bound), np.ones(k - n, dtype=np.bool_)])
+    out = np.zeros((k, k))
+    out[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
+    return out
