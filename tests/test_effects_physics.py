@@ -136,9 +136,17 @@ def self_occlusion() -> Law:
 
 
 def tilt() -> Law:
-    dip = 0.1 * np.cos(B - 0.4)
-    floor = np.where(dip > 0, SENSOR.height / np.sin(dip), np.inf)
-    return effect("tilt", beta=0.1, theta0=0.4), np.minimum(IDEAL / np.cos(dip), floor)
+    """Turn the rays of a level plane about the horizontal axis across 0.4 rad, as vectors."""
+    beta, deepest = 0.1, 0.4
+    ahead = np.array([np.cos(deepest), np.sin(deepest), 0.0])
+    axis = np.array([np.sin(deepest), -np.cos(deepest), 0.0])
+    rays = np.stack([np.cos(B), np.sin(B), 0 * B], axis=1)
+    dipped = np.outer(rays @ axis, axis) + np.outer(rays @ ahead, np.cos(beta) * ahead - [0, 0, np.sin(beta)])
+    level = np.hypot(dipped[:, 0], dipped[:, 1])
+    walls, _ = to_walls(lasers(), np.arctan2(dipped[:, 1], dipped[:, 0]))
+    with np.errstate(divide="ignore"):
+        floor = np.where(dipped[:, 2] < 0, SENSOR.height / np.maximum(-dipped[:, 2], 1e-15), np.inf)
+    return effect("tilt", beta=beta, theta0=deepest), np.minimum(walls / level, floor)
 
 
 def unmapped_obstacle() -> Law:

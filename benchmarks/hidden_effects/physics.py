@@ -118,13 +118,26 @@ def _mirror(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) ->
 # range
 
 
+@stage(RAY_STAGE, "tilt")
+def _dip(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
+    """Look where rays of the dipped plane go as seen from above."""
+    level, _ = _dipped(scene.stated, p)
+    scene.bearings = scene.bearings + np.angle(level * np.exp(-1j * scene.stated))
+
+
 @stage(RANGE_STAGE, "tilt")
 def _tilt(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
-    down = p["beta"] * np.cos(scene.stated - p["theta0"])
-    slant = scene.ranges / np.cos(down)
+    level, down = _dipped(scene.stated, p)
     with np.errstate(divide="ignore"):
-        floor = np.where(down > 1e-6, scene.robot.height / np.sin(np.maximum(down, 1e-6)), np.inf)
-    scene.ranges = np.minimum(slant, floor)
+        floor = np.where(down > 1e-6, scene.robot.height / np.maximum(down, 1e-6), np.inf)
+    scene.ranges = np.minimum(scene.ranges / np.abs(level), floor)
+
+
+def _dipped(bearings: Floats, p: Mapping[str, Any]) -> tuple[Any, Floats]:
+    """Return the horizontal part of unit rays of a dipped plane, as complex numbers, and how far down they point."""
+    towards = np.exp(1j * p["theta0"])
+    ray = np.exp(1j * bearings) / towards
+    return (ray.real * np.cos(p["beta"]) + 1j * ray.imag) * towards, ray.real * np.sin(p["beta"])
 
 
 @stage(RANGE_STAGE, "self_occlusion")

@@ -28,29 +28,21 @@ NATS = 8.0
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Dip the plane of the rays."""
-    beams = scene.beams
-    dip = a["beta"] * np.cos(scene.bearings - a["theta0"])  # (n_rays,)
-    with np.errstate(divide="ignore"):
-        floor = np.where(dip > 0, scene.sensor.height / np.sin(np.maximum(dip, 1e-12)), np.inf)
-    stretch = 1 / np.cos(dip)
-    down = beams.reading * stretch > floor
-    beams.reading = np.where(down, floor, beams.reading * stretch)
-    beams.slope = np.where(down, 0.0, stretch) * beams.slope
-    beams.bent()[down] = False
+    """Dip the plane of the laser."""
+    scene.dip = (a["beta"], a["theta0"])
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for readings capped by the floor. There h / z = sin(beta cos(theta - theta0)): linear in cos and sin theta."""
+    """Look for readings capped by the floor. There h / z = sin(beta) cos(theta - theta0): linear in cos and sin theta."""
     h = residuals.sensor.height
     some = residuals.short & (residuals.z > FARTHER * h)
     if h <= 0 or some.sum() < 2 * PROPOSAL.min_rays:
         return []
     bearings = np.broadcast_to(residuals.sensor.bearings, residuals.z.shape)[some]
     z = residuals.z[some]
-    dip = np.arcsin(h / z)
+    sine = h / z  # of the angle below the horizontal
     rows = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    width = np.maximum(3 * residuals.sigma[some] * h / z**2, 1e-4)  # [rad] of a dip, three sigma
+    width = np.maximum(3 * residuals.sigma[some] * h / z**2, 1e-4)  # of the sine, three sigma
     rng = np.random.default_rng(0)
     best: Floats = np.zeros(2)
     most = 0
@@ -59,19 +51,19 @@ def propose(residuals: Residuals) -> list[Proposal]:
         system = rows[pair]
         if abs(np.linalg.det(system)) < 0.05:
             continue
-        x = np.linalg.solve(system, dip[pair])
-        count = int((np.abs(rows @ x - dip) < width).sum())
+        x = np.linalg.solve(system, sine[pair])
+        count = int((np.abs(rows @ x - sine) < width).sum())
         if count > most:
             best, most = x, count
     for _ in range(3):
-        inlier = np.abs(rows @ best - dip) < width
+        inlier = np.abs(rows @ best - sine) < width
         if inlier.sum() < 2 * PROPOSAL.min_rays:
             return []
         w = 1 / width[inlier]
         best = np.asarray(
-            np.linalg.lstsq(rows[inlier] * w[:, None], dip[inlier] * w, rcond=None)[0], dtype=np.float64
+            np.linalg.lstsq(rows[inlier] * w[:, None], sine[inlier] * w, rcond=None)[0], dtype=np.float64
         )
-    beta, theta0 = float(np.hypot(*best)), float(np.arctan2(best[1], best[0]))
+    beta, theta0 = float(np.arcsin(min(np.hypot(*best), 1.0))), float(np.arctan2(best[1], best[0]))
     if not DIPS[0] < beta < DIPS[1] or most < MIN_SHARE * some.sum():
         return []
     return [Proposal(values={"beta": beta, "theta0": theta0}, gain=NATS * most)]
@@ -84,7 +76,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     ahead = 0.0 if is_full_turn(sensor.bearings) else sensor.bearings.mean()
     middle = np.cos(sensor.bearings - ahead)
     with np.errstate(divide="ignore"):
-        meets = np.where(middle > 0, sensor.height / np.sin(np.maximum(beta * middle, 1e-12)), np.inf)
+        meets = np.where(middle > 0, floor / np.maximum(middle, 1e-12), np.inf)
     some = exposure.seen & (exposure.reading > meets)
     if UNEXPECTED * some.sum() >= need:
         return ""
@@ -98,9 +90,9 @@ TILT = Effect(
     name="tilt",
     title="tilted scan plane",
     channel="scan",
-    stage="optics",
-    physics="The plane dips by beta towards theta_0: rays meet the floor at h / sin(beta cos(theta - theta_0)), others are stretched by 1 / cos.",
-    equation="z = min(r / cos ψ, h / sin ψ), ψ = β cos(θ − θ₀)",
+    stage="mount",
+    physics="The plane dips by beta towards theta_0: a ray that leaves psi below the horizontal, sin psi = sin(beta) cos(theta - theta_0), meets the floor at h / sin psi; others are longer by 1 / cos psi, and seen from above their bearings spread where the plane dips most.",
+    equation="z = min(r(θ′) / cos ψ, h / sin ψ), sin ψ = sin β cos(θ − θ₀), tan(θ′ − θ₀) = tan(θ − θ₀) / cos β",
     source="geometry of a plane at height h; Kohlbrecher et al. (2011), Hector SLAM, section III",
     varies="range capped in dependence of the bearing, only where the room is deep",
     rivals={

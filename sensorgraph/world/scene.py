@@ -86,6 +86,8 @@ class Scene:
     """(n_rays,) [rad]"""
     delay: Floats = field(init=False)
     """(n_rays,) [s] when each ray is taken, after the scan's stamp."""
+    dip: tuple[float, float] = (0.0, 0.0)
+    """[rad, rad] by which the plane of the laser dips, and the bearing at which it dips most."""
     surfaces: list[Callable[[Scene, Beams], None]] = field(default_factory=list)
     """What walls do to rays that hit them."""
     outliers: float = 0.0
@@ -114,7 +116,8 @@ class Scene:
             is_cone and self.surfaces
         ):  # surfaces act on each ray of a cone, not on its nearest
             return self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
-        parts = (self.walls, self.mount, self.delay, self.discs, self.movers, np.asarray(offset, np.float64))
+        numbers = np.array([offset, *self.dip], np.float64)
+        parts = (self.walls, self.mount, self.delay, self.discs, self.movers, numbers)
         key = b"|".join(part.tobytes() for part in parts)
         kept = self.memo.get(key)
         if not isinstance(kept, Beams):
@@ -131,7 +134,7 @@ class Scene:
 
     def _shoot_rays(self, offset: float | Floats, bearings: Floats) -> Beams:
         """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
-        bearings = bearings + offset
+        bearings = self.levelled(bearings + offset)
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
         spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
         if np.ptp(delay) == 0.0 and not spread:
@@ -149,6 +152,27 @@ class Scene:
             ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
         ranges = self._recast(ranges, ox, oy, ux, uy)
         return self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+
+    def levelled(self, bearings: Floats) -> Floats:
+        """Return the bearings [rad] under which rays of a laser that dips are seen from above."""
+        beta, deepest = self.dip
+        if beta == 0.0:
+            return bearings
+        along, aside = np.cos(bearings - deepest) * np.cos(beta), np.sin(bearings - deepest)
+        spread = np.arctan2(aside, along) - np.arctan2(aside, np.cos(bearings - deepest))
+        return np.asarray(bearings + spread)
+
+    def _slant(self) -> None:
+        """Make readings of horizontal distances, and stop rays at the floor."""
+        beams, (beta, deepest) = self.beams, self.dip
+        sine = np.sin(beta) * np.cos(self.bearings - deepest)  # (n_rays,) of the angle below the horizontal
+        with np.errstate(divide="ignore"):
+            floor = np.where(sine > 0, self.sensor.height / np.maximum(sine, 1e-12), np.inf)
+        stretch = 1 / np.sqrt(1 - sine**2)
+        down = beams.reading * stretch > floor
+        beams.reading = np.where(down, floor, beams.reading * stretch)
+        beams.slope = np.where(down, 0.0, stretch) * beams.slope
+        beams.bent()[down] = False
 
     def _recast(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
         """Return the ranges of the caster, where there is one."""
@@ -171,7 +195,9 @@ class Scene:
         n = 2 * int(np.ceil(cones.max() / CONE_STEP / 2)) + 1
         lasers = laser_poses(self.motion(self.stamps[:, None] + self.delay), self.mount)
         lasers = ray_starts(lasers, self.sensor) if self.sensor.is_composite else lasers
-        fan = self.bearings + offset + np.linspace(-0.5, 0.5, n)[:, None] * cones  # (n, n_rays)
+        fan = (
+            self.levelled(self.bearings + offset) + np.linspace(-0.5, 0.5, n)[:, None] * cones
+        )  # (n, n_rays)
         phi = (lasers[:, None, :, 2] + fan).reshape(n_scans, -1)
         ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
         ux, uy = np.cos(phi), np.sin(phi)
@@ -221,7 +247,11 @@ class Scene:
         for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
             effect(self)
         self.beams = self.shoot()
-        for effect in (e for e in ordered if STAGES.index(e.stage) >= cast_after):
+        for effect in (e for e in ordered if STAGES.index(e.stage) == cast_after):
+            effect(self)
+        if self.dip[0]:
+            self._slant()
+        for effect in (e for e in ordered if STAGES.index(e.stage) > cast_after):
             effect(self)
 
     def _part(self, rays: Ints) -> Scene:
