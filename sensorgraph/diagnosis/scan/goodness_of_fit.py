@@ -25,9 +25,9 @@ from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, larges
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
-from sensorgraph.diagnosis.scan.late_scans import late_stamps
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
+from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts
 from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -109,7 +109,7 @@ def check(
         *_dispersed(view, found),
     ]
     doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
-    whole = [*changes(fitted, null), *wrong_bearings(fitted, null), *late_stamps(fitted, null)]
+    whole = [*changes(fitted, null), *wrong_bearings(fitted, null), *odd_scan_doubts(fitted, null)]
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > share * gained]

@@ -445,19 +445,25 @@ class BearingSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LateScanSettings:
-    """Two delays in place of one (`late_scans`)."""
+class OddScanSettings:
+    """Two kinds of scan in place of one (`odd_scans`)."""
 
-    starts: tuple[float, ...] = (-0.15, -0.05, -0.015, 0.015, 0.05, 0.15)
-    """[s] from the common delay, at which the second begins."""
-    min_share: float = 1e-3
-    """Of either delay."""
+    delays: tuple[float, ...] = (-0.15, -0.05, -0.015, 0.015, 0.05, 0.15)
+    """[s] from the common delay, at which that of the second kind begins."""
+    wider: tuple[float, ...] = (10.0, 30.0, 100.0)
+    """Times that the reference of the second kind is worse than its tolerance."""
+    offsets: tuple[float, ...] = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
+    """[m] standard deviations of an offset of each scan."""
+    left_share: float = 0.5
+    """Of what other kinds explained without two delays, that may be left to them for two delays to be told."""
     first_share: float = 0.2
-    """Of the scans, that the second delay begins with."""
+    """Of the scans, that the second kind begins with."""
+    min_share: float = 1e-3
+    """Of either kind."""
     rounds: int = 40
     """Of expectation and maximisation."""
     refit_rounds: int = 8
-    """Of the fit in which each scan has one of the two."""
+    """Of the fit in which each scan has one of two delays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -581,7 +587,7 @@ class ScanSettings:
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     constancy: ConstancySettings = field(default_factory=ConstancySettings)
     bearings: BearingSettings = field(default_factory=BearingSettings)
-    late_scans: LateScanSettings = field(default_factory=LateScanSettings)
+    odd_scans: OddScanSettings = field(default_factory=OddScanSettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

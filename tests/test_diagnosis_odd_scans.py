@@ -1,4 +1,4 @@
-"""Scans of which a share is stamped late: what was planted is found, and nothing where one delay holds for all."""
+"""Scans of which a share is stamped late, or taken elsewhere: what was planted is found, and nothing where one delay holds for all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from scan_samples import drive, hall_arena
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.late_scans import late_scans, late_stamps
+from sensorgraph.diagnosis.scan.odd_scans import LateScans, ScansElsewhere, odd_scan_doubts, odd_scans
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
@@ -29,18 +29,18 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
 @pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])
 def test_a_share_of_late_scans_is_found_with_its_size(late: float, share: float) -> None:
     got = fitted(late, share)
-    found = late_scans(got)
-    assert found is not None
+    found = odd_scans(got)
+    assert isinstance(found, LateScans)
     assert found.delay == pytest.approx(late, rel=0.12)
     assert found.share == pytest.approx(share, abs=0.06)
-    (doubt,) = late_stamps(got)
+    (doubt,) = odd_scan_doubts(got)
     assert ("late" if late > 0 else "early") in doubt.statement
     assert doubt.size is not None and doubt.size.is_material(got.solver.data.sensor.sigma)
 
 
 def test_one_delay_of_all_scans_is_no_mixture_and_keeps_its_name() -> None:
-    assert late_stamps(fitted(0.0, 0.0)) == []
-    assert late_stamps(fitted(0.0, 0.0, EFFECTS["latency"](tau=0.04))) == []
+    assert odd_scan_doubts(fitted(0.0, 0.0)) == []
+    assert odd_scan_doubts(fitted(0.0, 0.0, EFFECTS["latency"](tau=0.04))) == []
 
 
 def test_a_latency_that_is_the_mean_of_two_loses_its_name() -> None:
@@ -53,5 +53,24 @@ def test_a_latency_that_is_the_mean_of_two_loses_its_name() -> None:
     mean = fit(
         data, (EFFECTS["latency"](tau=0.03),), start_state(data, SCAN.noise), SCAN.noise, outer=3, inner=5
     )
-    (doubt,) = late_stamps(mean, null)
+    (doubt,) = odd_scan_doubts(mean, null)
     assert doubt.failed == {0}
+
+
+def test_scans_of_a_reference_that_jumps_are_elsewhere_and_not_late() -> None:
+    hall, rng = hall_arena(), np.random.default_rng(8)
+    run = drive(hall)
+    jumps = rng.random(len(run.stamps)) < 0.12
+    turns = rng.uniform(0, 2 * np.pi, len(run.stamps))
+    shift = 0.15 * jumps[:, None] * np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=1)
+    at = np.abs(run.pose_stamps[:, None] - run.stamps).argmin(axis=1)  # of the scan that is nearest
+    data, _ = prepare_scans(
+        replace(run, poses=run.poses + shift[at]), hall, parse_robot("sensor: {n_rays: 61}")
+    )
+    null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    found = odd_scans(null)
+    assert isinstance(found, ScansElsewhere)
+    assert found.share == pytest.approx(jumps.mean(), abs=0.04)
+    assert found.distance == pytest.approx(0.15, rel=0.25)
+    (doubt,) = odd_scan_doubts(null)
+    assert "elsewhere than the reference says" in doubt.statement and not doubt.failed
