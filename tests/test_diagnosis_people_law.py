@@ -66,6 +66,22 @@ def pushed() -> Floats:
     return np.where((T > 15.0)[:, None], disc(np.full(len(T), 1.3), np.full(len(T), 3.2), 0.2), np.inf)
 
 
+def chairs() -> Floats:
+    """Legs of chairs, which somebody drags elsewhere half-way."""
+    rng, out = np.random.default_rng(3), np.full(ANGLE.shape, np.inf)
+    for _ in range(3):
+        k = (T > 15.0).astype(int)
+        x, y = rng.uniform(0.6, 3.4, 2)[k], rng.uniform(2.8, 3.4, 2)[k]
+        out = np.minimum(out, disc(x, y, 0.05))
+    return out
+
+
+def wrapped() -> Floats:
+    """A phase that begins anew after 1.5 m."""
+    z = ranges_in(ARENA, POSES[:, :2], ANGLE)
+    return np.where((z > 1.6) & (z < 2.2), z - 1.5, np.inf)
+
+
 def short_readings(before: Floats) -> tuple[FitResiduals, Bools]:
     """Let something stand before the walls, and return what a fit of the room takes for short."""
     rng = np.random.default_rng(4)
@@ -92,8 +108,10 @@ def test_somebody_who_walks_up_and_down_may_be_people() -> None:
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
         (floor(), "too wide for a person"),
         (pushed(), "does not walk"),
+        (chairs(), "does not walk"),
+        (wrapped(), "most of them by 1.5"),
     ],
-    ids=["rays that stick", "ghosts", "floor", "pushed there half-way"],
+    ids=["rays that stick", "ghosts", "floor", "pushed there half-way", "thin legs", "wrapped"],
 )
 def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: str) -> None:
     reason, causes = why_not_people(*short_readings(before))

@@ -167,6 +167,10 @@ def linearise(
     )
     steep = np.where(grazing, sigma, 0.0)
     steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
+    if any(data.wobble):  # of the reference within a sweep, which one pose error per scan does not hold
+        xy, yaw = data.wobble
+        wobble = np.hypot(xy * np.hypot(dx, dy), yaw * pose[:, 2])
+        steep = np.hypot(steep, np.minimum(wobble, SETTINGS.max_grazing_sigma))
     return Jacobian(
         pose=pose,
         nuisances=nuisances,

@@ -24,6 +24,10 @@ REPEATED_CAUSES: tuple[str, ...] = (
     "a driver or a filter that passes old readings on",
     "rays of the laser that stick",
 )
+WRAPPED_CAUSES: tuple[str, ...] = (
+    "a laser that measures a phase, whose ranges begin anew beyond a distance",
+    "an echo of the pulse before",
+)
 WIDE_CAUSES: tuple[str, ...] = (
     "a ramp, a kerb or a tilt of the robot, so that the laser sees the floor",
     "furniture, vehicles or walls that the map lacks",
@@ -55,6 +59,12 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + width, width))
     if counts.max() > settings.max_bin_share * len(z):
         return f"{short_ones}, most of them at {width * (counts.argmax() + 0.5):.2f} m", STRAY_CAUSES
+    lacking = view.mu[short] - z  # of what the map has in the direction of the ray
+    lacking = lacking[np.isfinite(lacking)]
+    usual = float(np.median(lacking)) if len(lacking) else 0.0
+    alike = np.abs(lacking - usual) < max(width, 3 * view.data.sensor.sigma)
+    if alike.sum() > settings.min_wrapped_share * len(z) and usual > settings.min_wrap:
+        return f"{short_ones}, most of them by {usual:.2f} m", WRAPPED_CAUSES
     repeated = repeated_share(view, short)
     if repeated > settings.max_repeated_share:
         return f"{short_ones}, and {100 * repeated:.0f} % of these repeat the scan before", REPEATED_CAUSES
@@ -74,7 +84,7 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     still = _standing_share(view, short)
     if still > settings.max_standing_share:
         return (
-            f"{short_ones}, and at {100 * still:.0f} % of the places where they end most rays end there, too, that come "
+            f"{short_ones}, and at {100 * still:.0f} % of the places where they end rays end there, too, that come "
             f"{settings.standing_time:g} s to {settings.standing_window:g} s later or before: what stands there does not walk",
             STANDING_CAUSES,
         )
@@ -166,7 +176,7 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
     for (x, y), when in zip(ends[::step], at[::step], strict=True):
         along, across = beams.towards(x, y)
         comes = (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
-        ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
+        ends_there = comes & (np.abs(z - along) < 4 * settings.standing_reach)
         reaches = ends_there | comes & (z > along)
         later = stamps - when
         shares = []
@@ -177,7 +187,7 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
                 shares.append(float(ends_there[scans].sum()) / n)
         if shares:
             judged += 1
-            stands += max(shares) > 0.5
+            stands += max(shares) > settings.standing_ray_share
     return stands / judged if judged >= settings.min_standing_places else 0.0
 
 

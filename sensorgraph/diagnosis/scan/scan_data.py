@@ -24,6 +24,9 @@ from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
 
+MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IntoUnknown:
@@ -68,6 +71,8 @@ class ScanData:
     """(n_scans, n_rays) nothing stopped the ray before its horizon; its reading is nan in `ranges`."""
     laser_frame: bool
     """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
+    wobble: tuple[float, float] = (0.0, 0.0)
+    """[m, rad] standard deviation of the reference's error within one sweep of the laser, along each axis and in heading."""
     known: tuple[Amendment, ...] = ()
     """Effects that are part of the simulator already."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
@@ -245,9 +250,29 @@ def prepare_scans(
         begin=float(when[0]),
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
+        wobble=_wobble(run, sensor, robot.tolerances),
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
+
+
+def _wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
+    """Estimate how much the error of the reference varies within a sweep [m, rad].
+
+    Second differences of the poses hold six times the variance of noise that is new in every pose, and hardly any of the
+    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops.
+    """
+    poses = run.poses[np.isfinite(run.poses).all(axis=1)]
+    sweep = abs(sensor.sweep_time)
+    if sweep == 0 or len(poses) < SCAN.intake.min_scans:
+        return 0.0, 0.0
+    count = sweep / max(float(np.median(np.diff(run.pose_stamps))), 1e-6)  # of references in a sweep
+    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    bent = np.abs(np.diff(unwrapped, n=2, axis=0))
+    noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
+    # between two poses errors average to 2/3 of the variance; what is common to the sweep is no wobble
+    x, y, phi = noise * np.sqrt(2 / 3 * max(0.0, 1 - 1 / count))
+    return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
 
 
 def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:

@@ -368,6 +368,10 @@ class GoodnessOfFitSettings:
     """[m] of a histogram of short readings."""
     max_bin_share: float = 0.4
     """Share of short readings in one bin, above which they are no people."""
+    min_wrap: float = 1.0
+    """[m] that short readings lack, from where ranges may have begun anew."""
+    min_wrapped_share: float = 0.8
+    """Of short readings, that must lack the same."""
     max_repeated_share: float = 0.5
     """Share of short readings that repeat the scan before, above which they are no people."""
     max_person_width: float = 1.0
@@ -386,8 +390,10 @@ class GoodnessOfFitSettings:
     """[s] after and before a short reading that are left out: a person walks some 3 m meanwhile."""
     standing_window: float = 20.0
     """[s] after and before it, within which what stands is still there."""
-    standing_reach: float = 0.1
+    standing_reach: float = 0.05
     """[m] beside the end of a short reading, within which another ray comes there."""
+    standing_ray_share: float = 0.25
+    """Of the rays that come there, that must end there: thin legs stop one in three."""
     standing_places: int = 200
     """Ends of short readings that are looked at."""
     min_standing_rays: int = 5
@@ -395,7 +401,7 @@ class GoodnessOfFitSettings:
     min_standing_places: int = 20
     """That are looked at so often."""
     max_standing_share: float = 0.5
-    """Share of these places at which most rays end, above which the short readings are no people."""
+    """Share of these places at which something stands, above which the short readings are no people."""
     max_uniform_distance: tuple[float, float] = (0.15, 2.2)
     """Distance of the ranges of strays from uniform: at least this, and this over the root of their count."""
     max_clustered_strays: tuple[float, float] = (0.35, 3.0)
