@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
     ScanNames,
     name_motion_effects,
-    without_limits_of_doubted_wheels,
+    without_echoes_of_doubted_wheels,
 )
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
@@ -222,7 +222,7 @@ def diagnose_motion(
         odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
     with progress("comparing commands with wheels", ""):
         found = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
-        drive = name_motion_effects(without_limits_of_doubted_wheels(found, odometry), known)
+        drive = name_motion_effects(without_echoes_of_doubted_wheels(found, odometry), known)
     return odometry, drive
 
 

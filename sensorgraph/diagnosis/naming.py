@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
+from sensorgraph.diagnosis.motion.wheels.structure import CLOCK
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
@@ -229,16 +230,27 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     return without_close_calls(replace(result, effects=named))
 
 
-def without_limits_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
-    """Leave out a limit of the speed where the wheels that show it are doubted: they may misread at speed."""
+def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
+    """Leave out names of the motors that the wheels may make where these are doubted.
+
+    Wheels that misread at speed look like a limit of the speed, and a clock of the odometry that wanders like a lag or a
+    dead time, as far as these bring less evidence.
+    """
     unknown = odometry.unknown
     if unknown is None or "reference_m" in unknown.size:
         return drive
-    kept = tuple(a for a in drive.effects if a.effect is not SPEED_SATURATION)
-    if len(kept) == len(drive.effects):
+    echoes = {
+        SPEED_SATURATION: "the odometry is doubted itself: wheels that misread at speed look like a limit"
+    }
+    if unknown.deviation is not None and unknown.deviation.partition == CLOCK:
+        why = "the clock of the odometry wanders, which looks like a lag"
+        weak = {a.effect for a in drive.effects if (a.evidence or 0.0) <= unknown.statistic}
+        echoes |= {effect: why for effect in (ACTUATOR_LAG, DEAD_TIME) if effect in weak}
+    left_out = {a.name: echoes[a.effect] for a in drive.effects if a.effect in echoes}
+    if not left_out:
         return drive
-    why = "the odometry is doubted itself: wheels that misread at speed look like a limit"
-    return replace(drive, effects=kept, not_observable={**drive.not_observable, SPEED_SATURATION.name: why})
+    kept = tuple(a for a in drive.effects if a.effect not in echoes)
+    return replace(drive, effects=kept, not_observable={**drive.not_observable, **left_out})
 
 
 def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:

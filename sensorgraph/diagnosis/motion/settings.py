@@ -119,8 +119,12 @@ class OdometryStructureSettings:
     """Moments of a run at which something may change once, tried first."""
     n_nearer_jumps: int = 5
     """Moments to each side of the best of them, tried next, and again about the best of these."""
-    n_clock_pieces: int = 5
-    """Pieces of the run, each with its own clock offset."""
+    n_while: int = 9
+    """Moments of a run between two of which something may be another, for a while."""
+    n_clock_pieces: tuple[int, ...] = (5, 20)
+    """Pieces of the run, each with its own clock offset; tried one after the other."""
+    tight_turns: tuple[float, ...] = (0.3, 1.0, 3.0)
+    """Half bases from the middle of the axle to the point about which the robot turns, below which a turn is tight."""
     speed_cuts: tuple[float, ...] = (0.12, 0.22, 0.32)
     """[m/s] of a robot that drives 0.4 m/s; of a faster one in proportion."""
     reference_speed: float = 0.4
@@ -279,6 +283,10 @@ class DriveStructureSettings:
     """Of the largest speed, above which commands ask it to move."""
     stop_time: float = 0.25
     """[s] that it must stand so: longer than a base waits for the next tick of its loop."""
+    answer_lags: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+    """[s] after a command has acted, at which it may act again."""
+    answer_sigma: float = 0.3
+    """A priori, of how much it acts again."""
     gain_sigma: float = 0.1
     """A priori, of each coefficient that is a gain."""
     delay_sigma: float = 0.05

@@ -57,6 +57,8 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             sigma=DRIVE.structure.delay_sigma,
             statement="by a delay that changes in time",
         ),
+        _gains_by_the_other(model, fit),
+        _answers(model, fit),
         _slopes(model),
         _stops(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
@@ -85,6 +87,35 @@ def _gains(
         sigma=DRIVE.structure.gain_sigma,
         statement=statement,
         choice_price=choice_price,
+    )
+
+
+def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
+    """Return the family of a base that drives slower where it turns, or turns slower where it drives: wheels share power."""
+    v, omega = (np.abs(x) for x in both_kinds(fit.simulated, model.rows.n))
+    top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
+    turning = [omega > q * top_omega for q in DRIVE.structure.rate_cuts]
+    driving = [v > q * top_v for q in DRIVE.structure.speed_cuts]
+    statement = (
+        "by a speed that depends on how fast it turns, or a turn rate that depends on how fast it drives"
+    )
+    return _gains("coupling", statement, model, fit, turning, driving)
+
+
+def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
+    """Return the family of motors that answer a command otherwise than by a lag: they ring, overshoot, creep."""
+    rates, n = model.simulation.rates, model.rows.n
+    nothing, columns = np.zeros(n), []
+    for lag in DRIVE.structure.answer_lags:
+        late = rates(fit.motors, later=lag) - fit.simulated
+        v, omega = both_kinds(late, n)
+        columns += [np.concatenate([v, nothing]), np.concatenate([nothing, omega])]
+    return StructureFamily(
+        kind="answer",
+        columns=model.rows.masked(np.stack(columns, axis=1)),
+        labels=[],
+        sigma=DRIVE.structure.answer_sigma,
+        statement="after each change of a command, in another way than by one lag: the base rings, overshoots or creeps",
     )
 
 

@@ -169,7 +169,9 @@ def _best_structure(
     jump, most = test.best(own, [one for one in families if one.kind == JUMP])
     reach = jump_spacing(model.motion)
     for _ in range(N_REFINED):
-        nearer, more = test.best(own, nearer_jumps(model.rows, model.motion, jump.moment, reach))
+        nearer, more = test.best(
+            own, nearer_jumps(model.rows, model.motion, model.robot.wheels.base, jump.moment, reach)
+        )
         if more > most:
             jump, most = nearer, more
         reach /= ODOMETRY.structure.n_nearer_jumps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
@@ -23,12 +23,15 @@ from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Wheels
 
-Part = Literal["way", "turn", "way and turn"]
-PARTS: tuple[Part, Part] = ("way", "turn")
+Part = Literal["way", "turn", "way and turn", "left wheel", "right wheel"]
+PARTS: tuple[Part, ...] = ("left wheel", "right wheel", "turn")
+"""What may change by itself: each wheel, and the distance between them."""
 Scale = tuple[str, Part, Bools]
 """Label, what is scaled, and (n_increments,) which increments."""
 JUMP = "jump"
 """Kind of the families of a scale that changes once."""
+CLOCK = "clock"
+"""Kind of the families of a clock offset that changes in time."""
 
 
 def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
@@ -41,12 +44,15 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     base = size.base
     rates = _rates(wheels)
     families = [
-        _scales(rows, wheels, "time", "by a scale that changes in time", _pieces(wheels)),
-        *_jumps(rows, wheels),
-        _scales(rows, wheels, "speed", "by a scale that depends on speed or turn rate", _speeds(rates)),
+        _scales(rows, wheels, base, "time", "by a scale that changes in time", _pieces(wheels)),
+        _steadily(rows, wheels, base),
+        *_jumps(rows, wheels, base),
+        *_for_a_while(rows, wheels, base),
+        _scales(rows, wheels, base, "speed", "by a scale that depends on speed or turn rate", _speeds(rates)),
         _scales(
             rows,
             wheels,
+            base,
             "direction",
             "differently forward and backward, or to the left and to the right",
             [
@@ -54,11 +60,17 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
                 ("to the right", "turn", rates[:, 1] < 0),
             ],
         ),
-        _scales(rows, wheels, "acceleration", "when the robot accelerates", _accelerations(wheels, rates)),
+        _scales(
+            rows, wheels, base, "curvature", "in tight turns, by tyres that scrub", _tight_turns(rates, base)
+        ),
+        _scales(
+            rows, wheels, base, "acceleration", "when the robot accelerates", _accelerations(wheels, rates)
+        ),
     ]
     if cells := _cells(rows, wheels):
-        families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
-    families += [_clock_pieces(rows, wheels), reversals(rows, wheels, rates, base), _headings(rows, wheels)]
+        families.append(_scales(rows, wheels, base, "place", "by a scale that depends on the place", cells))
+    families += [_clock_pieces(rows, wheels, n) for n in ODOMETRY.structure.n_clock_pieces]
+    families += [reversals(rows, wheels, rates, base), _headings(rows, wheels)]
     families.append(spinning(rows, wheels, base))
     families += turns_of_a_wheel(rows, wheels, size)
     if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
@@ -79,17 +91,14 @@ def evidence_needed(dispersion: float, rows: OdometryRows) -> float:
 def _scales(
     rows: OdometryRows,
     wheels: WheelIncrements,
+    base: float,
     kind: str,
     statement: str,
     scales: Sequence[Scale],
     choice_price: float = 0.0,
 ) -> StructureFamily:
     """Return the family of columns that scale what the wheels say in some increments."""
-    columns, nothing = [], np.zeros(len(wheels.start))
-    for _, part, mask in scales:
-        distance = wheels.distance * mask if part != "turn" else nothing
-        turn = wheels.turn * mask if part != "way" else nothing
-        columns.append(rows.of_wheels(distance, turn))
+    columns = [_scaled(rows, wheels, base, part, mask.astype(np.float64)) for _, part, mask in scales]
     return StructureFamily(
         kind=kind,
         columns=np.stack(columns, axis=1),
@@ -97,6 +106,30 @@ def _scales(
         sigma=ODOMETRY.structure.scale_sigma,
         statement=statement,
         choice_price=choice_price,
+    )
+
+
+def _scaled(rows: OdometryRows, wheels: WheelIncrements, base: float, part: Part, share: Floats) -> Floats:
+    """Return what the wheels say (2 n,) in a part, by shares (n_increments,)."""
+    nothing = np.zeros(len(wheels.start))
+    left, right = wheels.sides(base)
+    if part == "left wheel":
+        return rows.of_sides(left * share, nothing, base)
+    if part == "right wheel":
+        return rows.of_sides(nothing, right * share, base)
+    distance = wheels.distance * share if part != "turn" else nothing
+    return rows.of_wheels(distance, wheels.turn * share if part != "way" else nothing)
+
+
+def _steadily(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
+    """Return the family of wheels, and of a base, that change all the time at one rate."""
+    share = (wheels.middle - wheels.start[0]) / np.ptp(wheels.middle) - 0.5
+    return StructureFamily(
+        kind="steady change",
+        columns=np.stack([_scaled(rows, wheels, base, part, share) for part in PARTS], axis=1),
+        labels=[f"{part}, from begin to end" for part in PARTS],
+        sigma=ODOMETRY.structure.scale_sigma,
+        statement="by wheels that change steadily during the run: a tyre that loses air, a load that shifts",
     )
 
 
@@ -108,21 +141,38 @@ def _pieces(wheels: WheelIncrements) -> list[Scale]:
     return [(labels[k], part, piece == k) for k in range(n) for part in PARTS]
 
 
-def _jumps(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
+def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
     """Return one family for each of some moments, spread over the run, at which scales may change once."""
     n = ODOMETRY.structure.n_jumps
     share = np.arange(1, n + 1) / (n + 1)
-    return _changes_at(rows, wheels, wheels.start[0] + share * np.ptp(wheels.middle), n)
+    return _changes_at(rows, wheels, base, wheels.start[0] + share * np.ptp(wheels.middle), n)
 
 
 def nearer_jumps(
-    rows: OdometryRows, wheels: WheelIncrements, moment: float, reach: float
+    rows: OdometryRows, wheels: WheelIncrements, base: float, moment: float, reach: float
 ) -> list[StructureFamily]:
     """Return families of moments within `reach` [s] of one, itself among them."""
     n = 2 * ODOMETRY.structure.n_nearer_jumps + 1
     moments = moment + reach * np.linspace(-1, 1, n)
     inside = (moments > wheels.start[0]) & (moments < wheels.middle[-1])
-    return _changes_at(rows, wheels, moments[inside], ODOMETRY.structure.n_jumps * n)
+    return _changes_at(rows, wheels, base, moments[inside], ODOMETRY.structure.n_jumps * n)
+
+
+def _for_a_while(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
+    """Return one family for each two of some moments, between which scales may be others: a load, a wet floor."""
+    n = ODOMETRY.structure.n_while
+    moments = wheels.start[0] + np.arange(1, n + 1) / (n + 1) * np.ptp(wheels.middle)
+    pairs = list(combinations(moments.tolist(), 2))
+    out = []
+    for begin, end in pairs:
+        span = f"from {begin:.0f} s to {end:.0f} s"
+        meanwhile = (wheels.middle > begin) & (wheels.middle < end)
+        scales: list[Scale] = [(span, part, meanwhile) for part in PARTS]
+        price = float(np.log(len(pairs)))
+        out.append(
+            _scales(rows, wheels, base, "while", f"by another scale for a while, {span}", scales, price)
+        )
+    return out
 
 
 def jump_spacing(wheels: WheelIncrements) -> float:
@@ -131,7 +181,7 @@ def jump_spacing(wheels: WheelIncrements) -> float:
 
 
 def _changes_at(
-    rows: OdometryRows, wheels: WheelIncrements, moments: Floats, n_tried: int
+    rows: OdometryRows, wheels: WheelIncrements, base: float, moments: Floats, n_tried: int
 ) -> list[StructureFamily]:
     out = []
     for moment in moments.tolist():
@@ -140,6 +190,7 @@ def _changes_at(
         family = _scales(
             rows,
             wheels,
+            base,
             JUMP,
             f"by a scale that changes once, {begin}",
             [(begin, part, later) for part in PARTS],
@@ -167,6 +218,12 @@ def _speeds(rates: Floats) -> list[Scale]:
     return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
 
 
+def _tight_turns(rates: Floats, base: float) -> list[Scale]:
+    """Return turns about a point less than so many half bases away: in place, beside a wheel, in curves."""
+    v, at_rim = np.abs(rates[:, 0]), base / 2 * np.abs(rates[:, 1])
+    return [(f"within {c:g} half bases", "turn", v < c * at_rim) for c in ODOMETRY.structure.tight_turns]
+
+
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
     smooth = np.stack([smoothed(x) for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
@@ -191,14 +248,13 @@ def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
     ]
 
 
-def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
-    """Return the family of clock offsets that change in time."""
-    n = ODOMETRY.structure.n_clock_pieces
+def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements, n: int) -> StructureFamily:
+    """Return the family of clock offsets that change in time, in n pieces of the run."""
     share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
     columns = [rows.masked(((piece == k)[:, None] * rows.slopes).T.ravel()) for k in range(n)]
     return StructureFamily(
-        kind="clock",
+        kind=CLOCK,
         columns=np.stack(columns, axis=1),
         labels=[f"{span}, clock" for span in _spans(wheels, n)],
         sigma=ODOMETRY.structure.scale_sigma,
