@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -104,6 +105,41 @@ def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
     result = diagnose_drive(with_speeds(run, faster), ROBOT)
     assert result.unknown is not None and "slopes" in result.unknown.statement and result.effects == ()
     assert result.unknown.size["speed_m_s"] == pytest.approx(0.03 / np.sqrt(2), rel=0.4)
+
+
+def ringing(run: Run) -> Floats:
+    """Return the rates (n, 2) of a badly tuned base: 1.2 Hz, damped by a fifth."""
+    fine = np.arange(0.0, run.odom_stamps[-1], 0.005)
+    w, damping, out = 2 * np.pi * 1.2, 0.2, np.zeros((len(fine), 2))
+    told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
+    rate = np.zeros(2)
+    for k in range(1, len(fine)):
+        rate = rate + 0.005 * (w**2 * (told[k] - out[k - 1]) - 2 * damping * w * rate)
+        out[k] = out[k - 1] + 0.005 * rate
+    return np.stack([np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T], axis=1)
+
+
+def sharing_power(run: Run) -> Floats:
+    """Return the rates (n, 2) of a base that drives up to 40 % slower where it turns."""
+    v, omega = run.odom_twists.T
+    return np.column_stack([v * (1 - 0.4 * np.minimum(1.0, np.abs(omega) / 0.9)), omega])
+
+
+@pytest.mark.parametrize(
+    ("rates", "said"),
+    [(ringing, "rings"), (sharing_power, "a speed that depends on how fast it turns")],
+    ids=["rings", "shares"],
+)
+def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Floats], said: str) -> None:
+    run = make_run(6)
+    noise = np.random.default_rng(0).normal(size=run.odom_twists.shape) * [0.004, 0.006]
+    v, omega = (rates(run) + noise).T
+    phi = np.cumsum(omega * 0.05)
+    way = np.cumsum((v * 0.05)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0)
+    other = replace(run, odom_twists=np.column_stack([v, omega]), odometry=np.column_stack([way, phi]))
+    result = diagnose_drive(other, ROBOT, use_clock=False)
+    assert result.unknown is not None and said in result.unknown.statement
+    assert result.effects == ()
 
 
 @pytest.mark.parametrize("seed", [3, 4])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +12,6 @@ from diagnosis_samples import ROBOT, make_run, without_odometry
 from logs.run import Run
 from planners.arena import wrap
 from sensorgraph.diagnosis.motion import whitening
-from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
@@ -94,102 +91,6 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
 def test_two_effects_are_both_named() -> None:
     result = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
     assert {a.name for a in result.effects} == {"wheel_base", "pose_clock_offset"}
-
-
-def turned_by_place(run: Run) -> Run:
-    """Return the run as a camera sees it whose sense of direction depends on the place."""
-    poses = run.poses.copy()
-    poses[:, 2] += 0.045 * np.sin(2.0 * poses[:, 0]) * np.cos(1.7 * poses[:, 1])
-    return replace(run, poses=poses)
-
-
-def bent_by_place(run: Run) -> Run:
-    """Return the run as a camera with a distorted lens sees it: 8 cm at the corner of what was driven."""
-    poses, off = run.poses.copy(), run.poses[:, :2] - run.poses[:, :2].mean(axis=0)
-    poses[:, :2] += 0.08 * off * (off**2).sum(axis=1, keepdims=True) / np.abs(off).max() ** 3
-    return replace(run, poses=poses)
-
-
-def worn_half_way(run: Run, at: float = 35.0) -> Run:
-    """Return the run as wheels report it that lose 6 % of their radius at 35 s, or at another time [s]."""
-    grown = np.where(run.odom_stamps > at, 1.06, 1.0)[:, None]
-    odometry = run.odometry.copy()
-    step = np.diff(odometry[:, :2], axis=0, prepend=0.0)
-    turn = np.asarray(wrap(np.diff(odometry[:, 2], prepend=0.0)))
-    phi = np.cumsum(turn * grown[:, 0])
-    angle = np.cumsum(turn * (grown[:, 0] - 1.0)) - turn * (grown[:, 0] - 1.0) / 2
-    c, s = np.cos(angle), np.sin(angle)
-    moved = np.stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]], axis=1) * grown
-    odometry = np.column_stack([np.cumsum(moved, axis=0), wrap(phi)])
-    return replace(run, odometry=odometry, odom_twists=run.odom_twists * grown)
-
-
-def out_of_round(run: Run) -> Run:
-    """Return the run as wheels report it of which the right one sits 6 % of its radius off its axle."""
-    v, omega = run.odom_twists.T
-    right = v + ROBOT.wheels.base / 2 * omega
-    turns = np.cumsum(right) * np.gradient(run.odom_stamps) / ROBOT.wheels.radius
-    wobble = 0.06 * np.cos(turns) * right
-    v, omega = v + wobble / 2, omega + wobble / ROBOT.wheels.base
-    period = np.gradient(run.odom_stamps)
-    phi = np.cumsum(omega * period)
-    middle = phi - omega * period / 2
-    steps = (v * period)[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
-    odometry = np.column_stack([np.cumsum(steps, axis=0), wrap(phi)])
-    return replace(run, odometry=odometry, odom_twists=np.column_stack([v, omega]))
-
-
-def spinning(run: Run) -> Run:
-    """Return the run of a body that is carried by two wheels, of which each loses a quarter while it gains speed."""
-    way = run.odom_twists * np.gradient(run.odom_stamps)[:, None]
-    sides = way[:, :1] + np.array([-1.0, 1.0]) * ROBOT.wheels.base / 2 * way[:, 1:]
-    speed = np.apply_along_axis(np.convolve, 0, sides, np.ones(5) / 5, mode="same")
-    gains = np.gradient(speed, axis=0) * np.sign(speed) > 1e-4
-    lost = 0.25 * sides * gains
-    back = np.stack([lost.mean(axis=1), (lost[:, 1] - lost[:, 0]) / ROBOT.wheels.base], axis=1)
-    along, turned = (np.interp(run.pose_stamps, run.odom_stamps, np.cumsum(c)) for c in back.T)
-    true = np.unwrap(run.poses[:, 2])
-    phi = true - turned
-    x, y = run.poses[:, :2].T
-    dx, dy = np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0])
-    step = dx * np.cos(true) + dy * np.sin(true) - np.diff(along, prepend=0.0)
-    poses = np.column_stack([np.cumsum(step * np.cos(phi)), np.cumsum(step * np.sin(phi)), wrap(phi)])
-    return replace(run, poses=poses)
-
-
-@pytest.mark.parametrize(
-    ("distort", "said"),
-    [
-        (spinning, "they spin"),
-        (out_of_round, "once in every turn of a wheel"),
-        (turned_by_place, "yaw of the reference"),
-        (bent_by_place, "reference"),
-        (worn_half_way, "changes once"),
-    ],
-    ids=["wheels that spin", "out of round", "turned by place", "bent by place", "worn half-way"],
-)
-def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
-    result = diagnose_odometry(distort(make_run(11)), ROBOT)
-    assert result.unknown is not None and said in result.unknown.statement
-    assert result.unknown.deviation is not None
-    assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
-    assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
-
-
-@pytest.mark.parametrize(("seed", "at"), [(11, 52.6), (13, 52.6), (14, 37.3)])
-def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(seed: int, at: float) -> None:
-    result = diagnose_odometry(worn_half_way(make_run(seed), at), ROBOT)
-    assert result.effects == () and result.unknown is not None
-    moment = re.search(r"changes once, from (\d+) s on", result.unknown.statement)
-    assert moment is not None and abs(float(moment[1]) - at) <= 1.0
-
-
-def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:
-    run = worn_half_way(make_run(11))
-    odometry = diagnose_odometry(run, ROBOT)
-    assert odometry.motion is not None
-    assert diagnose_drive(run, ROBOT).unknown is not None
-    assert diagnose_drive(run, ROBOT, wheels=odometry.motion).unknown is None
 
 
 def counted(run: Run, tick: float) -> Run:
