@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -63,6 +64,19 @@ def test_a_reference_that_is_mounted_askew_and_off_the_axle_is_set_up() -> None:
     poses[:, 2] += 0.01
     result = diagnose_odometry(replace(run, poses=poses), ROBOT)
     assert result.effects == () and result.unknown is None
+
+
+@pytest.mark.parametrize(("angle", "side"), [(0.085, "left"), (-0.085, "right")])
+def test_a_body_that_goes_askew_is_told_with_its_angle(angle: float, side: str) -> None:
+    run = make_run(22)
+    poses = run.poses.copy()
+    poses[:, 2] -= angle
+    result = diagnose_odometry(replace(run, poses=poses), ROBOT)
+    assert result.unknown is not None and result.effects == ()
+    told = re.search(rf"([\d.]+)° to the {side} of its heading", result.unknown.statement)
+    assert told is not None and abs(float(told[1]) - 4.87) < 0.3
+    located = diagnose_odometry(replace(run, poses=poses, pose_frame="laser"), ROBOT)
+    assert located.unknown is None  # its mount may be what is askew
 
 
 def test_positions_a_little_older_than_headings_are_within_the_tolerance_of_a_clock() -> None:

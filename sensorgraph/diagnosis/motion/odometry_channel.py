@@ -19,6 +19,7 @@ from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.localization.locate import is_located
 from sensorgraph.world.robot import Robot
 
 
@@ -40,7 +41,8 @@ def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult
         model = WheelModel(moved, signals.wheels, robot)
     deviations = deviations_before_naming(model)
     terms = select(model, rng)
-    aside = sideways_structure(model)
+    own_heading = run.pose_frame == "base_link" and not is_located(run)
+    aside = sideways_structure(model, heading_is_of_base=own_heading)
     return odometry_result(model, terms, aside, deviations, signals.notes, rng)
 
 

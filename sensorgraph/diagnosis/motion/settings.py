@@ -149,6 +149,10 @@ class OdometryStructureSettings:
     """[m] after a wheel has turned back, within which play would show."""
     radius_factors: tuple[float, ...] = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
     """Times the wheels' radius in robot.yaml, by which their turns are counted; 1 % of 60 m is a turn."""
+    max_askew: float = 0.035
+    """[rad] by which the heading of a reference may be put on askew: 2°."""
+    askew_sigma: float = 0.1
+    """[rad] a priori, of that angle."""
     even_part: float = 0.5
     """Of what an effect of the whole run explains, above which structure leaves it no name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)

@@ -158,12 +158,14 @@ def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
     state, t = view.fitted.state, view.data.tolerances
     poses = state.pose_scale * t.pose_xy / max(nominal.pose_xy, 1e-9)
     walls = state.map_scale * t.map / max(nominal.map, 1e-9)
-    return _beyond_tolerances(poses, walls, nominal, view.data.n_scans)
-
-
-def _beyond_tolerances(poses: float, walls: float, nominal: Tolerances, n_scans: int) -> list[Doubt]:
-    """Doubt poses and walls that are so many times worse than their tolerances."""
     limit = SCAN.goodness_of_fit.max_tolerance_scale
+    return _beyond_tolerances(poses, walls, nominal, view.data.n_scans, limit)
+
+
+def _beyond_tolerances(
+    poses: float, walls: float, nominal: Tolerances, n_scans: int, limit: float
+) -> list[Doubt]:
+    """Doubt poses and walls that are at least `limit` times worse than their tolerances."""
     return [
         Doubt(
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
@@ -186,8 +188,9 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
 
     Where effects have taken much of the readings, and none of them deserves its name, nothing else would say it.
     """
-    data, state = fitted.solver.data, fitted.state
-    doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans)
+    data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
+    limit = settings.max_tolerance_scale_of_nameless if fitted.model else settings.max_tolerance_scale
+    doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans, limit)
     if not doubts:
         return None
     return _of_doubts(max(doubts, key=lambda d: d.statistic), doubts, doubts[0].causes, ())

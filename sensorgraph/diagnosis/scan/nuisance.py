@@ -167,10 +167,7 @@ def linearise(
     )
     steep = np.where(grazing, sigma, 0.0)
     steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
-    if any(data.wobble):  # of the reference within a sweep, which one pose error per scan does not hold
-        xy, yaw = data.wobble
-        wobble = np.hypot(xy * np.hypot(dx, dy), yaw * pose[:, 2])
-        steep = np.hypot(steep, np.minimum(wobble, SETTINGS.max_grazing_sigma))
+    steep = np.hypot(steep, _wobble(data, pose))
     return Jacobian(
         pose=pose,
         nuisances=nuisances,
@@ -181,6 +178,20 @@ def linearise(
         valid=valid,
         steep=steep,
     )
+
+
+def _wobble(data: ScanData, pose: Floats) -> Floats:
+    """Return the further standard deviation [m] of readings by what the reference's error varies within a sweep.
+
+    Parameters
+    ----------
+    pose : (n_scans, 3, n_rays) columns by x, y, phi; one pose error per scan holds what is common to its rays
+    """
+    if not any(data.wobble):
+        return np.zeros(pose[:, 0].shape)
+    xy, yaw = data.wobble
+    wobble = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
+    return np.minimum(wobble, SETTINGS.max_grazing_sigma)
 
 
 def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:

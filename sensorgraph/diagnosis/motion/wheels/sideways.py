@@ -2,12 +2,13 @@
 
 A body that slides outward in a curve, is carried aside by the floor, or a reference whose heading changes: all of them
 move the body to its left or right, which neither distance nor turn shows. A heading of the reference that is off by a
-constant, and a body that turns about a point ahead of or behind `base_link`, are set-up and free in every model.
+constant, and a body that turns about a point ahead of or behind `base_link`, are set-up and free in every model of these;
+only an angle larger than markers are put on askew is told.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,8 +58,45 @@ def sideways_rows(model: WheelModel) -> SidewaysRows:
     )
 
 
-def sideways_structure(model: WheelModel) -> AcceptedStructure | None:
-    """Return what moves the body aside, if anything does that a user would mind."""
+def sideways_structure(model: WheelModel, *, heading_is_of_base: bool) -> AcceptedStructure | None:
+    """Return what moves the body aside, if anything does that a user would mind: the most evident.
+
+    Parameters
+    ----------
+    heading_is_of_base : the reference tells the heading of the base by itself, and not by a laser whose mount may be wrong
+    """
+    found = [_sliding(model), _askew(model) if heading_is_of_base else None]
+    return max((one for one in found if one is not None), key=lambda one: one.evidence, default=None)
+
+
+def _askew(model: WheelModel) -> AcceptedStructure | None:
+    """Return a body that goes at an angle to its heading, if that is more than markers are put on askew."""
+    rows, aside = model.rows, sideways_rows(model)
+    limits = noise_limits(model.robot, model.wheels, rows.stamps)
+    test = StructureTest(rows.valid, aside.y, LimitedNoiseFitter(limits))
+    own, distance = rows.masked(aside.turn[:, None]), rows.masked(aside.distance)
+    family = StructureFamily(
+        kind="askew", columns=distance[:, None], labels=[], sigma=ODOMETRY.structure.askew_sigma, statement=""
+    )
+    gain, missing = test.gain(own, family), test.explained(own, [family])
+    angle = float(distance @ missing) / max(float(distance @ distance), 1e-12)
+    needed = evidence_needed(test.dispersion(EVIDENCE.cluster, limits[0].period), rows)
+    if gain < needed or sure_share(gain) * abs(angle) < ODOMETRY.structure.max_askew:
+        return None
+    side = "left" if angle > 0 else "right"
+    words = (
+        f"by the direction in which the body goes, {np.degrees(abs(angle)):.1f}° to the {side} of its heading"
+    )
+    return AcceptedStructure(
+        family=replace(family, statement=f"{words}: an axle, or the markers of the reference, are askew"),
+        evidence=gain,
+        threshold=needed,
+        size=_size(model, aside, missing),
+    )
+
+
+def _sliding(model: WheelModel) -> AcceptedStructure | None:
+    """Return what moves the body aside beside a constant angle, if a user would mind."""
     rows, aside = model.rows, sideways_rows(model)
     limits = noise_limits(model.robot, model.wheels, rows.stamps)
     # a reference whose positions are older than its headings slides in curves, too: within the tolerance of a clock
