@@ -101,8 +101,7 @@ def _descend(H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Fl
             x[:] = target
             return
         bound = np.where(below, low, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(below | above, (bound - x) / (target - x), np.inf)
+        share = np.divide(bound - x, target - x, out=np.full(len(x), np.inf), where=below | above)
         first = share <= share.min()
         x[free] += max(float(share.min()), 0.0) * (target - x)[free]
         x[first] = bound[first]

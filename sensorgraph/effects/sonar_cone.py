@@ -12,6 +12,7 @@ from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.beams import Beams
+from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Scene
 
 GAMMAS = np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
@@ -20,6 +21,8 @@ ALPHAS = np.radians([20.0, 30.0, 45.0, 89.9])
 """... with each of these largest incidences [rad]."""
 MIN_SHARE = 0.1
 """Of short and lost readings; a thin ray reads most walls as a cone does not."""
+MIN_SHORT = 0.005
+"""Of short readings: a cone that loses walls seen at a slant still finds nearer ones beside the ray."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -32,14 +35,16 @@ def transform(scene: Scene, a: Amendment) -> None:
     small = step / finer
     n_side = int(gamma / small + 1e-9)
     even = n > 1 and not scene.sensor.is_composite and float(np.ptp(np.diff(scene.bearings))) < 1e-9
-    fits = even and step * (n - 1) + 2 * n_side * small < 2 * np.pi - 0.5 * small
+    around = even and is_full_turn(scene.bearings) and 2 * n_side < n * finer
+    fits = around or (even and step * (n - 1) + 2 * n_side * small < 2 * np.pi - 0.5 * small)
     parts = [beams] if gamma == 0 else [scene.shoot(-gamma), scene.shoot(gamma)]
     if gamma > 0 and fits and np.ptp(scene.delay) == 0:
-        fan = scene.bearings[0] + small * np.arange(-n_side, (n - 1) * finer + n_side + 1)
-        whole = scene.shoot(bearings=fan)
-        seen = _seen(whole, alpha)
-        window = sliding_window_view(seen, 2 * n_side + 1, axis=1)[:, ::finer]
-        at = np.arange(n) * finer + window.argmin(axis=2)
+        in_fan = np.arange(-n_side, (n - 1) * finer + n_side + 1)
+        rays = np.arange(n * finer) if around else in_fan
+        whole = scene.shoot(bearings=scene.bearings[0] + small * rays)
+        column = in_fan % len(rays) if around else in_fan + n_side
+        window = sliding_window_view(_seen(whole, alpha)[:, column], 2 * n_side + 1, axis=1)[:, ::finer]
+        at = column[np.arange(n) * finer + window.argmin(axis=2)]
         parts.append(_chosen(whole, at))
     elif gamma > 0:
         parts += [scene.shoot(gamma * share) for share in np.linspace(-1, 1, 2 * n_side + 1)[1:-1]]
@@ -71,7 +76,8 @@ def _chosen(whole: Beams, at: Ints) -> Beams:
 
 def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
     """Try half angles at several largest incidences, where many readings are short or lost."""
-    if residuals.short.mean() + residuals.lost.mean() <= MIN_SHARE:
+    short = float(residuals.short.mean())
+    if short < MIN_SHORT or short + residuals.lost.mean() <= MIN_SHARE:
         return []
     return [[{"gamma": float(gamma), "alpha_max": float(alpha)} for gamma in GAMMAS] for alpha in ALPHAS]
 
