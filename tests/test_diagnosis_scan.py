@@ -262,7 +262,7 @@ def test_scans_that_differ_show_in_the_dispersion(quiet: ScanData) -> None:
     assert dispersion(FitResiduals(changed, got)).ratio > 2
 
 
-@pytest.mark.parametrize("size", [0.0036, 0.012])
+@pytest.mark.parametrize("size", [0.0025, 0.012])
 def test_what_is_sure_but_small_is_no_doubt_and_a_doubt_says_its_size(quiet: ScanData, size: float) -> None:
     step = size * np.sign(np.sin(6 * quiet.sensor.bearings))  # no effect of the library has such steps
     fine = replace(quiet.sensor, sigma=0.003)

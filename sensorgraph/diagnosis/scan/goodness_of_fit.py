@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
-from sensorgraph.diagnosis.scan.bearing_errors import wrong_bearings
 from sensorgraph.diagnosis.scan.consequence import (
     SCATTER_CAUSES,
     ScanError,
@@ -23,6 +22,7 @@ from sensorgraph.diagnosis.scan.consequence import (
 from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls
+from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
@@ -109,7 +109,7 @@ def check(
         *_dispersed(view, found),
     ]
     doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
-    whole = [*changes(fitted, null), *wrong_bearings(fitted, null), *odd_scan_doubts(fitted, null)]
+    whole = [*changes(fitted, null), *profile_doubts(fitted, null), *odd_scan_doubts(fitted, null)]
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > share * gained]

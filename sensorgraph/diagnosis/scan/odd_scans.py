@@ -145,16 +145,15 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
     each = _each_scan(fitted)
     late, is_late = _two_delays(each)
     elsewhere, is_elsewhere, prior = _two_priors(each)
-    shifted, spread = _offsets(each)
-    most = max(elsewhere, shifted)
-    if max(late, most) < least_gain():
-        return None
+    shifted, spread, is_rough = _offsets(each)
+    if is_rough and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
+        return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
     if late > least_gain():
         found, left = _late(fitted, is_late)
-        if found.gain > least_gain() and left < SCAN.odd_scans.left_share * max(most, late):
+        if found.gain > least_gain() and left < SCAN.odd_scans.left_share * max(late, elsewhere):
             return found
-    if shifted > elsewhere:
-        return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
+    if elsewhere < least_gain():
+        return None
     return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere)
 
 
@@ -254,10 +253,16 @@ def _two_delays(each: _EachScan) -> tuple[float, Bools]:
     return best - float(delay.log_p(common).sum()), is_late
 
 
-def _offsets(each: _EachScan) -> tuple[float, float]:
-    """Fit the standard deviation [m] of an offset of each scan; return the gain [nats], and it."""
-    tried = [(float(each.offset.log_p_of_spread(sd).sum()), sd) for sd in SCAN.odd_scans.offsets]
-    return max(tried)
+def _offsets(each: _EachScan) -> tuple[float, float, bool]:
+    """Fit the standard deviation [m] of an offset of each scan; return the gain [nats], it, and whether neighbours differ.
+
+    An error that depends on range or place makes offsets, too, which change slowly along the way (von Neumann 1941, ratio
+    of the mean square successive difference to the variance; 2 where neighbours have nothing in common).
+    """
+    gain, sd = max((float(each.offset.log_p_of_spread(sd).sum()), sd) for sd in SCAN.odd_scans.offsets)
+    likely = each.offset.score / (each.offset.information + 1 / sd**2)
+    ratio = float(np.square(np.diff(likely)).mean() / max(float(likely.var()), 1e-18))
+    return gain, sd, ratio > SCAN.odd_scans.min_roughness
 
 
 def _two_priors(each: _EachScan) -> tuple[float, Bools, Floats]:
@@ -276,7 +281,7 @@ def _two_priors(each: _EachScan) -> tuple[float, Bools, Floats]:
 
 
 def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
-    """Fit the delay of some scans together with all else; return it, and what is left to the other kinds [nats]."""
+    """Fit the delay of some scans together with all else; return it, and what is left to wrong poses [nats]."""
     solver, share = fitted.solver, float(is_late.mean())
     column = solver.stack[:, Nuisance.DELAY]
     columns = (column * is_late[:, None])[:, None, :]
@@ -290,7 +295,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
         offset=abs(delay) * float(np.sqrt(np.square(column[used]).mean())) if used.any() else 0.0,
         delay=delay,
     )
-    return found, max(_two_priors(then)[0], _offsets(then)[0])
+    return found, _two_priors(then)[0]
 
 
 def _elsewhere(

@@ -439,11 +439,11 @@ class ConstancySettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BearingSettings:
-    """Bearing errors that depend on the bearing (`bearing_errors`)."""
+class ProfileSettings:
+    """Errors that depend on bearing or range (`error_profiles`)."""
 
     n_knots: int = 12
-    """Bearings between which errors are interpolated."""
+    """Bearings, or ranges, between which errors are interpolated."""
     min_rays: int = 3
     """Per knot, below which a sensor is not asked."""
     rounds: int = 8
@@ -462,8 +462,12 @@ class OddScanSettings:
     """Times that the reference of the second kind is worse than its tolerance."""
     offsets: tuple[float, ...] = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
     """[m] standard deviations of an offset of each scan."""
+    min_roughness: float = 1.2
+    """Ratio of von Neumann from which on offsets belong to single scans, and not to the place."""
+    clear_lead: float = 2.0
+    """Times as likely as late or wrong poses (in nats), that offsets must be."""
     left_share: float = 0.5
-    """Of what other kinds explained without two delays, that may be left to them for two delays to be told."""
+    """Of what wrong poses explained without two delays, that may be left to them for two delays to be told."""
     first_share: float = 0.2
     """Of the scans, that the second kind begins with."""
     min_share: float = 1e-3
@@ -594,7 +598,7 @@ class ScanSettings:
     observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     constancy: ConstancySettings = field(default_factory=ConstancySettings)
-    bearings: BearingSettings = field(default_factory=BearingSettings)
+    profiles: ProfileSettings = field(default_factory=ProfileSettings)
     odd_scans: OddScanSettings = field(default_factory=OddScanSettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)

@@ -93,7 +93,7 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
                 columns=columns,
                 labels=[],
                 sigma=ODOMETRY.structure.jump_sigma,
-                statement="by jumps of the reference at single moments",
+                statement="by jumps of the reference at single moments, or by counts of the wheels that were lost then",
                 is_of_reference=True,
                 choice_price=float(gammaln(rows.n + 1) - gammaln(k + 1) - gammaln(rows.n - k + 1)),
             )

@@ -1,4 +1,4 @@
-"""Bearing errors: what was planted is found, and nothing where rays point as they should."""
+"""Errors over bearing and range: what was planted is found, and nothing where the laser is as it should be."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ import pytest
 from scan_samples import data_of, hall_arena
 
 from planners.types import Floats
-from sensorgraph.diagnosis.scan.bearing_errors import bearing_errors, wrong_bearings
+from sensorgraph.diagnosis.scan.error_profiles import (
+    BEARING_ERROR,
+    BIAS_BY_BEARING,
+    BIAS_BY_RANGE,
+    ErrorProfile,
+    error_profiles,
+    profile_doubts,
+)
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -28,15 +35,19 @@ def told(error: Floats | float, *effects: Amendment) -> tuple[ScanData, Floats]:
     return replace(data, sensor=replace(data.sensor, bearings=bearings), memo={}), bearings
 
 
+def likeliest(data: ScanData) -> ErrorProfile:
+    return error_profiles(null_of(data))[0]
+
+
 def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
     true = data_of(hall_arena()).sensor.bearings
     ripple = np.radians(1.0) * np.sin(2 * true + 0.4)
     data, bearings = told(ripple)
-    found = bearing_errors(null_of(data))
-    assert found is not None and not found.is_stretched
+    found = likeliest(data)
+    assert found.kind == BEARING_ERROR and not found.is_stretched
     expected = np.interp(found.knots, bearings, ripple - ripple.mean())
     np.testing.assert_allclose(found.errors, expected, atol=np.radians(0.15))
-    (doubt,) = wrong_bearings(null_of(data))
+    (doubt,) = profile_doubts(null_of(data))
     assert "bearings are off by up to" in doubt.statement and doubt.size is not None
     assert doubt.size.is_material(data.sensor.sigma)
 
@@ -45,8 +56,8 @@ def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
 def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, bearings = told(true - true / (1 + stretch))
-    found = bearing_errors(null_of(data))
-    assert found is not None and found.is_stretched
+    found = likeliest(data)
+    assert found.kind == BEARING_ERROR and found.is_stretched
     assert found.stretch == pytest.approx(stretch, abs=0.003)
     widths = [float(w) for w in re.findall(r"([\d.]+)°", found.sentence())]
     assert widths == pytest.approx([np.degrees(np.ptp(true)), np.degrees(np.ptp(bearings))], abs=0.3)
@@ -64,12 +75,31 @@ def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) ->
 )
 def test_true_bearings_are_not_doubted(effects: tuple[Amendment, ...]) -> None:
     data = data_of(hall_arena(), effects)
-    sizes = [d.size for d in wrong_bearings(null_of(data, effects), null_of(data))]
+    sizes = [d.size for d in profile_doubts(null_of(data, effects), null_of(data))]
     assert not any(size is None or size.is_material(data.sensor.sigma) for size in sizes)
 
 
 def test_effects_that_only_stand_for_wrong_bearings_lose_their_names() -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, _ = told(np.radians(1.0) * np.sin(2 * true))
-    (doubt,) = wrong_bearings(null_of(data, (EFFECTS["mount_yaw"](delta=0.002),)), null_of(data))
+    (doubt,) = profile_doubts(null_of(data, (EFFECTS["mount_yaw"](delta=0.002),)), null_of(data))
     assert doubt.failed == {0}
+
+
+def test_a_bias_that_grows_with_the_square_of_the_range_is_told_by_range() -> None:
+    data = data_of(hall_arena())
+    z = np.where(data.returned, data.ranges, 2.0)
+    data = replace(data, ranges=data.ranges + 0.004 * (z - 2.0) ** 2, memo={})
+    found = likeliest(data)
+    assert found.kind == BIAS_BY_RANGE
+    curve = 0.004 * (found.knots - 2.0) ** 2
+    np.testing.assert_allclose(np.diff(found.errors), np.diff(curve), atol=0.006)
+    assert "depends on the range" in found.sentence()
+
+
+def test_a_bias_that_waves_over_the_bearing_is_no_bearing_error() -> None:
+    data = data_of(hall_arena())
+    wave = 0.02 * np.sin(4 * data.sensor.bearings)
+    found = likeliest(replace(data, ranges=data.ranges + wave, memo={}))
+    assert found.kind == BIAS_BY_BEARING
+    assert 0.012 < found.offset < 0.018
