@@ -108,12 +108,12 @@ class _Message:
     content: bytes
 
 
-def write_log(log: Log, path: Path) -> None:
-    """Write all messages in the order in which they arrived."""
+def write_log(log: Log, path: Path, library: str = "blind_world") -> None:
+    """Write all messages in the order in which they arrived, in the name of a library."""
     messages = sorted(_messages(log), key=lambda message: message.arrival_ns)
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="blind_world")
+        writer.start(profile="ros2", library=library)
         channels = {}
         for topic, (name, parts) in SCHEMAS.items():
             schema = writer.register_schema(name, "ros2msg", SEPARATOR.join(parts).encode())
