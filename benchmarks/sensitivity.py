@@ -42,7 +42,7 @@ SHARE = re.compile("share|probability|chance|correlation|confidence|matching|cos
 """Names of numbers that are below 1 by their nature."""
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
-JUDGING = ("GoodnessOfFitSettings", "NamingSettings")
+JUDGING = ("GoodnessOfFitSettings", "NamingSettings", "ProfileSettings", "OddScanSettings")
 """Groups that judge what the search has accepted."""
 TIME_LIMIT = 120.0
 """[s] of one variant."""

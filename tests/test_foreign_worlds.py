@@ -63,3 +63,19 @@ def test_a_log_of_mujoco_means_what_its_truth_says(
     off = np.median((log.ranges - ideal)[np.isfinite(log.ranges)])
     bias = truth["effects"][0]["parameters"]["b"] if name else 0.0
     assert abs(off - bias) < 0.002
+
+
+def test_the_mark_of_an_effect_is_what_it_does_to_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco")
+    from benchmarks.foreign_worlds import cases
+
+    monkeypatch.setattr(cases, "DURATION", 6.0)
+    _, _, robot, truth = cases.make(cases.Spec(suite="singles", kinds="dev", index=0, name="range_bias"))
+    (effect,) = truth["effects"]
+    sigma = float(robot.split("sigma: ")[1].split(",")[0])
+    assert effect["mark"]["rmse_over_sigma"] == pytest.approx(
+        min(abs(effect["parameters"]["b"]) / sigma, 5.0), rel=0.1
+    )
+    monkeypatch.setitem(cases.draw_hidden.__globals__["SPANS"], "min_range", {"r_min": (0.11, 0.12)})
+    _, _, _, truth = cases.make(cases.Spec(suite="singles", kinds="dev", index=0, name="min_range"))
+    assert not truth["effects"][0]["material"]  # nothing stands so near

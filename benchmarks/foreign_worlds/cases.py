@@ -95,8 +95,35 @@ def make(spec: Spec) -> tuple[Log, str, str, dict[str, Any]]:
         log,
         room.geojson(),
         _robot_yaml(laser, base, radius, track, tau, delay),
-        _truth(spec, one, base, log),
+        _truth(spec, one, base, log, _mark(driven, room, laser, one, stamps)),
     )
+
+
+def _mark(
+    driven: Driven, room: Room, laser: Laser, one: Hidden | None, stamps: Floats
+) -> dict[str, float] | None:
+    """Return what an effect of the scans does to readings without noise; None of other channels.
+
+    `changed_share` are the readings that it moves by more than three sigmas, takes or adds; `rmse_over_sigma` counts a
+    change as five sigmas at most, or a few rays at depth edges would be all of it.
+    """
+    if one is None or one.channel != "scan":
+        return None
+    quiet = replace(laser, sigma=0.0)
+    with_it, without = (
+        scans(driven, built, quiet, secrets, stamps, dirty=False, rng=np.random.default_rng(0))
+        for built, secrets in ((changed_room(room, (one,)), Secrets(one)), (room, Secrets()))
+    )
+    if one.name == "range_noise":  # it moves no reading by itself
+        far = one["k"] * np.where(np.isfinite(without), without, 0.0) / laser.sigma
+        return {"changed_share": float((far > 1).mean()), "rmse_over_sigma": float(np.sqrt((far**2).mean()))}
+    both = np.isfinite(with_it) & np.isfinite(without)
+    off = np.abs(np.where(both, with_it, 0.0) - np.where(both, without, 0.0)) / laser.sigma
+    off = np.where(both | (np.isfinite(with_it) == np.isfinite(without)), off, np.inf)
+    return {
+        "changed_share": float((off > 3).mean()),
+        "rmse_over_sigma": float(np.sqrt((np.minimum(off, 5.0) ** 2).mean())),
+    }
 
 
 def _passable(room: Room, built: Room) -> Room:
@@ -185,7 +212,9 @@ tolerances: {{control_period: {base.control_period}, transport_jitter: {base.tra
 """
 
 
-def _truth(spec: Spec, one: Hidden | None, base: Base, log: Log) -> dict[str, Any]:
+def _truth(
+    spec: Spec, one: Hidden | None, base: Base, log: Log, mark: dict[str, float] | None
+) -> dict[str, Any]:
     is_known = one is not None and one.is_known
     return {
         "suite": spec.suite,
@@ -193,9 +222,9 @@ def _truth(spec: Spec, one: Hidden | None, base: Base, log: Log) -> dict[str, An
         "index": spec.index,
         "seed": ROOT_SEED,
         "background": "dirty" if spec.dirty else "clean",
-        "effects": [truth(one)] if one is not None and is_known else [],
+        "effects": [truth(one, mark)] if one is not None and is_known else [],
         "foreign": one.name if one is not None and not is_known else None,
-        "foreign_effect": truth(one) if one is not None and not is_known else None,
+        "foreign_effect": truth(one, mark) if one is not None and not is_known else None,
         "channel": one.channel if one is not None else None,
         "n_rays": int(log.ranges.size),
         "base": vars(base),

@@ -208,8 +208,18 @@ def _free_spot(room: Room, radius: float, rng: np.random.Generator) -> tuple[flo
             return float(x), float(y)
 
 
-def truth(hidden: Hidden) -> dict[str, Any]:
-    """Return what the scorer of benchmarks.hidden_effects reads."""
+LEAST_CHANGED, LEAST_RMSE = 0.002, 0.2
+"""Share of readings, or their root mean square over sigma, from which on an effect has left a mark in a run."""
+
+
+def truth(hidden: Hidden, mark: dict[str, float] | None) -> dict[str, Any]:
+    """Return what the scorer of benchmarks.hidden_effects reads.
+
+    Parameters
+    ----------
+    mark : `changed_share` and `rmse_over_sigma` of an effect of the scans; None: of wheels and motors, all of which are
+    drawn well above their materiality
+    """
     where = {"name": hidden.place or None, "xy": list(hidden.xy) if hidden.xy else None}
     return {
         "name": hidden.name,
@@ -217,7 +227,9 @@ def truth(hidden: Hidden) -> dict[str, Any]:
         "parameters": hidden.parameters,
         "location": where if hidden.place or hidden.xy else None,
         "materiality_ratio": None,
-        "mark": {"changed_share": 1.0, "rmse_over_sigma": 2.0},
-        "material": True,
+        "mark": {"changed_share": 0.0, "rmse_over_sigma": 0.0} if mark is None else mark,
+        "material": mark is None
+        or mark["changed_share"] >= LEAST_CHANGED
+        or mark["rmse_over_sigma"] >= LEAST_RMSE,
         "deterministic": True,
     }

@@ -110,9 +110,9 @@ actuators: {{tau: 0.001, delay: 0.0}}
         "index": spec.index,
         "seed": 20261123,
         "background": "dirty" if spec.dirty else "clean",
-        "effects": [truth(one)] if one is not None and is_known else [],
+        "effects": [truth(one, None)] if one is not None and is_known else [],
         "foreign": one.name if one is not None and not is_known else None,
-        "foreign_effect": truth(one) if one is not None and not is_known else None,
+        "foreign_effect": truth(one, None) if one is not None and not is_known else None,
         "channel": one.channel if one is not None else None,
         "n_rays": int(ranges.size),
     }  # fmt: skip
