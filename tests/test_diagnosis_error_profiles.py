@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scan_samples import data_of, hall_arena
 
 from planners.types import Floats
+from sensorgraph.diagnosis.report.data import unknown_dict
+from sensorgraph.diagnosis.report.figures.profile import profile_picture
+from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.error_profiles import (
     BEARING_ERROR,
     BIAS_BY_BEARING,
@@ -103,3 +107,15 @@ def test_a_bias_that_waves_over_the_bearing_is_no_bearing_error() -> None:
     found = likeliest(replace(data, ranges=data.ranges + wave, memo={}))
     assert found.kind == BIAS_BY_BEARING
     assert 0.012 < found.offset < 0.018
+
+
+def test_a_profile_is_told_in_numbers_and_as_a_picture(tmp_path: Path) -> None:
+    true = data_of(hall_arena()).sensor.bearings
+    data, _ = told(np.radians(1.0) * np.sin(2 * true))
+    (doubt,) = profile_doubts(null_of(data))
+    assert doubt.profile is not None and len(doubt.profile.at) == len(doubt.profile.error)
+    assert max(doubt.profile.stderr) < 0.2 * max(doubt.profile.error)
+    written = unknown_dict(Unknown(statement=doubt.statement, profile=doubt.profile))["profile"]
+    assert (written["of"], written["over"]) == ("bearing", "bearing")
+    profile_picture(doubt.profile, tmp_path / "profile.png")
+    assert (tmp_path / "profile.png").stat().st_size > 5000

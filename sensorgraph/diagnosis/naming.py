@@ -208,6 +208,7 @@ def _unknown(fit: GoodnessOfFit) -> Unknown | None:
         size={} if fit.size is None else fit.size.to_dict(),
         consequence="" if fit.size is None else fit.size.sentence(),
         families=fit.causes,
+        profile=fit.profile,
     )
 
 

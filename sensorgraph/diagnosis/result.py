@@ -56,6 +56,21 @@ class Deviation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Profile:
+    """An error of the laser over bearing or range, as a run tells it."""
+
+    of: str
+    """"bearing" [rad], to the left, or "reading" [m]."""
+    over: str
+    """"bearing" [rad] or "range" [m]."""
+    at: tuple[float, ...]
+    """Where it is told, ascending."""
+    error: tuple[float, ...]
+    """Less its mean over all rays."""
+    stderr: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Unknown:
     """Something that no effect of the library explains."""
 
@@ -70,6 +85,8 @@ class Unknown:
     """The same in words."""
     families: tuple[str, ...] = ()
     """What it may be, in the words of a robot engineer, the likeliest first."""
+    profile: Profile | None = None
+    """Its shape, where it is an error over bearing or range."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,6 +100,7 @@ def unknown_dict(unknown: Unknown) -> dict[str, Any]:
         "threshold": unknown.threshold,
         "size": dict(unknown.size),
         "families": list(unknown.families),
+        "profile": None if unknown.profile is None else asdict(unknown.profile),
     }
 
 

@@ -23,7 +23,7 @@ from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import Robot
 
-PICTURES = ("arena", "residuals", "gap", "ranking", "next_run", "calibration")
+PICTURES = ("arena", "profile", "residuals", "gap", "ranking", "next_run", "calibration")
 NEXT_RUN_FILES = ("trajectory.csv", "arena.geojson", "robot.yaml", "plan.json")
 N_PARTS = 5
 """report.json, effects.yaml, pictures, report.html, review.rrd."""

@@ -58,6 +58,7 @@ def page(
         _arena_section(finding, pictures),
         _gap_section(finding, pictures),
         _effects_section(finding),
+        _profile_section(pictures),
         _ranking_section(finding, pictures),
     ]
     sections = [
@@ -120,6 +121,17 @@ def _effects_section(finding: Finding) -> str:
     if not finding.effects:
         return ""
     return "<h2>What was found</h2>" + "".join(_effect(a) for a in finding.effects)
+
+
+def _profile_section(pictures: Mapping[str, Path]) -> str:
+    if "profile" not in pictures:
+        return ""
+    caption = (
+        "Fitted together with poses, map, mount and noise. The mean over all rays is taken out, since a mounting yaw or a bias "
+        "would say the same. Band: two standard errors, by how parts of the run differ. The numbers stand in report.json, "
+        "unknown.profile."
+    )
+    return f"<h2>The shape of what is unknown</h2>{picture(pictures['profile'], 'Error over bearing or range', caption)}"
 
 
 def _effect(a: Amendment) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import log_p_at
 from sensorgraph.diagnosis.scan.materiality import is_map_error
@@ -43,6 +43,8 @@ class Doubt:
     """By how much a simulation without it is off; None where that has no number, and is taken to matter."""
     causes: tuple[str, ...] = ()
     """What it may be, the likeliest first."""
+    profile: Profile | None = None
+    """Its shape, where it is an error over bearing or range."""
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -> list[Doubt]:

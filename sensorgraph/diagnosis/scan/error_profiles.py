@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
+from sensorgraph.diagnosis.result import Profile
 from sensorgraph.diagnosis.scan.column_fit import fit_columns
 from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
@@ -46,6 +47,8 @@ class ErrorProfile:
     """(k,) [rad or m] bearings or ranges, ascending."""
     errors: Floats
     """(k,) [rad] by which rays point further to the left, or [m] by which they read more; the mean over all rays is 0."""
+    stderr: Floats
+    """(k,) of the errors, by the scatter between parts of the run."""
     gain: float
     """[nats] that they make the readings likelier."""
     amplitude_z: float
@@ -74,6 +77,17 @@ class ErrorProfile:
         if self.kind == BEARING_ERROR:
             return STRETCHED if self.is_stretched else UNEVEN
         return (CAUSES["bearing" if self.kind == BIAS_BY_BEARING else "range", "bias"],)
+
+    @property
+    def profile(self) -> Profile:
+        """Return the numbers for the report."""
+        return Profile(
+            of="bearing" if self.kind == BEARING_ERROR else "reading",
+            over="range" if self.kind == BIAS_BY_RANGE else "bearing",
+            at=tuple(self.knots.tolist()),
+            error=tuple(self.errors.tolist()),
+            stderr=tuple(self.stderr.tolist()),
+        )
 
     def sentence(self) -> str:
         """Say it in words."""
@@ -139,6 +153,7 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
             failed=failed,
             size=ScanError(offset=found.offset, affected=found.affected),
             causes=found.causes,
+            profile=found.profile,
         )
     ]
 
@@ -217,6 +232,7 @@ def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
         kind=profile.kind,
         knots=knots,
         errors=errors,
+        stderr=np.sqrt(np.square(got.each).sum(axis=0)),
         gain=got.gain,
         amplitude_z=1 / max(scatter, 1e-9),
         offset=float(np.sqrt(np.square(off).mean())),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import (
     SCATTER_CAUSES,
     ScanError,
@@ -67,6 +67,8 @@ class GoodnessOfFit:
     """What it may be, the likeliest first."""
     immaterial: tuple[str, ...] = ()
     """What is left and significant, but too small for a user to mind."""
+    profile: Profile | None = None
+    """Its shape, where it is an error over bearing or range."""
 
     @property
     def is_doubted(self) -> bool:
@@ -210,6 +212,7 @@ def _of_doubts(
         size=first.size,
         causes=causes,
         immaterial=immaterial,
+        profile=first.profile,
     )
 
 

@@ -10,6 +10,7 @@ from sensorgraph.diagnosis.report.figures.arena import arena_picture
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture
 from sensorgraph.diagnosis.report.figures.next_run import next_run_picture
+from sensorgraph.diagnosis.report.figures.profile import profile_picture
 from sensorgraph.diagnosis.report.figures.ranking import ranking_picture
 from sensorgraph.diagnosis.report.figures.residuals import residuals_picture
 from sensorgraph.diagnosis.result import Gap
@@ -23,6 +24,10 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
         arena_picture(finding, compared, out["arena"])
         out["residuals"] = folder / "residuals.png"
         residuals_picture(finding, compared, out["residuals"])
+    scan = finding.channels.get("scan")
+    if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
+        out["profile"] = folder / "profile.png"
+        profile_picture(scan.unknown.profile, out["profile"])
     gaps = _gaps(finding)
     if gaps:
         out["gap"] = folder / "gap.png"
