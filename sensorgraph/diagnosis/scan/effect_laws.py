@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.fit import log_p_at
+from sensorgraph.diagnosis.scan.fit import bare_cast, log_p_at
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.people_law import STRAY_CAUSES, clustered, why_not_people
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 WALL_CAUSES: tuple[str, ...] = (
     "furniture that leans at the wall, a door that stands open, a radiator",
@@ -176,6 +176,63 @@ def absences(view: FitResiduals) -> list[Doubt]:
                 )
             )
     return out
+
+
+def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
+    """Doubt a part of a wall that swallows rays where these are lost by the direction of the room in which they go.
+
+    In the directions in which rays to the part are lost, those to other walls are lost as well; in other directions rays to
+    the part come back. So it is with light from one side.
+
+    Parameters
+    ----------
+    gains : [nats] that each effect of the model brings
+    """
+    settings, beams = SCAN.goodness_of_fit, view.beams
+    fitted, names = view.fitted, view.data.arena.names
+    placed = [(i, a) for i, a in enumerate(fitted.model) if a.effect.on_part_of_wall and a.place in names]
+    if not placed:
+        return []
+    bare = bare_cast(fitted.cast.scene)
+    along = np.nan_to_num(bare.along(fitted.cast.scene.walls), nan=-1.0)
+    n = settings.n_light_directions
+    towards = np.broadcast_to(np.arctan2(beams.uy, beams.ux), view.lost.shape)
+    direction = np.clip(((towards + np.pi) / (2 * np.pi) * n).astype(np.intp), 0, n - 1)
+    is_near_enough = np.isfinite(bare.ranges) & (bare.ranges < view.range_max) & ~np.isnan(view.z)
+    out = []
+    for index, a in placed:
+        on = is_near_enough & (bare.wall == names.index(a.place)) & (along >= a["a"]) & (along <= a["b"])
+
+        def share(rays: Bools) -> tuple[Floats, Ints]:
+            """Return the share of rays that are lost in each direction (n,), and how many go there."""
+            count = np.bincount(direction[rays], minlength=n)
+            lost = np.bincount(direction[rays & view.lost], minlength=n)
+            return lost / np.maximum(count, 1), count
+
+        (on_part, n_on), (elsewhere, n_elsewhere) = share(on), share(is_near_enough & ~on)
+        both = (n_on >= settings.min_rays) & (n_elsewhere >= settings.min_rays)
+        dark, light = both & (on_part > 0.5), both & (on_part < 0.5)
+        least = settings.min_light_share
+        if dark.any() and (elsewhere[dark] > least).all() and (elsewhere[light] < least).all():
+            out.append(
+                Doubt(
+                    statement=f"rays are lost towards one side of the room ({np.degrees(_middle(dark)):.0f}° in the map), whichever "
+                    "wall they would meet",
+                    misfit=gains[index],
+                    statistic=float(elsewhere[dark].mean()),
+                    threshold=least,
+                    failed=frozenset([index]),
+                    size=ScanError(wrong=float(view.lost.mean())),
+                    causes=("light from that side: sun through a window, a lamp",),
+                )
+            )
+    return out
+
+
+def _middle(some: Bools) -> float:
+    """Return the middle direction [rad] of some of the equal bins of a full turn."""
+    at = (np.flatnonzero(some) + 0.5) / len(some) * 2 * np.pi - np.pi
+    return float(np.angle(np.exp(1j * at).mean()))
 
 
 def _not_random(view: FitResiduals, odd: Bools) -> str:

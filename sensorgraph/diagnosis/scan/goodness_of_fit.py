@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.scan.consequence import (
 )
 from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
-from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls
+from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls, lost_by_direction
 from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
@@ -106,6 +106,7 @@ def check(
     doubts = [
         *laws,
         *in_walls(view, gains),
+        *lost_by_direction(view, gains),
         *_stretched(view, nominal),
         *absences(view),
         *_dispersed(view, found),

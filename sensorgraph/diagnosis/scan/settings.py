@@ -388,6 +388,10 @@ class GoodnessOfFitSettings:
     """Things that the next scan must look at."""
     min_found_share: float = 0.7
     """Of these that it must show, if they are people."""
+    n_light_directions: int = 36
+    """Directions of the room in which rays may be lost by light."""
+    min_light_share: float = 0.3
+    """Of rays to other walls, that must be lost in the directions in which a part of a wall seems to swallow them."""
     standing_time: float = 3.0
     """[s] after and before a short reading that are left out: a person walks some 3 m meanwhile."""
     standing_window: float = 20.0

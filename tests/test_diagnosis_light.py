@@ -1,0 +1,44 @@
+"""Rays that are lost towards one side of the room: light, and no black part of a wall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scan_samples import data_of, hall_arena
+
+from sensorgraph.diagnosis.scan.effect_laws import lost_by_direction
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS, Amendment
+
+
+def view_of(data: ScanData, model: tuple[Amendment, ...]) -> FitResiduals:
+    return FitResiduals(data, fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5))
+
+
+def black(low: float, high: float) -> Amendment:
+    hall = hall_arena()
+    east = next(k for k, wall in enumerate(hall.walls) if (wall[:, 0] == 6.0).all())
+    return EFFECTS["black_surface"](a=low, b=high, r0=0.3).at(hall.names[east])
+
+
+def test_light_from_one_side_is_no_black_part_of_the_wall_there() -> None:
+    data = data_of(hall_arena(), n=400)
+    rng = np.random.default_rng(1)
+    towards = data.poses[:, 2:] + data.sensor.mount[2] + data.sensor.bearings
+    off = np.angle(np.exp(1j * towards))
+    blinded = (np.abs(off) < 0.35) & (rng.random(off.shape) < 0.8)
+    dark = replace(data, ranges=np.where(blinded, np.inf, data.ranges), memo={})
+    model = (black(1.0, 4.0),)
+    (doubt,) = lost_by_direction(view_of(dark, model), {0: 900.0})
+    assert "towards one side of the room (0" in doubt.statement.replace("-0", "0")
+    assert doubt.failed == {0} and doubt.size is not None and doubt.size.wrong > 0.03
+
+
+def test_a_black_part_of_a_wall_keeps_its_name() -> None:
+    model = (black(1.0, 4.0),)
+    data = data_of(hall_arena(), model, n=400)
+    assert lost_by_direction(view_of(data, model), {0: 900.0}) == []
