@@ -291,6 +291,8 @@ class DriveStructureSettings:
     """[s] after a command has acted, at which it may act again."""
     answer_sigma: float = 0.3
     """A priori, of how much it acts again."""
+    lead_over_answer: float = 10.0
+    """Times the evidence of such an answer, that a lag or a dead time must bring beside it for a name."""
     gain_sigma: float = 0.1
     """A priori, of each coefficient that is a gain."""
     delay_sigma: float = 0.05

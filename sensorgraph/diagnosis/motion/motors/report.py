@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import WHAT_CHANGES, jump_of
+from sensorgraph.diagnosis.motion.motors.structure import ANSWER, WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
@@ -63,6 +64,13 @@ def drive_result(
         jump_of, WHAT_CHANGES
     )
     steady = [a for a, term in found if not (is_change and jump_of(term.column))]
+    if (
+        selected.structure is not None and selected.structure.family.kind == ANSWER
+    ):  # which is like a lag or a delay
+        least = DRIVE.structure.lead_over_answer * selected.structure.evidence
+        steady = [
+            a for a in steady if a.effect not in (ACTUATOR_LAG, DEAD_TIME) or (a.evidence or 0.0) > least
+        ]
     return ChannelResult(
         channel="drive",
         effects=tuple(a for a in steady if _is_material(model, a)),

@@ -16,6 +16,9 @@ from sensorgraph.types import Bools, Floats
 WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
 """Numbers of the motors that a load, a warm gear or a restart may change during a run."""
 
+ANSWER = "answer"
+"""Kind of the family of motors that answer a command otherwise than by a lag."""
+
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
 
@@ -111,7 +114,7 @@ def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
         v, omega = both_kinds(late, n)
         columns += [np.concatenate([v, nothing]), np.concatenate([nothing, omega])]
     return StructureFamily(
-        kind="answer",
+        kind=ANSWER,
         columns=model.rows.masked(np.stack(columns, axis=1)),
         labels=[],
         sigma=DRIVE.structure.answer_sigma,
