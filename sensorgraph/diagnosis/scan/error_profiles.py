@@ -124,9 +124,15 @@ class _Columns:
     """(n_scans, k, n_rays) by its value at each knot."""
 
 
-def error_profiles(fitted: Fitted) -> list[ErrorProfile]:
-    """Fit each profile beside the effects and nuisances of a fit, where it is likely to first order; the likeliest first."""
-    found = [_fitted(fitted, one) for one in _profiles(fitted) if _screened(fitted, one) > _price()]
+def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
+    """Fit each profile beside the effects and nuisances of a fit, where it is likely to first order; the likeliest first.
+
+    Parameters
+    ----------
+    least : [nats] to first order, below which a profile is not fitted; its price at least
+    """
+    least = max(least, _price())
+    found = [_fitted(fitted, one) for one in _profiles(fitted) if _screened(fitted, one) > least]
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -139,7 +145,7 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     """
     found, failed = _sure(fitted), frozenset[int]()
     if fitted.model and null is not None:
-        alone = _sure(null)
+        alone = _sure(null, SCAN.profiles.min_first_order_share * (fitted.j - null.j))
         if alone is not None and null.j + alone.gain - _price() > fitted.j:
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
@@ -158,9 +164,9 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     ]
 
 
-def _sure(fitted: Fitted) -> ErrorProfile | None:
+def _sure(fitted: Fitted, least: float = 0.0) -> ErrorProfile | None:
     """Return the likeliest profile if likelihood and parts of the run speak for it; None where none does."""
-    found = next(iter(error_profiles(fitted)), None)
+    found = next(iter(error_profiles(fitted, least=least)), None)
     if found is None or found.gain - _price() < SCAN.selection.threshold:
         return None
     return found if found.amplitude_z > _least_z() else None

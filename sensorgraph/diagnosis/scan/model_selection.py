@@ -103,7 +103,7 @@ def explain(
                 chosen=best.model[-1].name if enough else "",
             )
         )
-        if not enough and current.j > begun + threshold:
+        if not enough and current.j > begun + SCAN.selection.min_refit_gain:
             continue  # all were measured against a fit that had not come to its end
         if not enough:
             break

@@ -218,6 +218,8 @@ class SelectionSettings:
     """[nats] per parameter."""
     n_obstacle_places: int = 6
     """Places among which an obstacle counts as chosen, for the price of the choice."""
+    min_refit_gain: float = 120.0
+    """[nats] by which the fit without a candidate must have become better, for all candidates to be tried again."""
     max_effects: int = 5
     """Effects in one model."""
     max_effects_if_partly_matching: int = 3
@@ -452,6 +454,8 @@ class ProfileSettings:
     """Per knot, below which a sensor is not asked."""
     rounds: int = 8
     """Of the fit."""
+    min_first_order_share: float = 0.1
+    """Of what all effects gain, that a profile must gain to first order to be fitted in their stead."""
     max_uneven_share: float = 0.1
     """Of the square of the errors, that may be left of a wider field of view, for it to be called that."""
 
