@@ -125,10 +125,25 @@ def sharing_power(run: Run) -> Floats:
     return np.column_stack([v * (1 - 0.4 * np.minimum(1.0, np.abs(omega) / 0.9)), omega])
 
 
+def slow_to_gain_speed(run: Run) -> Floats:
+    """Return the rates (n, 2) of a base that brings commands to its motors at 0.15 m/s² and 0.6 rad/s²."""
+    fine = np.arange(0.0, run.odom_stamps[-1], 0.005)
+    told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
+    out = np.zeros((len(fine), 2))
+    for k in range(1, len(fine)):
+        most = 0.005 * np.array([0.15, 0.6])
+        out[k] = out[k - 1] + np.clip((told[k] - out[k - 1]) * 0.05, -most, most)
+    return np.stack([np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T], axis=1)
+
+
 @pytest.mark.parametrize(
     ("rates", "said"),
-    [(ringing, "rings"), (sharing_power, "a speed that depends on how fast it turns")],
-    ids=["rings", "shares"],
+    [
+        (ringing, "rings"),
+        (sharing_power, "a speed that depends on how fast it turns"),
+        (slow_to_gain_speed, "the base accelerates at about"),
+    ],
+    ids=["rings", "shares", "ramps"],
 )
 def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Floats], said: str) -> None:
     run = make_run(6)

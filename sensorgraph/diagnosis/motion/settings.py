@@ -291,8 +291,10 @@ class DriveStructureSettings:
     """[s] after a command has acted, at which it may act again."""
     answer_sigma: float = 0.3
     """A priori, of how much it acts again."""
+    ramps: tuple[float, ...] = (0.15, 0.25, 0.35, 0.5, 0.7)
+    """Shares of the robot's acceleration that a base may really have."""
     lead_over_answer: float = 10.0
-    """Times the evidence of such an answer, that a lag or a dead time must bring beside it for a name."""
+    """Times the evidence of such an answer, or ramp, that a lag or a dead time must bring beside it for a name."""
     gain_sigma: float = 0.1
     """A priori, of each coefficient that is a gain."""
     delay_sigma: float = 0.05

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import ANSWER, WHAT_CHANGES, jump_of
+from sensorgraph.diagnosis.motion.motors.structure import ANSWER, RAMP, WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -64,10 +64,12 @@ def drive_result(
         jump_of, WHAT_CHANGES
     )
     steady = [a for a, term in found if not (is_change and jump_of(term.column))]
-    if (
-        selected.structure is not None and selected.structure.family.kind == ANSWER
-    ):  # which is like a lag or a delay
-        least = DRIVE.structure.lead_over_answer * selected.structure.evidence
+    kind = "" if selected.structure is None else selected.structure.family.kind
+    if selected.structure is not None and kind in (
+        ANSWER,
+        RAMP,
+    ):  # a lag takes most of a ramp, and much of the other
+        least = np.inf if kind == RAMP else DRIVE.structure.lead_over_answer * selected.structure.evidence
         steady = [
             a for a in steady if a.effect not in (ACTUATOR_LAG, DEAD_TIME) or (a.evidence or 0.0) > least
         ]

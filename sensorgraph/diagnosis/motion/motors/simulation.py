@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,12 @@ class MotorSimulation:
     def rates_of(self, motors: MotorParameters, commands: Floats) -> Floats:
         """Return the same for other commands (n_commands, 2) at the same stamps."""
         return self._mean_rates(self._travelled(motors, commands), 0.0)
+
+    def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
+        """Return the same of motors whose acceleration is limited to a share of the robot's limits."""
+        slower = copy(self)
+        slower.slew, slower.is_limited = share * self.slew, True
+        return self._mean_rates(slower._travelled(motors, self.commands.values), 0.0)
 
     def _mean_rates(self, travelled: Floats, later: float) -> Floats:
         start, end = self.rows.start - later, self.rows.end - later

@@ -19,6 +19,9 @@ WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
 ANSWER = "answer"
 """Kind of the family of motors that answer a command otherwise than by a lag."""
 
+RAMP = "ramp"
+"""Kind of the families of a base that accelerates more slowly than stated."""
+
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
 
@@ -66,6 +69,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         _stops(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
+        *_ramps(model, fit),
     ]
 
 
@@ -194,6 +198,29 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
                     materiality=max(term.effect.sizes.values()),
                 )
             )
+    return out
+
+
+def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+    """Return one family for each slower ramp by which a base may bring commands to its motors."""
+    shares = DRIVE.structure.ramps
+    out = []
+    for share in shares:
+        ways, turns = both_kinds(
+            model.simulation.rates_with_slew(fit.motors, share) - fit.simulated, model.rows.n
+        )
+        nothing = np.zeros(model.rows.n)
+        columns = [np.concatenate([ways, nothing]), np.concatenate([nothing, turns])]
+        out.append(
+            StructureFamily(
+                kind=RAMP,
+                columns=model.rows.masked(np.stack(columns, axis=1)),
+                labels=[],
+                sigma=DRIVE.structure.deadband_sigma,
+                statement=f"while speed changes: the base accelerates at about {share:.0%} of what robot.yaml says",
+                choice_price=float(np.log(len(shares))),
+            )
+        )
     return out
 
 
