@@ -141,12 +141,14 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
 
     Parameters
     ----------
-    null : the fit without effects: where a profile alone explains more than all effects, it stands for them
+    null : the fit without effects: where a profile alone explains more than all effects do, with a profile beside them, it
+    stands for them
     """
     found, failed = _sure(fitted), frozenset[int]()
     if fitted.model and null is not None:
         alone = _sure(null, SCAN.profiles.min_first_order_share * (fitted.j - null.j))
-        if alone is not None and null.j + alone.gain - _price() > fitted.j:
+        beside = fitted.j + (0.0 if found is None else found.gain - _price())  # effects and a profile
+        if alone is not None and null.j + alone.gain - _price() > beside + SCAN.selection.threshold:
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
         return []

@@ -170,7 +170,8 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
         alone = _sure(null)
-        if alone is not None and null.j + alone.gain > fitted.j:
+        beside = fitted.j + (0.0 if found is None else found.gain)
+        if alone is not None and null.j + alone.gain > beside + SCAN.selection.threshold:
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
         return []
