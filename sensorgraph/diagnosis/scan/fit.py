@@ -121,7 +121,7 @@ def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats
 
 def _edges(data: ScanData, scene: Scene) -> Edges | None:
     """Find the edges of the bare cast; kept as long as geometry and timing stay."""
-    parts = (scene.walls, scene.mount, scene.delay, scene.discs)
+    parts = (scene.walls, scene.mount, scene.delay, scene.discs, np.array(scene.dip))
     key = b"edges|" + b"|".join(part.tobytes() for part in parts)
     if key not in data.memo:
         bare = bare_cast(scene)
