@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from blind_cases import spread_over_sigma
 
 from benchmarks.blind_world import cases, foreign, generate, library, rooms, setups
 from benchmarks.blind_world.cases import Case, Spec, draw, make
@@ -78,54 +78,10 @@ def test_same_arguments_give_the_same_bytes(
         assert truths[0].read_bytes() == truths[1].read_bytes()
 
 
-def _walls(arena: str) -> np.ndarray:
-    rings = [
-        np.array(one["geometry"]["coordinates"][0], dtype=float) for one in json.loads(arena)["features"]
-    ]
-    return np.concatenate([np.column_stack([ring[:-1], ring[1:]]) for ring in rings])
-
-
-def _cast(starts: np.ndarray, directions: np.ndarray, walls: np.ndarray) -> np.ndarray:
-    """Return the range of each ray to the nearest wall."""
-    dx, dy = np.cos(directions)[:, None], np.sin(directions)[:, None]
-    ex, ey = (walls[:, 2] - walls[:, 0]), (walls[:, 3] - walls[:, 1])
-    ax, ay = walls[:, 0] - starts[:, :1], walls[:, 1] - starts[:, 1:]
-    cross = dx * ey - dy * ex
-    cross = np.where(cross == 0, 1e-12, cross)
-    t, k = (ax * ey - ay * ex) / cross, (ax * dy - ay * dx) / cross
-    return np.asarray(np.where((t > 0) & (k >= 0) & (k <= 1), t, np.inf).min(axis=1))
-
-
 def test_an_empty_clean_case_fits_its_map(brief: None, tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap_ros2.reader")
     generate.save(Spec(suite="none", index=0, background="clean"), tmp_path, 0)
     case = tmp_path / "cases" / "0000"
-    scans, stamps, poses = [], [], []
-    for one in reader.read_ros2_messages(str(case / "run.mcap")):
-        message = one.ros_msg
-        if one.channel.topic not in ("/scan", "/pose"):
-            continue
-        stamp = message.header.stamp.sec % 10**6 + message.header.stamp.nanosec * 1e-9
-        if one.channel.topic == "/scan":
-            scans.append(message)
-            stamps.append(stamp)
-        else:
-            at, turn = message.pose.position, message.pose.orientation
-            poses.append((stamp, at.x, at.y, 2 * np.arctan2(turn.z, turn.w)))
-    pose = np.array(poses).T
-    n = len(scans[0].ranges)
-    taken = (np.array(stamps)[:, None] + scans[0].time_increment * np.arange(n)).ravel()
-    x, y = np.interp(taken, pose[0], pose[1]), np.interp(taken, pose[0], pose[2])
-    phi = np.interp(taken, pose[0], np.unwrap(pose[3]))
-    sensor = yaml.safe_load((case / "robot.yaml").read_text())["sensor"]
-    c, s, (mount_x, mount_y, mount_yaw) = np.cos(phi), np.sin(phi), sensor["mount"]
-    bearings = np.tile(scans[0].angle_min + scans[0].angle_increment * np.arange(n), len(scans))
-    starts = np.column_stack([x + c * mount_x - s * mount_y, y + s * mount_x + c * mount_y])
-    simulated = _cast(starts, phi + mount_yaw + bearings, _walls((case / "arena.geojson").read_text()))
-    measured = np.concatenate([one.ranges for one in scans])
-    residual = (measured - simulated)[np.isfinite(measured)]
-    spread = 1.4826 * np.median(np.abs(residual))  # a few rays at edges may go either way
-    assert 0.95 < spread / sensor["sigma"] < 1.15  # poses are off by 1 to 3 mm, and a few mrad at range
+    assert 0.95 < spread_over_sigma(case) < 1.15  # poses are off by 1 to 3 mm, and a few mrad at range
 
 
 def _without(spec: Spec, attempt: int, monkeypatch: pytest.MonkeyPatch) -> Case:

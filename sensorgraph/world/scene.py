@@ -195,9 +195,8 @@ class Scene:
         n = 2 * int(np.ceil(cones.max() / CONE_STEP / 2)) + 1
         lasers = laser_poses(self.motion(self.stamps[:, None] + self.delay), self.mount)
         lasers = ray_starts(lasers, self.sensor) if self.sensor.is_composite else lasers
-        fan = (
-            self.levelled(self.bearings + offset) + np.linspace(-0.5, 0.5, n)[:, None] * cones
-        )  # (n, n_rays)
+        middle = self.levelled(self.bearings + offset)
+        fan = middle + np.linspace(-0.5, 0.5, n)[:, None] * cones  # (n, n_rays)
         phi = (lasers[:, None, :, 2] + fan).reshape(n_scans, -1)
         ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
         ux, uy = np.cos(phi), np.sin(phi)

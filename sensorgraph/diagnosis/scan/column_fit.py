@@ -62,6 +62,16 @@ def fit_columns(
     )
 
 
+def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -> bool:
+    """Tell whether something explains more without any effect than effects do with it beside them: they stand for it.
+
+    Parameters
+    ----------
+    alone, beside : [nats] that it gains over the fit without effects, and over the one with them
+    """
+    return null.j + alone > fitted.j + beside + SCAN.selection.threshold
+
+
 def parts_of_run(fitted: Fitted) -> list[Ints]:
     """Return the scans of each part of the run."""
     return np.array_split(np.arange(fitted.solver.data.n_scans), SCAN.constancy.n_parts)

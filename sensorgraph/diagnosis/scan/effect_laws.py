@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
+from sensorgraph.effects.places import part_of_wall
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -189,19 +190,18 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
     gains : [nats] that each effect of the model brings
     """
     settings, beams = SCAN.goodness_of_fit, view.beams
-    fitted, names = view.fitted, view.data.arena.names
-    placed = [(i, a) for i, a in enumerate(fitted.model) if a.effect.on_part_of_wall and a.place in names]
+    scene = view.fitted.cast.scene
+    placed = [(i, a) for i, a in enumerate(view.fitted.model) if a.effect.on_part_of_wall]
     if not placed:
         return []
-    bare = bare_cast(fitted.cast.scene)
-    along = np.nan_to_num(bare.along(fitted.cast.scene.walls), nan=-1.0)
+    bare = bare_cast(scene)
     n = settings.n_light_directions
     towards = np.broadcast_to(np.arctan2(beams.uy, beams.ux), view.lost.shape)
     direction = np.clip(((towards + np.pi) / (2 * np.pi) * n).astype(np.intp), 0, n - 1)
     is_near_enough = np.isfinite(bare.ranges) & (bare.ranges < view.range_max) & ~np.isnan(view.z)
     out = []
     for index, a in placed:
-        on = is_near_enough & (bare.wall == names.index(a.place)) & (along >= a["a"]) & (along <= a["b"])
+        on = is_near_enough & part_of_wall(scene, bare, a)
 
         def share(rays: Bools) -> tuple[Floats, Ints]:
             """Return the share of rays that are lost in each direction (n,), and how many go there."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from sensorgraph.diagnosis.result import Profile
-from sensorgraph.diagnosis.scan.column_fit import fit_columns
+from sensorgraph.diagnosis.scan.column_fit import fit_columns, inverse_of_whole, is_better_alone
 from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
@@ -147,8 +147,8 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     found, failed = _sure(fitted), frozenset[int]()
     if fitted.model and null is not None:
         alone = _sure(null, SCAN.profiles.min_first_order_share * (fitted.j - null.j))
-        beside = fitted.j + (0.0 if found is None else found.gain - _price())  # effects and a profile
-        if alone is not None and null.j + alone.gain - _price() > beside + SCAN.selection.threshold:
+        beside = 0.0 if found is None else found.gain - _price()
+        if alone is not None and is_better_alone(alone.gain - _price(), null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
         return []
@@ -201,8 +201,7 @@ def _profiles(fitted: Fitted) -> list[_Columns]:
     lengths = np.linspace(
         float(ranges[used].min()), float(np.quantile(ranges[used], MOST_RANGES)), settings.n_knots
     )
-    by_bearing = _hats(bearings, angles)
-    by_range = np.stack([_hats(np.minimum(scan, lengths[-1]), lengths) for scan in ranges])
+    by_bearing, by_range = _hats(bearings, angles), _hats(np.minimum(ranges, lengths[-1]), lengths)
     return [
         _Columns(kind=BEARING_ERROR, knots=angles, columns=turned * by_bearing),
         _Columns(kind=BIAS_BY_BEARING, knots=angles, columns=biased * by_bearing),
@@ -214,15 +213,11 @@ def _screened(fitted: Fitted, profile: _Columns) -> float:
     """Return how much likelier a profile makes the readings to first order [nats]."""
     solver, solution = fitted.solver.with_columns(profile.columns), fitted.solution
     system = solver.assemble(solution.responsibilities.weight, fitted.state.pose_scale)
-    tau, k = solver.scaled(fitted.state), len(profile.knots)
+    k = len(profile.knots)
     x = np.concatenate([fitted.state.g, solution.p, np.zeros(k)])
-    score = system.right - system.matrix @ x
-    matrix, n = system.matrix.copy(), len(tau)
-    matrix[np.arange(n), np.arange(n)] += 1 / tau**2
-    matrix[np.arange(n, len(x)), np.arange(n, len(x))] += 1e-9
-    free = np.concatenate([~solver.locked, np.ones(len(x) - n, dtype=np.bool_)])
-    covariance = np.linalg.inv(matrix[np.ix_(free, free)])[-k:, -k:]
-    return 0.5 * float(score[-k:] @ covariance @ score[-k:])
+    score = (system.right - system.matrix @ x)[-k:]
+    covariance = inverse_of_whole([(system.matrix, system.right)], solver, solution)[-k:, -k:]
+    return 0.5 * float(score @ covariance @ score)
 
 
 def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
@@ -249,6 +244,6 @@ def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
 
 
 def _hats(at: Floats, knots: Floats) -> Floats:
-    """Return the piecewise linear functions (k, n) of some values (n,) that are 1 at one knot and 0 at the others."""
+    """Return the piecewise linear functions (..., k, n) of values (..., n) that are 1 at one knot and 0 at the others."""
     width = knots[1] - knots[0]
-    return np.asarray(np.maximum(0.0, 1 - np.abs(at - knots[:, None]) / width))
+    return np.asarray(np.maximum(0.0, 1 - np.abs(at[..., None, :] - knots[:, None]) / width))

@@ -8,12 +8,13 @@ motion: two delays are told where they leave little to the others, else the like
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.column_fit import fit_columns
+from sensorgraph.diagnosis.scan.column_fit import fit_columns, is_better_alone
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
@@ -37,7 +38,7 @@ ELSEWHERE_CAUSES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class OddScans:
+class OddScans(ABC):
     """Scans that differ from the others."""
 
     share: float
@@ -49,9 +50,9 @@ class OddScans:
     causes: ClassVar[tuple[str, ...]] = ()
     """What it may be, the likeliest first."""
 
+    @abstractmethod
     def sentence(self) -> str:
         """Say it in words."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,8 +171,8 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
         alone = _sure(null)
-        beside = fitted.j + (0.0 if found is None else found.gain)
-        if alone is not None and null.j + alone.gain > beside + SCAN.selection.threshold:
+        beside = 0.0 if found is None else found.gain
+        if alone is not None and is_better_alone(alone.gain, null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
         return []

@@ -10,6 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import bare_cast
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects.places import part_of_wall
 from sensorgraph.types import Bools, Floats, Ints
 
 SPEED_EDGES = np.array([-2, -0.25, -0.1, -0.02, 0.02, 0.1, 0.2, 0.3, 0.4, 2])  # [m/s]
@@ -121,14 +122,12 @@ def _by_half(whole: Partition, late: Ints) -> Partition:
 def _parts_of_walls(view: FitResiduals, t: Floats) -> list[Partition]:
     """Sort the rays of each pane, mirror or black part by time and by incidence: does its law hold?"""
     out = []
-    arena, span = view.data.arena, view.data.span
+    span = view.data.span
     scene = view.fitted.cast.scene
     placed = [a for a in view.fitted.model if a.effect.on_part_of_wall]
     bare = bare_cast(scene) if placed else view.beams
-    along = bare.along(scene.walls) if placed else view.along
     for a in placed:
-        on = bare.wall == arena.names.index(a.place)
-        on &= (np.nan_to_num(along, nan=-1.0) >= a["a"]) & (np.nan_to_num(along, nan=1e9) <= a["b"])
+        on = part_of_wall(scene, bare, a)
         quarter = np.clip((4 * t / max(span, 1e-9)).astype(np.intp), 0, 3)
         steep = np.nan_to_num(bare.incidence) > SLANTING
         out.append(

@@ -60,24 +60,20 @@ def drive_result(
         if rival is not None:
             rivals.append(rival)
     # a lag or a delay that changes has no one size, and the other one takes a part of the change
-    is_change = selected.structure is not None and selected.structure.family.kind in map(
-        jump_of, WHAT_CHANGES
-    )
+    structure = selected.structure
+    kind = "" if structure is None else structure.family.kind
+    is_change = kind in map(jump_of, WHAT_CHANGES)
     steady = [a for a, term in found if not (is_change and jump_of(term.column))]
-    kind = "" if selected.structure is None else selected.structure.family.kind
-    if selected.structure is not None and kind in (
-        ANSWER,
-        RAMP,
-    ):  # a lag takes most of a ramp, and much of the other
-        least = np.inf if kind == RAMP else DRIVE.structure.lead_over_answer * selected.structure.evidence
-        steady = [
-            a for a in steady if a.effect not in (ACTUATOR_LAG, DEAD_TIME) or (a.evidence or 0.0) > least
-        ]
+    if structure is not None and kind in (ANSWER, RAMP):
+        # a lag takes most of a ramp, and much of the other
+        least = np.inf if kind == RAMP else DRIVE.structure.lead_over_answer * structure.evidence
+        timing = (ACTUATOR_LAG, DEAD_TIME)
+        steady = [a for a in steady if a.effect not in timing or (a.evidence or 0.0) > least]
     return ChannelResult(
         channel="drive",
         effects=tuple(a for a in steady if _is_material(model, a)),
         within_tolerance=tuple(a for a in steady if not _is_material(model, a)),
-        unknown=None if selected.structure is None else _unknown(model, selected.structure),
+        unknown=None if structure is None else _unknown(model, structure),
         rivals=tuple(rivals),
         deviations=deviations,
         gap=_gap(model, selected.terms, fit),

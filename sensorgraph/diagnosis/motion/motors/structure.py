@@ -83,10 +83,8 @@ def _gains(
     choice_price: float = 0.0,
 ) -> StructureFamily:
     """Return the family of columns that scale speeds in some rows (n,), and turn rates in others."""
-    v, omega = both_kinds(fit.simulated, model.rows.n)
-    nothing = np.zeros(model.rows.n)
-    columns = [np.concatenate([v * mask, nothing]) for mask in masks]
-    columns += [np.concatenate([nothing, omega * mask]) for mask in turn_masks]
+    ways, turns = _way_and_turn(fit.simulated)
+    columns = [ways * np.tile(mask, 2) for mask in masks] + [turns * np.tile(mask, 2) for mask in turn_masks]
     return StructureFamily(
         kind=kind,
         columns=model.rows.masked(np.stack(columns, axis=1)),
@@ -95,6 +93,12 @@ def _gains(
         statement=statement,
         choice_price=choice_price,
     )
+
+
+def _way_and_turn(rates: Floats) -> tuple[Floats, Floats]:
+    """Return rates (2 n,) with those of turning put to 0, and with those of driving put to 0."""
+    of_way = np.arange(len(rates)) < len(rates) // 2
+    return np.where(of_way, rates, 0.0), np.where(of_way, 0.0, rates)
 
 
 def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
@@ -111,12 +115,9 @@ def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
 
 def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
     """Return the family of motors that answer a command otherwise than by a lag: they ring, overshoot, creep."""
-    rates, n = model.simulation.rates, model.rows.n
-    nothing, columns = np.zeros(n), []
-    for lag in DRIVE.structure.answer_lags:
-        late = rates(fit.motors, later=lag) - fit.simulated
-        v, omega = both_kinds(late, n)
-        columns += [np.concatenate([v, nothing]), np.concatenate([nothing, omega])]
+    rates = model.simulation.rates
+    late = [rates(fit.motors, later=lag) - fit.simulated for lag in DRIVE.structure.answer_lags]
+    columns = [column for one in late for column in _way_and_turn(one)]
     return StructureFamily(
         kind=ANSWER,
         columns=model.rows.masked(np.stack(columns, axis=1)),
@@ -206,11 +207,7 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     shares = DRIVE.structure.ramps
     out = []
     for share in shares:
-        ways, turns = both_kinds(
-            model.simulation.rates_with_slew(fit.motors, share) - fit.simulated, model.rows.n
-        )
-        nothing = np.zeros(model.rows.n)
-        columns = [np.concatenate([ways, nothing]), np.concatenate([nothing, turns])]
+        columns = _way_and_turn(model.simulation.rates_with_slew(fit.motors, share) - fit.simulated)
         out.append(
             StructureFamily(
                 kind=RAMP,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error, sure_share
-from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
+from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, NoiseLimits, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
@@ -65,14 +65,17 @@ def sideways_structure(model: WheelModel, *, heading_is_of_base: bool) -> Accept
     ----------
     heading_is_of_base : the reference tells the heading of the base by itself, and not by a laser whose mount may be wrong
     """
-    found = [_sliding(model), _askew(model) if heading_is_of_base else None]
+    aside = sideways_rows(model)
+    limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
+    found = [_sliding(model, aside, limits), _askew(model, aside, limits) if heading_is_of_base else None]
     return max((one for one in found if one is not None), key=lambda one: one.evidence, default=None)
 
 
-def _askew(model: WheelModel) -> AcceptedStructure | None:
+def _askew(
+    model: WheelModel, aside: SidewaysRows, limits: tuple[NoiseLimits, NoiseLimits]
+) -> AcceptedStructure | None:
     """Return a body that goes at an angle to its heading, if that is more than markers are put on askew."""
-    rows, aside = model.rows, sideways_rows(model)
-    limits = noise_limits(model.robot, model.wheels, rows.stamps)
+    rows = model.rows
     test = StructureTest(rows.valid, aside.y, LimitedNoiseFitter(limits))
     own, distance = rows.masked(aside.turn[:, None]), rows.masked(aside.distance)
     family = StructureFamily(
@@ -95,10 +98,11 @@ def _askew(model: WheelModel) -> AcceptedStructure | None:
     )
 
 
-def _sliding(model: WheelModel) -> AcceptedStructure | None:
+def _sliding(
+    model: WheelModel, aside: SidewaysRows, limits: tuple[NoiseLimits, NoiseLimits]
+) -> AcceptedStructure | None:
     """Return what moves the body aside beside a constant angle, if a user would mind."""
-    rows, aside = model.rows, sideways_rows(model)
-    limits = noise_limits(model.robot, model.wheels, rows.stamps)
+    rows = model.rows
     # a reference whose positions are older than its headings slides in curves, too: within the tolerance of a clock
     nuisance = clock_sigma(model.robot, EVIDENCE) * (aside.distance * aside.rate)[:, None]
     noise = LimitedNoiseFitter(limits)
