@@ -14,7 +14,11 @@ from logs.run import Run
 from planners.arena import Arena
 from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
+from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.raycast import cast_laser, laser_poses
@@ -31,7 +35,8 @@ def turned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 ROOM = turned([(0, 0), (5, 0), (5, 4), (0, 4)])
-BOX = turned([(3.2, 2.4), (3.9, 2.4), (3.9, 3.0), (3.2, 3.0)])
+BOX = turned([(2.8, 2.4), (3.8, 2.4), (3.8, 3.4), (2.8, 3.4)])
+BIN = turned([(3.2, 2.4), (3.5, 2.4), (3.5, 2.7), (3.2, 2.7)])
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +115,66 @@ def test_what_stands_there_since_is_one_thing_with_a_place_and_a_size(pixels: Ar
     (thing,) = notes["changes"]  # type: ignore[misc]
     middle = np.mean(BOX, axis=0)
     assert thing["kind"] == "new" and np.hypot(*(thing["xy"] - middle)) < 0.4
-    assert max(thing["size_m"]) < 1.0
+    assert max(thing["size_m"]) < 1.3
     assert 0.01 < notes["changes_share"] < 0.3  # type: ignore[operator]
+
+
+def test_something_small_that_is_new_is_left_to_be_named(pixels: Arena) -> None:
+    _, after, notes = judged(pixels, BIN)
+    assert not notes["changes"]
+    assert np.isnan(after.ranges).sum() == np.isnan(judged(pixels)[1].ranges).sum()
+
+
+def test_somebody_who_walks_by_and_rays_that_do_not_return_are_no_change_of_the_building(
+    pixels: Arena,
+) -> None:
+    raster = RasterMap.of(pixels)
+    run = scanned(polygon_arena(ROOM))
+    there = scanned(polygon_arena(ROOM, BOX)).ranges
+    ranges = np.where(np.arange(len(run.stamps))[:, None] % 4 == 0, there, run.ranges)
+    ranges[ranges > 2.2] = np.inf
+    data, _ = prepare_scans(replace(run, ranges=ranges), raster.arena, ROBOT)
+    assert not raster.judged(data)[1]["changes"]
+
+
+def test_walls_laid_on_readings_count_their_errors_from_the_map(pixels: Arena) -> None:
+    _, data, _ = judged(pixels)
+    null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
+    laid = null.solver.data.laid
+    assert laid is not None and 0 < np.abs(laid).max() <= PIXEL / 2
+    assert null.j > fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1).j - 1e-6
+    seen = null.solver.jacobian.valid & data.returned
+    left = np.abs(null.solver.y - null.solver.shift(null.state, np.zeros(0)))[seen]
+    assert np.median(left) < 0.01
+    true = shapely.Polygon(ROOM).exterior
+    hit = np.unique(null.solver.jacobian.wall[seen])
+    walls = null.solver.data.arena.walls[hit]
+    middles = shapely.points(walls[np.hypot(*np.diff(walls, axis=1)[:, 0].T) > 1.0].mean(axis=1))
+    assert shapely.distance(middles, true).max() < 0.02
+
+
+def test_a_map_that_is_laid_and_one_that_is_not_have_the_same_linear_part(pixels: Arena) -> None:
+    _, data, _ = judged(pixels)
+    state = start_state(data, SCAN.noise)
+    rng = np.random.default_rng(0)
+    state.g[len(Nuisance) :] = rng.uniform(-0.002, 0.002, len(state.g) - len(Nuisance))
+    plain, _ = solver_for(data, ())
+    moved, _ = solver_for(data.laid_by(state.g[len(Nuisance) :]), ())
+    both = plain.jacobian.valid & moved.jacobian.valid & (plain.jacobian.wall == moved.jacobian.wall)
+    a, b = (s.y - s.shift(state, np.zeros(0)) for s in (plain, moved))
+    slanting = np.abs(plain.jacobian.ends).max(axis=0) > 3
+    assert np.abs(a - b)[both & ~slanting].max() < 1e-3  # of second order in 2 mm
+    one, other = (s.assemble(np.where(both & ~slanting, 1e4, 0.0), 1.0) for s in (plain, moved))
+    assert np.allclose(one.right, other.right, atol=0.02 * np.abs(one.right).max())
+
+
+def test_corners_that_nothing_meets_share_one_unknown() -> None:
+    walls = polygon_arena(ROOM).walls
+    met = np.array([True, False, False, False])
+    assert Corners.of(walls).count == 4
+    few = Corners.of(walls, met)
+    assert few.count == 3 and few.ends[0, 0] != few.ends[0, 1]
+    assert (few.ends[2] == 2).all() and few.ends.max() == 2
 
 
 def test_a_wrong_place_is_no_change_of_the_building(pixels: Arena) -> None:

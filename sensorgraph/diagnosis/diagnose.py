@@ -206,7 +206,7 @@ def _prepare_second(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
             f"{100 * first.alignment.share:.0f} % of the first run's; give a run of the same place"
         )
-    return data
+    return replace(data, corners=first.data.corners)
 
 
 def diagnose_motion(

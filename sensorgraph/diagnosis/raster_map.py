@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import ndimage
 
 from planners.arena import Arena
 from planners.clearance import Barriers
+from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.models.cones.settings import measures_cones
-from sensorgraph.types import Bools, Floats
-from sensorgraph.world.pixel_walls import pixel_of, straightened, unknown_borders
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.pixel_walls import THING, pixel_of, straightened, unknown_borders
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot
 
@@ -31,6 +33,10 @@ MAX_CHANGED = 1 / 3
 """Of all readings, above which it is not the building that has changed."""
 MIN_SCANS = 5
 """That show it."""
+MAX_SMALL = 0.6
+"""[m] of something new, above which no disc stands for it."""
+MIN_SHOWN = 0.5
+"""Of the rays aimed at its fullest cell, that show it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +51,8 @@ class MapChange:
     """[m] along x and y."""
     share: float
     """Of the readings."""
+    is_named: bool = False
+    """Whether effects have a name for it: something small that is new, a thing that is gone."""
 
     def sentence(self) -> str:
         """Say it in words."""
@@ -101,7 +109,10 @@ class RasterMap:
                 "walls": self.arena.n_walls,
                 "map_tolerance_m": self.tolerance,
             }
-        data, said = known_and_unchanged(data, self.borders)
+        data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
+        lasers = laser_poses(data.poses, data.sensor.mount)
+        _, wall = cast_laser(data.arena.walls, lasers, data.sensor.bearings, data.sensor.range_max)
+        data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
         return data, {
             "pixel_m": self.pixel,
             "walls": self.arena.n_walls,
@@ -110,15 +121,37 @@ class RasterMap:
         }
 
 
-def known_and_unchanged(data: ScanData, borders: Floats, *, few: int = 0) -> tuple[ScanData, dict[str, Any]]:
+def _most_met(walls: Floats, wall: Ints) -> Corners:
+    """Return the corners of the walls that most rays meet, as many as may shift; `wall` is the index of each ray's, -1: none."""
+    count = np.bincount(wall[wall >= 0], minlength=len(walls))
+    for least in range(1, int(count.max(initial=1)) + 1):
+        corners = Corners.of(walls, count >= least)
+        if corners.count <= SCAN.nuisance.max_corners:
+            break
+    return corners
+
+
+def known_and_unchanged(
+    data: ScanData, borders: Floats, *, few: int, left_in: Literal["all", "named"] = "all"
+) -> tuple[ScanData, dict[str, Any]]:
     """Leave out rays into unknown space, beyond borders (n, 2, 2) [m], and those that show a change; say which they were.
 
-    Two thirds of what is left must be the building as mapped, or nothing is said to have changed. So `few` changes are left
-    in, to be found and sized as effects.
+    Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
+
+    Parameters
+    ----------
+    few : changes that are left in where there are no more, to be found and sized as effects
+    left_in : all of these, or only those that effects have a name for
     """
     border, unknown = looks_into_unknown(data, borders)
-    things, rays = changes(data, border)
-    if rays.mean() > MAX_CHANGED or len(things) <= few:
+    found = changes(data, border)
+    if len(found) <= few:
+        found = [(thing, rays) for thing, rays in found if left_in == "named" and not thing.is_named]
+    rays = np.zeros(data.ranges.shape, dtype=np.bool_)
+    for _, own in found:
+        rays |= own
+    things = [thing for thing, _ in found]
+    if rays.mean() > MAX_CHANGED:
         things, rays = [], np.zeros_like(rays)
     data = replace(data, ranges=np.where(rays | unknown, np.nan, data.ranges), memo={})
     return data, {
@@ -141,62 +174,104 @@ def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:
     return np.where(enters, at_border, np.inf), enters
 
 
-def changes(data: ScanData, border: Floats) -> tuple[list[MapChange], Bools]:
-    """Group readings that are far from what the map makes them into things, and say which readings these are.
+def changes(data: ScanData, border: Floats) -> list[tuple[MapChange, Bools]]:
+    """Group readings that are far from what the map makes them into things; return each with its rays (n_scans, n_rays).
+
+    What stands there stops most of the rays that are aimed at it, and most of them pass an opening: else it is somebody who
+    walks by, or the sensor, or the outline of a thing.
 
     Parameters
     ----------
     border : (n_scans, n_rays) [m] where unknown space begins: beyond it nothing is said
     """
-    lasers = laser_poses(data.poses, data.sensor.mount)
-    expected, wall = cast_laser(data.arena.walls, lasers, data.sensor.bearings, data.sensor.range_max)
-    z = data.ranges
-    way = np.diff(data.arena.walls, axis=1)[:, 0]
-    lie = np.arctan2(way[:, 1], way[:, 0])[np.maximum(wall, 0)]
-    head_on = np.abs(np.sin(lasers[:, 2:] + data.sensor.bearings - lie))  # 1; 0 along the wall
-    reach = np.minimum(np.where(np.isfinite(expected), expected, data.sensor.range_max), border)
-    got = np.where(z == np.inf, data.sensor.range_max, z)
-    with np.errstate(invalid="ignore"):
-        is_new = np.isfinite(z) & (z < reach - MIN_OFF)
-        is_open = (expected < border) & np.isfinite(expected) & ((got - expected) * head_on > MIN_OFF)
-    found: list[MapChange] = []
-    masked = np.zeros(z.shape, dtype=np.bool_)
-    for kind, some, r in (("new", is_new, z), ("open", is_open, expected)):
-        things, rays = _grouped(data, kind, some, r, lasers)
-        found += things
-        masked |= rays
-    return sorted(found, key=lambda one: -one.share), masked
+    seen = _Sight(data, border)
+    found = [one for kind in ("new", "open") for one in _grouped(seen, kind)]
+    return sorted(found, key=lambda one: -one[0].share)
 
 
-def _grouped(
-    data: ScanData, kind: str, some: Bools, r: Floats, lasers: Floats
-) -> tuple[list[MapChange], Bools]:
-    """Cluster the points at ranges r (n_scans, n_rays) of some rays; return what is large enough, and its rays."""
-    masked = np.zeros(some.shape, dtype=np.bool_)
+class _Sight:
+    """What every ray of a run reads beside what the map makes it; arrays (n_scans, n_rays)."""
+
+    def __init__(self, data: ScanData, border: Floats) -> None:
+        self.data, self.lasers = data, laser_poses(data.poses, data.sensor.mount)
+        self.angle = self.lasers[:, 2:] + data.sensor.bearings
+        self.is_thing = np.array([name.startswith(THING) for name in data.arena.names])
+        self.expected, self.wall = cast_laser(
+            data.arena.walls, self.lasers, data.sensor.bearings, data.sensor.range_max
+        )
+        self.z, most = data.ranges, data.sensor.range_max
+        way = np.diff(data.arena.walls, axis=1)[:, 0]
+        lie = np.arctan2(way[:, 1], way[:, 0])[np.maximum(self.wall, 0)]
+        head_on = np.abs(np.sin(self.angle - lie))  # 1; 0 along the wall
+        self.reach = np.minimum(np.where(np.isfinite(self.expected), self.expected, most), border)
+        self.got = np.where(self.z == np.inf, most, self.z)
+        with np.errstate(invalid="ignore"):
+            self.is_new = np.isfinite(self.z) & (self.z < self.reach - MIN_OFF)
+            past = (self.got - self.expected) * head_on
+            self.is_open = (self.expected < border) & np.isfinite(self.expected) & (past > MIN_OFF)
+
+    def points(self, scan: Ints, ray: Ints, r: Floats) -> Floats:
+        """Return where some rays are at ranges r, (n, 2) [m]."""
+        angle = self.angle[scan, ray]
+        way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(self.lasers[scan, :2] + r[:, None] * way)
+
+    def share(self, kind: str, place: Floats) -> float:
+        """Return the share of the rays aimed at a place (2,) that show a change there."""
+        x, y = (place - self.lasers[:, :2]).T[:, :, None]
+        ahead, beside = (
+            x * np.cos(self.angle) + y * np.sin(self.angle),
+            y * np.cos(self.angle) - x * np.sin(self.angle),
+        )
+        aimed = (np.abs(beside) < CELL / 2) & (ahead > 0) & ~np.isnan(self.z)
+        if kind == "new":  # whatever stops the ray earlier says nothing
+            aimed &= (ahead < self.reach - MIN_OFF) & (self.got > ahead - CELL)
+            shows = self.is_new & (self.z < ahead + CELL)
+        else:
+            aimed &= np.abs(self.expected - ahead) < CELL
+            shows = self.is_open & np.isfinite(self.z)  # no answer may be the surface's, or the sensor's
+        return float((aimed & shows).sum() / max(aimed.sum(), 1))
+
+
+def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
+    """Cluster the points of one kind; return what is large enough and is surely there, and its rays."""
+    some, r = (seen.is_new, seen.z) if kind == "new" else (seen.is_open, seen.expected)
+    n_readings = some.size
     scan, ray = np.nonzero(some)
-    angle = lasers[scan, 2] + data.sensor.bearings[ray]
-    points = lasers[scan, :2] + r[scan, ray, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = seen.points(scan, ray, r[scan, ray])
     if kind == "new":  # what stands free; near a mapped wall it is the wall
-        clear = Barriers(data.arena).distances(points) > NEAR_WALL
+        clear = Barriers(seen.data.arena).distances(points) > NEAR_WALL
         scan, ray, points = scan[clear], ray[clear], points[clear]
     if not len(scan):
-        return [], masked
+        return []
     low = points.min(axis=0)
     cell = ((points - low) / CELL).astype(np.intp)
     count = np.zeros(cell.max(axis=0) + 1, dtype=np.intp)
     np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
-    least = max(3, int(0.05 * MIN_SHARE * data.ranges.size))
+    least = max(3, int(0.05 * MIN_SHARE * n_readings))
     labels, n = ndimage.label(count >= least, structure=np.ones((3, 3)))
     label = labels[cell[:, 0], cell[:, 1]]
     out = []
     for k in range(1, n + 1):
         rays = label == k
-        share = float(rays.sum()) / data.ranges.size
+        share = float(rays.sum()) / n_readings
         if share < MIN_SHARE or len(np.unique(scan[rays])) < MIN_SCANS:
+            continue
+        fullest = np.unravel_index(np.where(labels == k, count, 0).argmax(), count.shape)
+        if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN:
             continue
         ends = np.quantile(points[rays], [0.05, 0.95], axis=0)
         x, y = ends.mean(axis=0)
         w, h = ends[1] - ends[0]
-        out.append(MapChange(kind=kind, xy=(float(x), float(y)), size=(float(w), float(h)), share=share))
-        masked[scan[rays], ray[rays]] = True
-    return out, masked
+        is_thing = seen.is_thing[np.median(seen.wall[scan[rays], ray[rays]]).astype(np.intp)]
+        change = MapChange(
+            kind=kind,
+            xy=(float(x), float(y)),
+            size=(float(w), float(h)),
+            share=share,
+            is_named=max(w, h) < MAX_SMALL if kind == "new" else bool(is_thing),
+        )
+        own = np.zeros(some.shape, dtype=np.bool_)
+        own[scan[rays], ray[rays]] = True
+        out.append((change, own))
+    return out

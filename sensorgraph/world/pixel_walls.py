@@ -6,26 +6,39 @@ and every straight stretch is fitted to the steps that it replaces.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import shapely
 
 from planners.arena import Arena
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 PREFIX = "map/edge_"
 """Of the walls of a map of pixels, which are named by their order."""
-STRAIGHT = "outline/edge_"
-"""Of the straight walls that stand for them."""
-MAX_STEP = 1.0
-"""[pixel] that a straight wall may leave the outline of the cells."""
+OUTLINE, THING = "outline", "thing_"
+"""Names of the straight walls that stand for them: around free space, and of what stands in it."""
+MIN_FREE = 100
+"""[pixel²] a smaller part of free space holds no robot: a gap between cells of a thick wall."""
+MAX_STEP = 0.99
+"""[pixel] that the borders of cells may stray from a chord: those of a straight wall do by less than one."""
 MIN_WALLS = 40
 """Fewer borders are no steps worth straightening."""
 SPECK = 0.2
 """[pixel] a shorter wall is what is left of a single cell."""
 MIN_WALL = 1.5
 """[pixel] a shorter stretch of an outline stays a part of its neighbour."""
+CURVE_STEP = 2
+"""[pixel] between corners of a wall that is round, whose steps are averaged over as much either way [half pixel]."""
+MAX_BULGE = 1.5
+"""[step] by which something round may stray from its chord; more, by its turns, is a corner between straight walls."""
+LONG_RUN = 8.0
+"""[pixel] of a straight run on both sides of a single step, where the wall may have a jog of less than a pixel."""
+REGULAR = 1.5
+"""[pixel] by which the runs of a slanting wall differ."""
+MEETS = np.cos(np.arcsin(0.2))
+"""Cosine of the turn below which two walls hardly meet."""
 
 
 def is_raster(arena: Arena) -> bool:
@@ -39,71 +52,199 @@ def pixel_of(arena: Arena) -> float:
 
 
 def straightened(arena: Arena) -> tuple[Arena, float]:
-    """Return an arena of pixels with straight walls, and how far these leave the borders of the cells, r.m.s. [m]."""
+    """Return an arena of pixels with straight walls, and how far these leave the borders of the cells, r.m.s. [m].
+
+    A cell is occupied because a surface is somewhere in it, so that the borders of the cells lie on the average half
+    the width of a cell before the surface, seen along its normal. A chain of short walls that turn all one way is a
+    round thing: its walls follow the outline every `CURVE_STEP` pixels. Walls that no free space touches are left out.
+    """
     pixel = pixel_of(arena)
     rings = shapely.get_parts(shapely.polygonize([shapely.union_all(shapely.linestrings(arena.walls))]))
     outlines = [np.array(ring.coords)[:-1] for face in rings for ring in (face.exterior, *face.interiors)]
     unique = {tuple(sorted(map(tuple, np.round(ring, 6).tolist()))): ring for ring in outlines}
-    shapely.prepare(arena.free)
-    walls, off = [], []
-    for ring in unique.values():
-        corners, misses = _straight(ring, arena.free, pixel)
-        walls.append(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
-        off.append(misses)
+    parts = shapely.get_parts(arena.free)
+    free = shapely.union_all(parts[shapely.area(parts) > MIN_FREE * pixel**2])
+    shapely.prepare(free)
+    found = [_Outline(ring, free, pixel) for ring in unique.values()]
+    walls, names, n_things, n_around = [np.zeros((0, 2, 2))], list[str](), 0, 0
+    for one in found:
+        own = one.walls()
+        own = own[np.hypot(*np.diff(own, axis=1)[:, 0].T) > SPECK * pixel]
+        walls.append(own)
+        if not len(own):
+            continue
+        if one.is_thing:
+            n_things += 1
+            names += [f"{THING}{n_things}/edge_{i}" for i in range(len(own))]
+        else:
+            names += [f"{OUTLINE}/edge_{n_around + i}" for i in range(len(own))]
+            n_around += len(own)
     straight = np.concatenate(walls)
-    straight = straight[np.hypot(*np.diff(straight, axis=1)[:, 0].T) > SPECK * pixel]
-    names = tuple(f"{STRAIGHT}{i}" for i in range(len(straight)))
-    rms = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
-    return replace(arena, walls=straight, names=names, surfaces=("wall",) * len(straight)), rms
+    rms = float(
+        np.sqrt(np.mean(np.concatenate([np.zeros(1), *(off for one in found for off in one.off)]) ** 2))
+    )
+    return replace(arena, walls=straight, names=tuple(names), surfaces=("wall",) * len(straight)), rms
 
 
-def _straight(ring: Floats, free: shapely.Geometry, pixel: float) -> tuple[Floats, Floats]:
-    """Return the corners (n, 2) of straight walls along a closed outline of steps, and what they leave [m].
+class _Outline:
+    """One closed outline of steps, and the straight stretches that it is made of."""
 
-    A cell is occupied because a surface is somewhere in it: walls lie in the middle of their cells, half a pixel
-    behind the border that faces free space.
-    """
-    far = int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T)))  # a true corner to begin at
-    steps = _dense(np.roll(ring, -far, axis=0), pixel)
-    closed = shapely.LineString(np.vstack([steps, steps[:1]]))
-    kept = np.array(closed.simplify(MAX_STEP * pixel).coords)[:-1]
-    if len(kept) < 3:
-        return ring, np.zeros(1)
-    at = [int(np.argmin(np.hypot(*(steps - corner).T))) for corner in kept]
-    lines, off, behind = [], [], []
-    for first, last in zip(at, [*at[1:], at[0] + len(steps)], strict=True):
-        points = steps[np.arange(first, last + 1) % len(steps)]
+    def __init__(self, ring: Floats, free: shapely.Geometry, pixel: float) -> None:
+        self.pixel = pixel
+        far = int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T)))  # a true corner to begin at
+        self.steps = _dense(np.roll(ring, -far, axis=0), pixel)
+        self.side = _side_of_cells(self.steps, free)
+        borders = self.steps[
+            1::2
+        ]  # the middle of each, which a wall drawn in cells passes within half a pixel
+        closed = shapely.LineString(np.vstack([borders, borders[:1]]))
+        self.kept: Floats = np.array(closed.simplify(MAX_STEP * pixel).coords)[:-1]
+        at = [int(np.argmin(np.hypot(*(self.steps - corner).T))) for corner in self.kept]
+        self.ends = list(zip(at, [*at[1:], at[0] + len(self.steps)], strict=True))
+        self.lines: list[tuple[Floats, Floats]] = []
+        self.off: list[Floats] = []
+        for first, last in self.ends:
+            self._fit(self._between(first, last))
+
+    @property
+    def is_thing(self) -> bool:
+        """Tell whether free space is around the outline, and not within it."""
+        x, y = self.steps.T
+        area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        return area * float(self.side.sum()) > 0
+
+    def _between(self, first: int, last: int) -> Floats:
+        """Return the steps (n, 2) from one to another."""
+        return np.asarray(self.steps[np.arange(first, last + 1) % len(self.steps)])
+
+    def _fit(self, points: Floats) -> None:
+        """Lay a line through steps (n, 2), and move it behind them."""
         middles = (points[1:] + points[:-1]) / 2
         centre = middles.mean(axis=0)
         way = points[-1] - points[0]
         if len(middles) >= 2 * MIN_WALL:
-            way = np.linalg.svd(middles - centre, full_matrices=False)[2][0]
-            off.append((middles - centre) @ np.array([-way[1], way[0]]))
-        across = np.array([-way[1], way[0]]) / max(float(np.hypot(*way)), 1e-9)
-        sides = [middles + side * pixel * across for side in (-1, 1)]
-        left_free, right_free = (float(shapely.contains_xy(free, *side.T).mean()) for side in sides)
-        behind.append(0.5 * pixel * np.sign(left_free - right_free) * across)
-        lines.append((centre + behind[-1], way))
-    corners = [
-        _meet(*lines[k - 1], *lines[k], kept[k] + behind[k - 1] + behind[k], pixel) for k in range(len(lines))
-    ]
-    return np.array(corners), np.concatenate([np.zeros(1), *off])
+            axis = np.linalg.svd(middles - centre, full_matrices=False)[2][0]
+            way = axis if axis @ way >= 0 else -axis
+            self.off.append((middles - centre) @ np.array([-way[1], way[0]]))
+        way = way / max(float(np.hypot(*way)), 1e-9)
+        self.lines.append((centre + self._behind(way), way))
+
+    def _behind(self, way: Floats) -> Floats:
+        """Return the vector [m] from the borders of cells to their surface, along unit ways (..., 2)."""
+        across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
+        half_width = 0.5 * self.pixel * np.abs(way).sum(axis=-1, keepdims=True)
+        return np.asarray(np.sign(self.side.sum()) * half_width * across)
+
+    def walls(self) -> Floats:
+        """Return straight walls (n, 2, 2) [m] that stand for what free space touches of the outline."""
+        n = len(self.lines)
+        if n < 3:
+            return np.stack([self.steps, np.roll(self.steps, -1, axis=0)], axis=1)
+        curved = self._curved()
+        meets = [
+            np.repeat(self._smooth(self.ends[k][:1]), 2, axis=0)
+            if curved[k] and curved[k - 1]
+            else self._meeting(k)
+            for k in range(n)
+        ]
+        walls = [np.zeros((0, 2, 2))]
+        for k, (first, last) in enumerate(self.ends):
+            if not self.side[np.arange(first, last) % len(self.steps)].any():
+                continue
+            between = self._round(first, last) if curved[k] else self._jogs(k)
+            chain = np.vstack([meets[k], between, meets[(k + 1) % n][:1]])
+            walls.append(np.stack([chain[:-1], chain[1:]], axis=1))
+        return np.concatenate(walls)
+
+    def _curved(self) -> list[bool]:
+        """Tell which stretches are chords of something round.
+
+        A circle whose outline strays by s from its chord of length c has turned by 8 s / c along it.
+        """
+        ways = np.array([way for _, way in self.lines])
+        before = np.roll(ways, 1, axis=0)
+        turn = np.arctan2(before[:, 0] * ways[:, 1] - before[:, 1] * ways[:, 0], (before * ways).sum(axis=1))
+        after = np.roll(turn, -1)
+        length = np.hypot(*(np.roll(self.kept, -1, axis=0) - self.kept).T) / self.pixel
+        bulge = length * np.abs(turn + after) / 2 / 8
+        result: list[bool] = ((turn * after > 0) & (bulge < MAX_BULGE * MAX_STEP)).tolist()
+        return result
+
+    def _round(self, first: int, last: int) -> Floats:
+        """Return corners (n, 2) of something round, between two steps."""
+        count = max(round((last - first) / (2 * CURVE_STEP)), 1)
+        return self._smooth(np.linspace(first, last, count + 1)[1:-1].round().astype(np.intp))
+
+    def _smooth(self, at: Sequence[int] | Ints) -> Floats:
+        """Return points (n, 2) of the surface behind some steps (n,)."""
+        around = np.arange(-CURVE_STEP, CURVE_STEP + 1)
+
+        def mean(shift: int) -> Floats:
+            return np.asarray(
+                self.steps[(np.asarray(at)[:, None] + shift + around) % len(self.steps)].mean(axis=1)
+            )
+
+        way = mean(CURVE_STEP) - mean(-CURVE_STEP)
+        way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+        return np.asarray(mean(0) + self._behind(way))
+
+    def _jogs(self, k: int) -> Floats:
+        """Return two corners at each single step (n, 2) at which a straight stretch may as well jump.
+
+        A slanting wall steps at regular intervals; one or two steps between long runs may be jogs of the wall.
+        """
+        points = self._between(*self.ends[k])
+        (centre, way), major = self.lines[k], int(np.abs(self.lines[k][1]).argmax())
+        is_step = np.abs(np.diff(points[:, 1 - major])) > 0.1 * self.pixel
+        at = np.flatnonzero(is_step)
+        if not len(at):
+            return np.zeros((0, 2))
+        where = points[at] + points[at + 1]
+        along = (where / 2 - centre) @ way / self.pixel
+        ends = (points[[0, -1]] - centre) @ way / self.pixel
+        jog = np.flatnonzero(np.diff(along, prepend=-np.inf) > 1)  # two half pixels make one step
+        place = along[jog] + 0.0
+        runs = np.diff(np.concatenate([ends[:1], place, ends[1:]]))
+        inner = runs[1:-1]
+        if (
+            len(inner) >= 2
+            and inner.max() - inner.min() <= REGULAR
+            and max(runs[0], runs[-1]) <= inner.max() + REGULAR
+        ):
+            return np.zeros((0, 2))
+        place = place[np.minimum(runs[:-1], runs[1:]) >= LONG_RUN]
+        pair = np.stack([place - 0.5, place + 0.5], axis=1).reshape(-1, 1) * self.pixel
+        return np.asarray(centre + pair * way)
+
+    def _meeting(self, k: int) -> Floats:
+        """Return where the stretch before ends and this one begins (2, 2): the same, but for a jog between parallel walls."""
+        (p, u), (q, v) = self.lines[k - 1], self.lines[k]
+        ends = [self.kept[k], self.kept[k]]
+        is_jog = abs(u @ v) > MEETS
+        for i, (point, way) in enumerate(((p, u), (q, v))):
+            across = np.array([-way[1], way[0]])
+            ends[i] = ends[i] + ((point - ends[i]) @ across) * across + is_jog * (i - 0.5) * self.pixel * way
+        if is_jog:
+            return np.array(ends)
+        meet = p + float((q - p)[0] * v[1] - (q - p)[1] * v[0]) / float(u[0] * v[1] - u[1] * v[0]) * u
+        is_near = np.hypot(*(meet - np.mean(ends, axis=0))) < 2 * self.pixel
+        return np.repeat(meet[None] if is_near else np.mean(ends, axis=0)[None], 2, axis=0)
+
+
+def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:
+    """Tell on which side of each step (n, 2) of an outline the cells are: 1 left, -1 right, 0 no free space touches it."""
+    ahead = np.roll(steps, -1, axis=0) - steps
+    middles, aside = steps + ahead / 2, 0.5 * np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    left, right = (
+        shapely.contains_xy(free, *(middles + side * aside).T).astype(np.float64) for side in (1, -1)
+    )
+    return np.asarray(right - left)
 
 
 def _dense(ring: Floats, pixel: float) -> Floats:
     """Return the outline with a point every half pixel."""
     line = shapely.LineString(np.vstack([ring, ring[:1]]))
-    return np.array(shapely.segmentize(line, 0.5 * pixel).coords)[:-1]
-
-
-def _meet(p: Floats, u: Floats, q: Floats, v: Floats, corner: Floats, pixel: float) -> Floats:
-    """Return where two lines meet, or the corner where they hardly do, or far from it."""
-    cross = float(u[0] * v[1] - u[1] * v[0])
-    if abs(cross) < 0.2 * float(np.hypot(*u) * np.hypot(*v)):
-        return corner
-    s = float((q - p)[0] * v[1] - (q - p)[1] * v[0]) / cross
-    meet = p + s * u
-    return meet if np.hypot(*(meet - corner)) < 2 * pixel else corner
+    return np.array(shapely.segmentize(line, 0.5 * pixel * (1 + 1e-6)).coords)[:-1]
 
 
 def unknown_borders(arena: Arena) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import erf
 
 from sensorgraph.diagnosis.result import Deviation
-from sensorgraph.diagnosis.scan.partitions import Partition, partitions
+from sensorgraph.diagnosis.scan.partitions import OF_WALLS, Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
@@ -147,6 +147,10 @@ def _in_partition(
     def by_bin(values: Floats | Bools) -> Floats:
         return np.asarray(np.bincount(bins, values, part.count), dtype=np.float64)
 
+    grain = np.zeros(part.count)
+    if view.data.grain > 0 and part.name in OF_WALLS:
+        lengthened = view.data.grain / np.maximum(np.cos(view.incidence), SCAN.nuisance.min_cosine)
+        grain = by_bin(by_block(np.nan_to_num(lengthened))) / np.maximum(by_bin(by_block(inside)), 1)
     found, counts = [], dict[int, Floats]()
     for family, value in score.values.items():
         counted = score.counted[family]
@@ -161,7 +165,10 @@ def _in_partition(
         enough = (rays >= settings.min_rays) & (by_bin(n > 0) >= settings.min_blocks)
         is_strong = (np.abs(z) > min_z) if family == "bias" else (z > min_z)
         unit = sigma if family == "bias" else 1.0
-        for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > settings.min_size[family])):
+        least = np.full(part.count, settings.min_size[family])
+        if family in ("bias", "spread"):  # that the map may leave, in units of the scores
+            least = np.maximum(least, grain / sigma if family == "bias" else (grain / sigma) ** 2)
+        for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
             found.append(
                 Deviation(
                     family=family,

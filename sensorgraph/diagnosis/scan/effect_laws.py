@@ -86,7 +86,11 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                 )
             )
     for telltale in _telltales():
-        members = [i for i, a in enumerate(model) if a.effect.diagnostics.telltale == telltale]
+        members = [
+            i
+            for i, a in enumerate(model)
+            if a.effect.diagnostics.telltale == telltale and not is_map_error(view.fitted, a)
+        ]
         count = len({model[i].name for i in members}) if telltale.distinct else len(members)
         if count >= telltale.least:
             out.append(

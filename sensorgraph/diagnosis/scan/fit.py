@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.gauss_newton import (
-    MOST_CORNERS,
     Solution,
     Solver,
     State,
@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.scan.likelihood import (
     expected_readings,
     find_edges,
 )
-from sensorgraph.diagnosis.scan.nuisance import Corners, Jacobian, linearise
+from sensorgraph.diagnosis.scan.nuisance import Jacobian, corners_of, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
@@ -153,14 +153,6 @@ def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     return state
 
 
-def corners_of(data: ScanData) -> Corners:
-    """Return the corners of the map that may shift; none where there are too many."""
-    corners = Corners.of(data.arena.walls)
-    if corners.count > MOST_CORNERS:
-        return Corners(ends=corners.ends * 0, count=0)
-    return corners
-
-
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
     out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
@@ -175,7 +167,14 @@ def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bool
 def columns_of(data: ScanData, fitted: Fitted, amendment: Amendment) -> Floats:
     """Differentiate the readings of a fit by a further effect that changes nothing yet, (n_scans, k, n_rays)."""
     model = (*fitted.model, amendment)
+    data = as_laid(data, fitted)
     return np.stack(_difference_quotients(data, model, len(model) - 1, fitted.cast), axis=1)
+
+
+def as_laid(data: ScanData, fitted: Fitted) -> ScanData:
+    """Return data with the map where a fit has cast it."""
+    laid = fitted.solver.data.laid
+    return data if laid is None else data.laid_by(laid)
 
 
 def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
@@ -241,18 +240,19 @@ def fit(
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
     state.g[locked(data, model, corners)] = 0.0
-    for _ in range(outer):
-        solver, at = solver_for(data, model)
+    must_lay = data.grain > 0 and not model
+    for _ in range(max(outer, SCAN.fit.map_casts) if must_lay else outer):
+        solver, at = solver_for(data.laid_by(state.g[len(Nuisance) :]), model)
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
         if best is None or got.j > best.j:
             best = got
-        if solver.n_effects == 0 or not better:
+        if (solver.n_effects == 0 and not must_lay) or not better:
             break
         model, state = with_increments(model, solution.p), solution.state
-        if _settled(solution):
+        if not must_lay and _settled(solution):
             break
     assert best is not None
     final = with_increments(best.model, best.solution.p)
@@ -274,6 +274,7 @@ def log_p_at(
     ----------
     noise_bounds : the noise is estimated again within it; None: it stays
     """
+    data = data.laid_by(state.g[len(Nuisance) :])
     at = cast(data, model)
     corners = corners_of(data)
     shape = at.expected.reading.shape

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
+from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
 from sensorgraph.diagnosis.scan.nuisance import (
     BeamNoise,
-    Corners,
     Jacobian,
     pose_prior,
     prior_widths,
@@ -27,7 +27,6 @@ from sensorgraph.diagnosis.scan.wall_sums import wall_sums
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 
-MOST_CORNERS = SCAN.nuisance.max_corners
 CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
 """Medians of chi-squared with one and with three degrees of freedom."""
 
@@ -86,14 +85,15 @@ class Solver:
         self.effects = effects  # (n_scans, k, n_rays)
         self.n_effects = effects.shape[1]
         self.map = corners.along_normals(walls) if corners.count else None
-        n_scans, n_rays = expected.reading.shape
-        self.shape = (n_scans, n_rays)
+        self.shape = expected.reading.shape
+        self.laid = np.zeros(self.shape)
         self.n_walls = max(len(walls), 1)
         d = walls[:, 1] - walls[:, 0]
         d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
         if self.map is not None:
             facing = np.sign(jacobian.nx * d[:, 1][jacobian.wall] - jacobian.ny * d[:, 0][jacobian.wall])
             self.ends = jacobian.ends * facing
+            self.laid += 0.0 if data.laid is None else self._by_corners(data.laid)
         self.tau = np.concatenate(
             [prior_widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)]
         )
@@ -106,7 +106,8 @@ class Solver:
     def of_scans(self, rows: Ints) -> Solver:
         """Return the linear part of some scans alone, to assemble their equations."""
         j, out = self.jacobian, copy(self)
-        out.data, out.stack, out.y = self.data.subset(rows), self.stack[rows], self.y[rows]
+        out.data, out.stack = self.data.subset(rows), self.stack[rows]
+        out.y, out.laid = self.y[rows], self.laid[rows]
         out.jacobian = replace(
             j, pose=j.pose[rows], nuisances=j.nuisances[rows], ends=j.ends[:, rows], wall=j.wall[rows],
             nx=j.nx[rows], ny=j.ny[rows], valid=j.valid[rows], steep=j.steep[rows],
@@ -129,9 +130,14 @@ class Solver:
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
         if self.map is not None:
-            ends = (self.map @ state.g[len(Nuisance) :]).reshape(2, self.n_walls)
-            out += self.ends[0] * ends[0][self.jacobian.wall] + self.ends[1] * ends[1][self.jacobian.wall]
+            out += self._by_corners(state.g[len(Nuisance) :]) - self.laid
         return np.asarray(out)
+
+    def _by_corners(self, g: Floats) -> Floats:
+        """Return what shifts (2 n_corners,) [m] of the corners add to the readings, (n_scans, n_rays)."""
+        assert self.map is not None
+        first, last = (self.map @ g).reshape(2, self.n_walls)
+        return np.asarray(self.ends[0] * first[self.jacobian.wall] + self.ends[1] * last[self.jacobian.wall])
 
     def assemble(self, weight: Floats, pose_scale: float) -> System:
         """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
@@ -139,17 +145,18 @@ class Solver:
         prior = pose_prior(self.data, pose_scale)
         inverse = np.linalg.inv(prior)
         w = np.where(self.jacobian.valid, weight, 0.0)
+        y = self.y + self.laid
         wb = self.jacobian.pose * w[:, None, :]
         block = np.matmul(wb, self.jacobian.pose.transpose(0, 2, 1))
         h = block + inverse
         ws = self.stack * w[:, None, :]
         turned = self.stack.transpose(0, 2, 1)
         c = np.matmul(wb, turned)  # (n_scans, 3, 8 + k)
-        b = np.matmul(wb, self.y[:, :, None])[..., 0]  # (n_scans, 3)
+        b = np.matmul(wb, y[:, :, None])[..., 0]  # (n_scans, 3)
         g = np.matmul(ws, turned).sum(axis=0)
-        r = np.einsum("nkm,nm->k", ws, self.y)
+        r = np.einsum("nkm,nm->k", ws, y)
         if self.map is not None:
-            c, g, r = self._with_corners(w, c, g, r)
+            c, g, r = self._with_corners(w, y, c, g, r)
         hc = np.linalg.solve(h, np.concatenate([c, b[..., None]], axis=2))
         gain, start = hc[..., :-1], hc[..., -1]
         flat = c.reshape(3 * n_scans, -1)
@@ -165,13 +172,14 @@ class Solver:
             logdet=float(logdet.sum()),
         )
 
-    def _with_corners(self, w: Floats, c: Floats, g: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
+    def _with_corners(
+        self, w: Floats, y: Floats, c: Floats, g: Floats, r: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Insert the corners between the nuisances and the effects."""
         assert self.map is not None
-        n_scans, _ = self.shape
-        k, n_walls = len(Nuisance), self.n_walls
+        n_scans, k, n_walls = self.shape[0], len(Nuisance), self.n_walls
         cl, gl, rl, square = wall_sums(
-            w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, self.y, n_walls
+            w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, y, n_walls
         )
         m = self.map.reshape(2, n_walls, -1)
         cv = cl.reshape(n_scans * 3, -1) @ self.map

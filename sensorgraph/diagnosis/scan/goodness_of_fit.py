@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls, lost_by_direction
 from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
-from sensorgraph.diagnosis.scan.fit import Fitted, fit
+from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, fit
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
@@ -97,6 +97,7 @@ def check(
     """
     nominal, sigma = data.tolerances, data.sensor.sigma
     data, fitted = _widened(data, fitted)
+    data = as_laid(data, fitted)
     view = FitResiduals(data, fitted)
     parts = partitions(view)
     found = deviations(view, parts)

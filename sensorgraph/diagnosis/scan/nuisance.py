@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Effect
@@ -48,33 +49,12 @@ def effects_with_nuisances() -> list[Effect]:
     return sorted(own, key=lambda effect: effect.nuisances[0])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Corners:
-    """Which corners of the map each wall ends at."""
-
-    ends: Ints
-    """(n_walls, 2) index of a corner."""
-    count: int
-
-    @classmethod
-    def of(cls, walls: Floats) -> Corners:
-        """Merge wall ends that coincide."""
-        points = np.round(walls.reshape(-1, 2), 6)
-        _, index = np.unique(points, axis=0, return_inverse=True)
-        index = index.reshape(-1, 2)
-        return cls(ends=index, count=int(index.max()) + 1 if len(index) else 0)
-
-    def along_normals(self, walls: Floats) -> Floats:
-        """Return the matrix (2 n_walls, 2 count) from shifts of corners to shifts of wall ends along the walls' normals."""
-        n_walls = len(walls)
-        d = walls[:, 1] - walls[:, 0]
-        d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
-        n = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
-        matrix = np.zeros((2, n_walls, self.count, 2))
-        k = np.arange(n_walls)
-        for end in (0, 1):
-            matrix[end, k, self.ends[:, end]] = n
-        return matrix.reshape(2 * n_walls, 2 * self.count)
+def corners_of(data: ScanData) -> Corners:
+    """Return the corners of the map that may shift; none where there are too many."""
+    corners = Corners.of(data.arena.walls) if data.corners is None else data.corners
+    if corners.count > SETTINGS.max_corners:
+        return Corners(ends=corners.ends * 0, count=0)
+    return corners
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,6 +19,8 @@ ACCELERATION_EDGES = np.array([-5, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 5])  # [
 INCIDENCE_EDGES = np.radians(np.arange(0, 91, 7.5))  # [rad]
 N_BEARINGS, N_HEADINGS, N_TIMES = 24, 16, 20
 SLANTING = np.radians(40)  # [rad] of incidence
+OF_WALLS = ("wall", "wall and half of the run", "hit place")
+"""Partitions whose bins show the shape of walls, too."""
 MARGIN = 0.1  # [m] of the raster beyond the arena
 
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
-from sensorgraph.diagnosis.scan.gauss_newton import MOST_CORNERS
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -71,7 +70,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
         return []
     data, fitted = residuals.data, residuals.fitted
     settings = SCAN.sweep
-    is_large = data.arena.n_walls > MOST_CORNERS
+    is_large = data.arena.n_walls > SCAN.nuisance.max_corners
     n_scans = settings.n_scans_of_large_map if is_large else settings.n_scans
     every = max(1, data.n_scans // n_scans)
     few = thin(data, every)

@@ -14,6 +14,7 @@ from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
+from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
@@ -73,6 +74,13 @@ class ScanData:
     """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
     wobble: tuple[float, float] = (0.0, 0.0)
     """[m, rad] standard deviation of the reference's error within one sweep of the laser, along each axis and in heading."""
+    corners: Corners | None = None
+    """Of the arena that may shift. None: all of them, unless there are too many."""
+    laid: Floats | None = None
+    """(2 n_corners,) [m] by which the corners of the arena have been moved; their errors count from where the map has them.
+    None: not at all."""
+    grain: float = 0.0
+    """[m] by which a surface may leave its straight wall from place to place: half a pixel of the map; 0 of a drawn one."""
     known: tuple[Amendment, ...] = ()
     """Effects that are part of the simulator already."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
@@ -133,6 +141,19 @@ class ScanData:
         kept = self.memo[key]
         assert isinstance(kept, Barriers)
         return kept
+
+    def laid_by(self, shifts: Floats) -> ScanData:
+        """Return the data with the corners (2 n_corners,) of a map of pixels moved by [m], within the cells.
+
+        A cell leaves open where in it a surface is. As an error of the map that is of first order; but it moves outlines that
+        rays pass, too, and these need a new cast.
+        """
+        if self.grain <= 0 or self.corners is None or not self.corners.count:
+            return self
+        new = np.clip(shifts, -self.grain, self.grain)
+        by = new if self.laid is None else new - self.laid
+        walls = self.arena.walls + by.reshape(-1, 2)[self.corners.ends]
+        return replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
 
     def subset(self, scans: NDArray[np.intp] | Bools) -> ScanData:
         """Return the data of some scans only: indices, or a mask (n_scans,)."""

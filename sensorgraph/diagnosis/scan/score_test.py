@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, corners_of, slopes
+from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, columns_of, slopes
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
-from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
+from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
@@ -56,7 +56,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
     ----------
     broad : weigh readings far off as well (effects far outside the noise)
     """
-    solver, state = fitted.solver, fitted.state
+    data, solver, state = as_laid(data, fitted), fitted.solver, fitted.state
     y = solver.y
     if broad:
         e = y[solver.jacobian.valid & data.returned]

@@ -190,6 +190,8 @@ class FitSettings:
     """Of the first step of a searched parameter, below which its search ends."""
     min_cast_gain: float = 0.3
     """[nats] of another cast, below which it is the last."""
+    map_casts: int = 4
+    """Casts at most of a map of pixels without effects, whose walls are laid on the readings."""
     settled_step: float = 0.2
     """Standard errors below which a step is too small for another cast."""
     profile_tolerance: float = 0.02
@@ -576,6 +578,10 @@ class NamingSettings:
     """[m] of a pane, a mirror or a black part; a shorter one may be a blurred corner."""
     map_sigmas: float = 4.0
     """Map tolerances by which an obstacle over a mapped one must stand out of it."""
+    map_pixels: float = 2.5
+    """Pixels of the map by which an obstacle must stand out of a mapped one, and half of the least part of a wall."""
+    min_passed_share: float = 0.5
+    """Of the rays aimed at an obstacle of a map of pixels, that must pass where it is gone."""
     max_unexplained_share: float = 0.006
     """Of an effect's evidence; where more than this stays unexplained, its name falls."""
     max_probability: float = 0.975

@@ -1,0 +1,98 @@
+"""Walls of a map of pixels: as near to surfaces as cells allow, round things round, jogs and names kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from conftest import polygon_arena
+
+from planners.arena import Arena
+from planners.maps.ros_map import _borders, _union
+from sensorgraph.types import Floats
+from sensorgraph.world.pixel_walls import OUTLINE, THING, straightened
+
+PIXEL = 0.05
+
+
+def drawn(room: shapely.Polygon, *things: shapely.Polygon) -> Arena:
+    """Draw a room and things into cells: occupied where a surface passes, free inside, else unknown."""
+    low = np.array(room.bounds[:2]) - 4 * PIXEL
+    shape = np.ceil((np.array(room.bounds[2:]) - low) / PIXEL).astype(int) + 4
+    x, y = np.meshgrid(*(low[k] + PIXEL * (np.arange(shape[k]) + 0.5) for k in (0, 1)), indexing="ij")
+    half = PIXEL / 2
+    cells = shapely.box(x - half, y - half, x + half, y + half)
+    surface = shapely.union_all([room.exterior, *(thing.exterior for thing in things)])
+    occupied = shapely.intersects(cells, surface)
+    inside = shapely.difference(room, shapely.union_all(list(things)))
+    free = shapely.contains_xy(inside, x, y) & ~occupied
+    walls = low + PIXEL * _borders(occupied)
+    area = shapely.transform(_union(free), lambda c: low + PIXEL * c)
+    n = len(walls)
+    return Arena(
+        free=area, walls=walls, names=tuple(f"map/edge_{i}" for i in range(n)), surfaces=("wall",) * n
+    )
+
+
+def turned(shape: shapely.Polygon, degrees: float) -> shapely.Polygon:
+    return shapely.affinity.rotate(shape, degrees, origin=(0, 0))
+
+
+def off(walls: Floats, surface: shapely.Geometry) -> Floats:
+    """Return how far points along walls are from a surface [pixel]."""
+    points = walls[:, :1] + np.linspace(0, 1, 9)[:, None] * (walls[:, 1:] - walls[:, :1])
+    return np.asarray(shapely.distance(shapely.points(points.reshape(-1, 2)), surface) / PIXEL)
+
+
+ROOM = shapely.box(0.013, 0.021, 6.02, 4.51)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 3.0, 17.0, 30.0, 45.0, 71.0])
+def test_walls_are_half_a_pixel_from_their_surfaces_at_most_and_unbiased_where_they_slant(
+    degrees: float,
+) -> None:
+    room = turned(ROOM, degrees)
+    thing = turned(shapely.box(2.0, 2.0, 2.3, 2.6), degrees + 25)
+    straight, _ = straightened(drawn(room, thing))
+    around = straight.walls[[name.startswith(OUTLINE) for name in straight.names]]
+    assert len(around) < 40
+    length = np.hypot(*np.diff(around, axis=1)[:, 0].T)
+    assert length.sum() == pytest.approx(room.exterior.length, rel=0.02)
+    assert off(around[length > 0.5], room.exterior).max() < 0.75
+    if degrees > 10:
+        area = shapely.polygonize([shapely.union_all(shapely.linestrings(around))]).area
+        assert abs(area - room.area) / room.exterior.length < 0.1 * PIXEL
+
+
+@pytest.mark.parametrize("radius", [0.16, 0.27, 0.4, 1.0])
+def test_round_things_are_round(radius: float) -> None:
+    thing = shapely.Point(2.51, 2.03).buffer(radius, quad_segs=32)
+    straight, _ = straightened(drawn(ROOM, thing))
+    own = straight.walls[[name.startswith(THING) for name in straight.names]]
+    away = off(own, thing.exterior)
+    assert away.max() < 0.9 and np.sqrt(np.mean(away**2)) < 0.4
+    assert shapely.polygonize([shapely.union_all(shapely.linestrings(own))]).area == pytest.approx(
+        thing.area, rel=0.12
+    )
+
+
+def test_a_jog_of_one_pixel_keeps_a_corner_on_either_side() -> None:
+    room = shapely.Polygon([(0, 0), (6, 0), (6, 4.03), (3.01, 4.03), (3.01, 4.06), (0, 4.06)])
+    straight, _ = straightened(drawn(room))
+    corners = straight.walls.reshape(-1, 2)
+    at = corners[(np.abs(corners[:, 0] - 3.01) < 0.1) & (corners[:, 1] > 3.5)]
+    assert len(np.unique(at.round(4), axis=0)) == 2
+
+
+def test_what_stands_in_free_space_has_names_of_its_own_and_the_inside_of_walls_none() -> None:
+    things = [shapely.box(1.0, 1.0, 1.4, 1.6), turned(shapely.box(3.0, -0.5, 3.8, 0.1), 35)]
+    straight, _ = straightened(drawn(ROOM, *things))
+    assert {name.split("/")[0] for name in straight.names} == {OUTLINE, f"{THING}1", f"{THING}2"}
+    assert len(set(straight.names)) == straight.n_walls
+    assert off(straight.walls, shapely.union_all([ROOM.exterior, *(t.exterior for t in things)])).max() < 1.2
+
+
+def test_an_arena_that_is_drawn_is_not_touched_by_what_is_done_to_pixels() -> None:
+    arena = polygon_arena([(0, 0), (2, 0), (2, 1), (0, 1)])
+    straight, _ = straightened(drawn(shapely.Polygon([(0, 0), (2, 0), (2, 1), (0, 1)])))
+    assert straight.n_walls <= arena.n_walls + 4
