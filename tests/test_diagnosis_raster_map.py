@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
+from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 from sensorgraph.world.pixel_walls import is_raster
@@ -42,19 +45,22 @@ BIN = turned([(3.2, 2.4), (3.5, 2.4), (3.5, 2.7), (3.2, 2.7)])
 @pytest.fixture(scope="module")
 def pixels(tmp_path_factory: pytest.TempPathFactory) -> Arena:
     """Draw an empty room that is turned against the grid; its last metre was never seen, nor was its far wall."""
-    folder = tmp_path_factory.mktemp("raster")
+    return mapped(tmp_path_factory.mktemp("raster"))
+
+
+def mapped(folder: Path, *things: list[tuple[float, float]]) -> Arena:
+    """Draw the room, and things in it, as map_server does."""
     n, low = 72, np.array([-1.2, -0.6])
     x, y = np.meshgrid(
         low[0] + PIXEL * (np.arange(n) + 0.5), low[1] + PIXEL * (np.arange(n) + 0.5), indexing="ij"
     )
     room = shapely.Polygon(ROOM)
     seen = shapely.contains_xy(shapely.Polygon(turned([(-1, -1), (4, -1), (4, 5), (-1, 5)])), x, y)
-    wall = shapely.intersects(
-        shapely.box(x - PIXEL / 2, y - PIXEL / 2, x + PIXEL / 2, y + PIXEL / 2), room.exterior
-    )
-    grey = np.where(seen & wall, 0, np.where(seen & shapely.contains_xy(room, x, y), 254, 205)).astype(
-        np.uint8
-    )
+    taken = shapely.union_all([shapely.Polygon(thing) for thing in things])
+    cells = shapely.box(x - PIXEL / 2, y - PIXEL / 2, x + PIXEL / 2, y + PIXEL / 2)
+    wall = shapely.intersects(cells, shapely.union_all([room.exterior, taken.boundary]))
+    free = seen & shapely.contains_xy(room.difference(taken), x, y)
+    grey = np.where(seen & wall, 0, np.where(free, 254, 205)).astype(np.uint8)
     Image.fromarray(grey.T[::-1]).save(folder / "map.pgm")
     (folder / "map.yaml").write_text(
         f"image: map.pgm\nresolution: {PIXEL}\norigin: [{low[0]}, {low[1]}, 0.0]\nnegate: 0\n"
@@ -112,10 +118,10 @@ def test_unknown_space_is_not_judged(pixels: Arena) -> None:
 
 def test_what_stands_there_since_is_one_thing_with_a_place_and_a_size(pixels: Arena) -> None:
     _, _, notes = judged(pixels, BOX)
-    (thing,) = notes["changes"]  # type: ignore[misc]
+    (change,) = notes["changes"]  # type: ignore[misc]
     middle = np.mean(BOX, axis=0)
-    assert thing["kind"] == "new" and np.hypot(*(thing["xy"] - middle)) < 0.4
-    assert max(thing["size_m"]) < 1.3
+    assert change["kind"] == "new" and np.hypot(*(change["xy"] - middle)) < 0.4
+    assert max(change["size_m"]) < 1.3
     assert 0.01 < notes["changes_share"] < 0.3  # type: ignore[operator]
 
 
@@ -166,6 +172,28 @@ def test_a_map_that_is_laid_and_one_that_is_not_have_the_same_linear_part(pixels
     assert np.abs(a - b)[both & ~slanting].max() < 1e-3  # of second order in 2 mm
     one, other = (s.assemble(np.where(both & ~slanting, 1e4, 0.0), 1.0) for s in (plain, moved))
     assert np.allclose(one.right, other.right, atol=0.02 * np.abs(one.right).max())
+
+
+def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: Path) -> None:
+    raster = RasterMap.of(mapped(tmp_path, BIN))
+    (thing,) = {name.split("/")[0] for name in raster.arena.names if name.startswith("thing_")}
+
+    def is_error(place: Arena, amendment: Amendment) -> bool:
+        data, _ = prepare_scans(scanned(place), raster.arena, raster.widened(ROBOT))
+        data, _ = raster.judged(data)
+        return is_map_error(fit(data, (), start_state(data, SCAN.noise), SCAN.noise), amendment)
+
+    there, empty = polygon_arena(ROOM, BIN), polygon_arena(ROOM)
+    moved, disc, pane = (EFFECTS[name] for name in ("moved_obstacle", "unmapped_obstacle", "glass"))
+    wall = next(name for name in raster.arena.names if not name.startswith(thing))
+    assert is_error(there, moved(dx=0.05, dy=0.06).at(thing)) and not is_error(
+        there, moved(dx=0.2, dy=0.0).at(thing)
+    )
+    assert is_error(there, EFFECTS["missing_obstacle"]().at(thing))
+    assert not is_error(empty, EFFECTS["missing_obstacle"]().at(thing))
+    assert is_error(there, pane(a=0.1, b=0.4).at(wall)) and not is_error(there, pane(a=0.1, b=0.9).at(wall))
+    x, y = raster.arena.walls[raster.arena.names.index(f"{thing}/edge_0")].mean(axis=0)
+    assert is_error(there, disc(x=x, y=y, r=0.15)) and not is_error(there, disc(x=1.0, y=1.0, r=0.15))
 
 
 def test_corners_that_nothing_meets_share_one_unknown() -> None:

@@ -19,6 +19,8 @@ PREFIX = "map/edge_"
 """Of the walls of a map of pixels, which are named by their order."""
 OUTLINE, THING = "outline", "thing_"
 """Names of the straight walls that stand for them: around free space, and of what stands in it."""
+MIN_AROUND = 0.75
+"""Of the outline of a thing, that free space touches."""
 MIN_FREE = 100
 """[pixel²] a smaller part of free space holds no robot: a gap between cells of a thick wall."""
 MAX_STEP = 0.99
@@ -108,10 +110,10 @@ class _Outline:
 
     @property
     def is_thing(self) -> bool:
-        """Tell whether free space is around the outline, and not within it."""
+        """Tell whether free space is around the outline, nearly everywhere, and not within it."""
         x, y = self.steps.T
         area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-        return area * float(self.side.sum()) > 0
+        return area * float(self.side.sum()) > 0 and float(np.mean(self.side != 0)) > MIN_AROUND
 
     def _between(self, first: int, last: int) -> Floats:
         """Return the steps (n, 2) from one to another."""

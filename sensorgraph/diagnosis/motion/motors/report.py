@@ -121,7 +121,10 @@ def _is_material(model: DriveModel, a: Amendment) -> bool:
     if a.effect is SPEED_SATURATION:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
     # a base whose loop keeps step with the commands lets all of them wait by up to half its period more than in the mean
-    if a.effect is DEAD_TIME and abs(a["L"]) < model.robot.tolerances.control_period / 2:
+    if (
+        a.effect is DEAD_TIME
+        and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < model.robot.tolerances.control_period / 2
+    ):
         return False
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 
