@@ -125,6 +125,21 @@ def test_what_stands_there_since_is_one_thing_with_a_place_and_a_size(pixels: Ar
     assert 0.01 < notes["changes_share"] < 0.3  # type: ignore[operator]
 
 
+def test_an_opening_is_passed_by_all_rays_and_a_pane_by_most(pixels: Arena) -> None:
+    niche = turned([(0, 0), (1.2, 0), (1.2, -1.2), (2.6, -1.2), (2.6, 0), (5, 0), (5, 4), (0, 4)])
+    raster = RasterMap.of(pixels)
+    run, wall = scanned(polygon_arena(niche)), scanned(polygon_arena(ROOM)).ranges
+    data, _ = prepare_scans(run, raster.arena, ROBOT)
+    after, notes = raster.judged(data)
+    (change,) = notes["changes"]
+    middle = np.array(turned([(1.9, 0.0)])[0])
+    assert change["kind"] == "open" and np.hypot(*(change["xy"] - middle)) < 0.3
+    assert np.isnan(after.ranges).sum() > 0.01 * after.ranges.size
+    some = np.random.default_rng(0).random(wall.shape) < 0.2
+    pane, _ = prepare_scans(replace(run, ranges=np.where(some, wall, run.ranges)), raster.arena, ROBOT)
+    assert not raster.judged(pane)[1]["changes"]
+
+
 def test_something_small_that_is_new_is_left_to_be_named(pixels: Arena) -> None:
     _, after, notes = judged(pixels, BIN)
     assert not notes["changes"]

@@ -35,8 +35,8 @@ MIN_SCANS = 5
 """That show it."""
 MAX_SMALL = 0.6
 """[m] of something new, above which no disc stands for it."""
-MIN_SHOWN = 0.5
-"""Of the rays aimed at its fullest cell, that show it."""
+MIN_SHOWN = {"new": 0.5, "open": 0.95}
+"""Of the rays aimed at its fullest cell, that show it: the edge of a thing stops half, a pane lets most pass."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,8 +228,9 @@ class _Sight:
             aimed &= (ahead < self.reach - MIN_OFF) & (self.got > ahead - CELL)
             shows = self.is_new & (self.z < ahead + CELL)
         else:
-            aimed &= np.abs(self.expected - ahead) < CELL
-            shows = self.is_open & np.isfinite(self.z)  # no answer may be the surface's, or the sensor's
+            # no answer may be the surface's, or the sensor's
+            aimed &= (np.abs(self.expected - ahead) < CELL) & np.isfinite(self.z)
+            shows = self.is_open
         return float((aimed & shows).sum() / max(aimed.sum(), 1))
 
 
@@ -258,7 +259,7 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
         if share < MIN_SHARE or len(np.unique(scan[rays])) < MIN_SCANS:
             continue
         fullest = np.unravel_index(np.where(labels == k, count, 0).argmax(), count.shape)
-        if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN:
+        if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN[kind]:
             continue
         ends = np.quantile(points[rays], [0.05, 0.95], axis=0)
         x, y = ends.mean(axis=0)
