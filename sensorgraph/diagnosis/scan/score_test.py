@@ -183,12 +183,19 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
     if corners.count == 0:
         return []
     changed = {a.place for a in fitted.model if a.effect.place == "obstacle"}
+    length = np.hypot(*np.diff(data.arena.walls, axis=1)[:, 0].T)
+    is_short = (
+        length < 2 * SCAN.naming.min_wall_pixels * data.grain
+    )  # of pixels; each further one costs a solution
+    short = {name for name, few in zip(data.arena.names, is_short, strict=True) if few}
     out = []
     for effect in sorted(EFFECTS.values(), key=lambda e: MAP_PLACES.index(e.place)):
         if effect.diagnostics.corner_shifts is None:
             continue
         for found in effect.diagnostics.corner_shifts(data.arena, fitted.cast.scene.walls, corners.ends):
             if (effect.name, found.place) in present or found.place in changed:
+                continue
+            if effect.place == "wall" and found.place in short:
                 continue
             k = found.shift.shape[2]
             directions = np.zeros((fitted.solver.n_g, k))

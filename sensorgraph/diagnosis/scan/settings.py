@@ -580,6 +580,8 @@ class NamingSettings:
     """Map tolerances by which an obstacle over a mapped one must stand out of it."""
     map_pixels: float = 2.5
     """Pixels of the map by which an obstacle must stand out of a mapped one, and half of the least part of a wall."""
+    min_wall_pixels: float = 20.0
+    """Pixels of the map that a wall must be long to be asked whether it has moved; of a shorter one its neighbours would tell."""
     min_passed_share: float = 0.5
     """Of the rays aimed at an obstacle of a map of pixels, that must pass where it is gone."""
     max_unexplained_share: float = 0.006
