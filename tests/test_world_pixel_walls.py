@@ -92,7 +92,7 @@ def test_what_stands_in_free_space_has_names_of_its_own_and_the_inside_of_walls_
     assert off(straight.walls, shapely.union_all([ROOM.exterior, *(t.exterior for t in things)])).max() < 1.2
 
 
-def test_an_arena_that_is_drawn_is_not_touched_by_what_is_done_to_pixels() -> None:
+def test_a_room_along_the_grid_has_hardly_more_walls_than_sides() -> None:
     arena = polygon_arena([(0, 0), (2, 0), (2, 1), (0, 1)])
     straight, _ = straightened(drawn(shapely.Polygon([(0, 0), (2, 0), (2, 1), (0, 1)])))
     assert straight.n_walls <= arena.n_walls + 4

@@ -109,9 +109,8 @@ class RasterMap:
                 "walls": self.arena.n_walls,
                 "map_tolerance_m": self.tolerance,
             }
+        _, wall = data.plain_cast
         data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
-        lasers = laser_poses(data.poses, data.sensor.mount)
-        _, wall = cast_laser(data.arena.walls, lasers, data.sensor.bearings, data.sensor.range_max)
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
         return data, {
             "pixel_m": self.pixel,
@@ -177,7 +176,7 @@ def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:
 def changes(data: ScanData, border: Floats) -> list[tuple[MapChange, Bools]]:
     """Group readings that are far from what the map makes them into things; return each with its rays (n_scans, n_rays).
 
-    What stands there stops most of the rays that are aimed at it, and most of them pass an opening: else it is somebody who
+    What stands there stops most of the rays that are aimed at it, and nearly all pass an opening: else it is somebody who
     walks by, or the sensor, or the outline of a thing.
 
     Parameters
@@ -196,9 +195,7 @@ class _Sight:
         self.data, self.lasers = data, laser_poses(data.poses, data.sensor.mount)
         self.angle = self.lasers[:, 2:] + data.sensor.bearings
         self.is_thing = np.array([name.startswith(THING) for name in data.arena.names])
-        self.expected, self.wall = cast_laser(
-            data.arena.walls, self.lasers, data.sensor.bearings, data.sensor.range_max
-        )
+        self.expected, self.wall = data.plain_cast
         self.z, most = data.ranges, data.sensor.range_max
         way = np.diff(data.arena.walls, axis=1)[:, 0]
         lie = np.arctan2(way[:, 1], way[:, 0])[np.maximum(self.wall, 0)]

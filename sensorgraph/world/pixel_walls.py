@@ -96,9 +96,8 @@ class _Outline:
         far = int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T)))  # a true corner to begin at
         self.steps = _dense(np.roll(ring, -far, axis=0), pixel)
         self.side = _side_of_cells(self.steps, free)
-        borders = self.steps[
-            1::2
-        ]  # the middle of each, which a wall drawn in cells passes within half a pixel
+        # the middle of each border, which a wall drawn in cells passes within half a pixel
+        borders = self.steps[1::2]
         closed = shapely.LineString(np.vstack([borders, borders[:1]]))
         self.kept: Floats = np.array(closed.simplify(MAX_STEP * pixel).coords)[:-1]
         at = [int(np.argmin(np.hypot(*(self.steps - corner).T))) for corner in self.kept]
@@ -196,16 +195,14 @@ class _Outline:
         A slanting wall steps at regular intervals; one or two steps between long runs may be jogs of the wall.
         """
         points = self._between(*self.ends[k])
-        (centre, way), major = self.lines[k], int(np.abs(self.lines[k][1]).argmax())
-        is_step = np.abs(np.diff(points[:, 1 - major])) > 0.1 * self.pixel
-        at = np.flatnonzero(is_step)
+        centre, way = self.lines[k]
+        major = int(np.abs(way).argmax())
+        at = np.flatnonzero(np.abs(np.diff(points[:, 1 - major])) > 0.1 * self.pixel)
         if not len(at):
             return np.zeros((0, 2))
-        where = points[at] + points[at + 1]
-        along = (where / 2 - centre) @ way / self.pixel
+        along = ((points[at] + points[at + 1]) / 2 - centre) @ way / self.pixel
         ends = (points[[0, -1]] - centre) @ way / self.pixel
-        jog = np.flatnonzero(np.diff(along, prepend=-np.inf) > 1)  # two half pixels make one step
-        place = along[jog] + 0.0
+        place = along[np.diff(along, prepend=-np.inf) > 1]  # two half pixels make one step
         runs = np.diff(np.concatenate([ends[:1], place, ends[1:]]))
         inner = runs[1:-1]
         if (

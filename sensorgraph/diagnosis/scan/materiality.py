@@ -8,7 +8,6 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
-from sensorgraph.world.raycast import cast_laser, laser_poses
 
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
@@ -18,27 +17,23 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     to something flat. In a map of pixels, something moves by less than a cell, a part of a wall is short, what is said to be
     gone stops most rays.
     """
-    data, values, place = fitted.solver.data, amendment.parameters, amendment.effect.place
-    if data.grain > 0 and _is_within_pixels(fitted, amendment):
-        return True
-    if place != "spot":
-        return False
+    data, values = fitted.solver.data, amendment.parameters
+    if amendment.effect.place != "spot":
+        return data.grain > 0 and _is_within_pixels(data, amendment)
     if values["r"] > amendment.effect.parameter("r").high - amendment.effect.sizes["r"]:
         return True
     spot = np.array([[values["x"], values["y"]]])
+    stands_out = values["r"] - float(data.barriers.distances(spot)[0])
+    if 0 < stands_out < SCAN.naming.map_pixels * 2 * data.grain:
+        return True
     if data.arena.contains(spot)[0]:
         return False
-    stands_out = values["r"] - float(data.barriers.distances(spot)[0])
     return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
 
 
-def _is_within_pixels(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether a change of a map of pixels is of the size of its cells."""
-    data, values = fitted.solver.data, amendment.parameters
-    pixel, effect = 2 * data.grain, amendment.effect
-    if effect.place == "spot":
-        away = float(data.barriers.distances(np.array([[values["x"], values["y"]]]))[0])
-        return away < values["r"] < away + SCAN.naming.map_pixels * pixel
+def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
+    """Tell whether a change of the walls in a map of pixels is of the size of its cells."""
+    values, pixel, effect = amendment.parameters, 2 * data.grain, amendment.effect
     if effect.on_part_of_wall:
         return values["b"] - values["a"] < 2 * SCAN.naming.map_pixels * pixel
     if effect.place in ("wall", "obstacle") and effect.steps:
@@ -49,8 +44,7 @@ def _is_within_pixels(fitted: Fitted, amendment: Amendment) -> bool:
 def _passed_share(data: ScanData, place: str) -> float:
     """Return the share of the rays aimed at an obstacle of the map that read farther."""
     own = np.array([name.split("/")[0] == place for name in data.arena.names])
-    lasers = laser_poses(data.poses, data.sensor.mount)
-    expected, wall = cast_laser(data.arena.walls, lasers, data.sensor.bearings, data.sensor.range_max)
+    expected, wall = data.plain_cast
     aimed = (wall >= 0) & own[wall] & ~np.isnan(data.ranges)
     passed = aimed & (data.ranges > expected + 4 * data.grain)
     return float(passed.sum() / max(aimed.sum(), 1))

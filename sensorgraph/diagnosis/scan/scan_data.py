@@ -19,9 +19,10 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
+from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
 
@@ -154,6 +155,12 @@ class ScanData:
         by = new if self.laid is None else new - self.laid
         walls = self.arena.walls + by.reshape(-1, 2)[self.corners.ends]
         return replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
+
+    @cached_property
+    def plain_cast(self) -> tuple[Floats, Ints]:
+        """Ranges (n_scans, n_rays) [m] to the walls, inf for none, and the index of each ray's wall, -1; of one laser alone."""
+        lasers = laser_poses(self.poses, self.sensor.mount)
+        return cast_laser(self.arena.walls, lasers, self.sensor.bearings, self.sensor.range_max)
 
     def subset(self, scans: NDArray[np.intp] | Bools) -> ScanData:
         """Return the data of some scans only: indices, or a mask (n_scans,)."""
