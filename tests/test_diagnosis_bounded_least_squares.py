@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
+from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem, solve_bounded
 from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
-from sensorgraph.diagnosis.scan.gauss_newton import boxed
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.types import Floats
 
 
@@ -99,3 +99,22 @@ def test_tolerances_of_the_motion_channels_release_it_too() -> None:
 def test_an_unknown_between_equal_bounds_stays_there_and_the_rest_makes_up_for_it() -> None:
     x = solve_bounded(H2, C2, np.array([0.5, -np.inf]), np.array([0.5, np.inf])).x
     np.testing.assert_allclose(x, [0.5, 0.3 - 0.45], rtol=1e-12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_problem_asked_again_with_further_unknowns_is_solved_as_a_whole(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, y, low, high = correlated(rng)
+    further = 10 ** rng.uniform(-2, 2) * rng.normal(size=(len(A), int(rng.integers(1, 4))))
+    problem = BorderedProblem(A.T @ A, A.T @ y, low, high)
+    x = problem.with_border(A.T @ further, further.T @ further, further.T @ y)
+    own = x[: A.shape[1]]
+    assert (low <= own).all()
+    assert (own <= high).all()
+    whole, infinite = np.hstack([A, further]), np.full(further.shape[1], np.inf)
+    box = np.concatenate([low, -infinite]), np.concatenate([high, infinite])
+    best = lsq_linear(whole, y, box, method="bvls", tol=1e-14, max_iter=1000).cost
+    assert cost(whole, y, x) <= best + 1e-6 * max(1.0, cost(A, y, 0 * own))
+    asked_before = problem.with_border(A.T @ further, further.T @ further, further.T @ y)
+    np.testing.assert_array_equal(asked_before, x)

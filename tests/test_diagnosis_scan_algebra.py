@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensorgraph.diagnosis.scan.deviations import clipped_variance
-from sensorgraph.diagnosis.scan.gauss_newton import boxed
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects.proposals import best_run

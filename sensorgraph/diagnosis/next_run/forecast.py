@@ -18,8 +18,9 @@ from scipy.special import ndtr
 from planners.arena import Arena
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -32,14 +33,12 @@ class Corners:
             count = min(n_met + 1, count)
         return cls(ends=index, count=count)
 
-    def along_normals(self, walls: Floats) -> Floats:
-        """Return the matrix (2 n_walls, 2 count) from shifts of corners to shifts of wall ends along the walls' normals."""
+    def along_normals(self, walls: Floats) -> csr_array:
+        """Return the sparse matrix (2 n_walls, 2 count) from shifts of corners to those of wall ends along normals."""
         n_walls = len(walls)
         d = walls[:, 1] - walls[:, 0]
         d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
         n = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
-        matrix = np.zeros((2, n_walls, self.count, 2))
-        k = np.arange(n_walls)
-        for end in (0, 1):
-            matrix[end, k, self.ends[:, end]] = n
-        return matrix.reshape(2 * n_walls, 2 * self.count)
+        columns = 2 * self.ends.T.reshape(-1, 1) + np.arange(2)  # (2 n_walls, 2), first ends before last ones
+        starts = 2 * np.arange(2 * n_walls + 1)
+        return csr_array((np.tile(n, (2, 1)).ravel(), columns.ravel(), starts), (2 * n_walls, 2 * self.count))

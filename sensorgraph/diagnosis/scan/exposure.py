@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.model_selection import price
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN

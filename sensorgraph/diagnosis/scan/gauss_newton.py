@@ -11,10 +11,11 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
+from sensorgraph.diagnosis.scan.normal_equations import System, boxed, with_prior
 from sensorgraph.diagnosis.scan.nuisance import (
     BeamNoise,
     Jacobian,
@@ -48,24 +49,6 @@ class State:
     def copy(self) -> State:
         """Return a copy that may be changed."""
         return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class System:
-    """The normal equations with the poses eliminated: unknowns are nuisances, corners, effects."""
-
-    matrix: Floats
-    """(k, k)"""
-    right: Floats
-    """(k,)"""
-    poses: Floats
-    """(n_scans, 3, 3) H_s"""
-    gain: Floats
-    """(n_scans, 3, k) H_s^-1 C_s"""
-    start: Floats
-    """(n_scans, 3) H_s^-1 b_s"""
-    logdet: float
-    """Sum over scans of log |I + P_s B'WB|."""
 
 
 class Solver:
@@ -181,13 +164,13 @@ class Solver:
         cl, gl, rl, square = wall_sums(
             w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, y, n_walls
         )
-        m = self.map.reshape(2, n_walls, -1)
-        cv = cl.reshape(n_scans * 3, -1) @ self.map
+        cv = (self.map.T @ cl.reshape(n_scans * 3, -1).T).T.reshape(n_scans, 3, -1)
         gv = gl.reshape(len(gl), -1) @ self.map
-        weighed = square[:, 0, :, None] * m[0] + square[:, 1, :, None] * m[1]  # (2, n_walls, 2 n_corners)
-        vv = self.map.T @ weighed.reshape(len(self.map), -1)
+        first, last = self.map[:n_walls], self.map[n_walls:]
+        crossed = first.T @ (square[0, 1][:, None] * last)
+        squares = first.T @ (square[0, 0][:, None] * first) + last.T @ (square[1, 1][:, None] * last)
+        vv = (squares + crossed + crossed.T).toarray()
         rv = rl.reshape(-1) @ self.map
-        cv = cv.reshape(n_scans, 3, -1)
         c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
         top = np.concatenate([g[:k, :k], gv[:k], g[:k, k:]], axis=1)
         middle = np.concatenate([gv[:k].T, vv, gv[k:].T], axis=1)
@@ -236,25 +219,6 @@ class Solver:
             - penalty
             - 0.5 * float(volume)
         )
-
-
-def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
-    """Maximise right'x - x'Mx/2 - |g/tau|²/2 with |g| <= box; return g and the other unknowns, which are free.
-
-    Parameters
-    ----------
-    matrix, right : (k, k), (k,) normal equations; the first n unknowns are the nuisances g
-    tau, box : (n,) prior standard deviations and bounds
-    locked : (n,) nuisances that stay 0
-    """
-    n, k = len(tau), len(right)
-    a = matrix.copy()
-    a[np.arange(n), np.arange(n)] += 1 / tau**2
-    a[np.arange(n, k), np.arange(n, k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
-    limit = np.full(k, np.inf)
-    limit[:n] = np.where(locked, 0.0, box)
-    x = solve_bounded(a, right, -limit, limit).x
-    return x[:n], x[n:]
 
 
 @dataclass(eq=False)
@@ -374,9 +338,10 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
         tau = solver.scaled(state)
         a = system.matrix[:n, :n].copy()
         a[np.arange(n), np.arange(n)] += 1 / tau**2
-        left = (
-            np.diag(np.linalg.inv(a))[corners] / tau[corners] ** 2
-        )  # share of the prior's variance that is left
+        rows = solve_triangular(cho_factor(a, lower=True)[0], np.eye(n), lower=True)  # a^-1 = rows' rows
+        left = (rows**2).sum(axis=0)[corners] / tau[
+            corners
+        ] ** 2  # share of the prior's variance that is left
         seen = left < SCAN.fit.max_prior_share
         if seen.sum() >= SCAN.fit.min_known_corners:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
@@ -391,10 +356,8 @@ def _covariance(system: System, solver: Solver, state: State) -> Floats:
     k = len(system.right) - n
     if k == 0:
         return np.zeros((0, 0))
-    tau = solver.scaled(state)
-    a = system.matrix.copy()
-    a[np.arange(n), np.arange(n)] += 1 / tau**2
-    a[np.arange(n, n + k), np.arange(n, n + k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
-    free = np.concatenate([~solver.locked, np.ones(k, dtype=np.bool_)])
-    inverse = np.linalg.inv(a[np.ix_(free, free)])
-    return np.asarray(inverse[-k:, -k:])
+    a = with_prior(system.matrix, solver.scaled(state))
+    free = ~solver.locked
+    across = a[:n, n:][free]
+    schur = a[n:, n:] - across.T @ cho_solve(cho_factor(a[:n, :n][np.ix_(free, free)]), across)
+    return np.asarray(np.linalg.inv(schur))

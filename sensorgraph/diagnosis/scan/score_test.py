@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem
 from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, columns_of, slopes
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
+from sensorgraph.diagnosis.scan.normal_equations import System, boxed, limits, with_prior
 from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -66,19 +68,19 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
     else:
         weight = fitted.solution.responsibilities.weight
         system = fitted.solution.system
-    n = solver.n_g
     tau = solver.scaled(state)
     held = solver.locked
-    reference, _ = _solved(system.matrix, system.right, tau, held, n)
+    problem = _problem(system, tau, held)
+    reference = _value(system, tau, problem.optimum.x)
     found = []
     for hypothesis in hypotheses(data, fitted):
         amendment, directions = hypothesis.amendment, hypothesis.directions
-        big = np.concatenate([np.eye(len(system.right)), _padded(directions, len(system.right))], axis=1)
-        matrix, right = big.T @ system.matrix @ big, big.T @ system.right
-        locked = held.copy()
-        locked[list(hypothesis.nuisances)] = True
-        value, x = _solved(matrix, right, tau, locked, n)
-        size = x[-directions.shape[1] :]
+        asked = problem
+        if hypothesis.nuisances:
+            locked = held.copy()
+            locked[list(hypothesis.nuisances)] = True
+            asked = _problem(system, tau, locked)
+        value, size = _along(system, tau, asked, directions)
         names = amendment.effect.steps
         moved = amendment.moved_to(
             {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
@@ -207,10 +209,30 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
     return out
 
 
-def _padded(directions: Floats, size: int) -> Floats:
-    out = np.zeros((size, directions.shape[1]))
-    out[: len(directions)] = directions
-    return out
+def _problem(system: System, tau: Floats, locked: Bools) -> BorderedProblem:
+    limit = limits(len(system.right), SCAN.nuisance.max_tolerances * tau, locked)
+    return BorderedProblem(with_prior(system.matrix, tau), system.right, -limit, limit)
+
+
+def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Floats) -> tuple[float, Floats]:
+    """Return the maximum of the quadratic if nuisances may go along directions (n_g, k) for nothing, and how far."""
+    n, k = directions.shape
+    across = system.matrix[:, :n] @ directions
+    corner = directions.T @ across[:n]
+    corner[np.diag_indices(k)] += 1e-9 + 1e-9 * np.diag(corner)
+    x = problem.with_border(across, corner, directions.T @ system.right[:n])
+    own, size = x[:-k], x[-k:]
+    moved = own.copy()
+    moved[:n] += directions @ size
+    return _value(system, tau, own, moved), size
+
+
+def _value(system: System, tau: Floats, x: Floats, moved: Floats | None = None) -> float:
+    """Return the quadratic where readings are shifted as by `moved` (k,), the nuisances being those of x (k,)."""
+    moved = x if moved is None else moved
+    return float(
+        system.right @ moved - 0.5 * moved @ system.matrix @ moved - 0.5 * np.sum((x[: len(tau)] / tau) ** 2)
+    )
 
 
 def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> tuple[float, Floats]:

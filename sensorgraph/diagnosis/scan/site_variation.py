@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
