@@ -13,6 +13,8 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_from_each, nearest_walls
 from sensorgraph.world.scene import Scene
 
+REACH = 0.6
+"""[m] along each axis; what stands further away is missing here and unmapped there."""
 NUDGE_DISTANCE = 0.12
 """[m] from an outline within which a reading may tell of a small move; ..."""
 NUDGE_STEPS = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
@@ -57,12 +59,12 @@ def _elsewhere(residuals: Residuals) -> list[Proposal]:
 
 def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, mine: Bools) -> list[Proposal]:
     """Lay the outline of an obstacle over the ends of unexplained rays."""
-    low, high = outline.min(axis=(0, 1)) - 0.7, outline.max(axis=(0, 1)) + 0.7
+    low, high = outline.min(axis=(0, 1)) - REACH - 0.1, outline.max(axis=(0, 1)) + REACH + 0.1
     near = ends[((ends > low) & (ends < high)).all(axis=1)]
     if len(near) < 2 * PROPOSAL.min_rays:
         return []
     near = near[:: max(1, len(near) // 150)]
-    steps = np.arange(-0.6, 0.61, 0.04)
+    steps = np.arange(-REACH, REACH + 0.01, 0.04)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     shifted = (near[None] - grid[:, None]).reshape(-1, 2)
     best = _beside(shifted, outline).reshape(len(grid), len(near))
@@ -155,8 +157,12 @@ MOVED_OBSTACLE = Effect(
     varies="the walls of one obstacle, with opposite signs on opposite faces",
     rivals={"missing_obstacle": "it stands somewhere else", "mount_yaw": "circle it"},
     parameters=(
-        Parameter(name="dx", unit="m", doc="along x of the map", materiality=0.01, step=1e-4),
-        Parameter(name="dy", unit="m", doc="along y of the map", materiality=0.01, step=1e-4),
+        Parameter(
+            name="dx", unit="m", doc="along x of the map", materiality=0.01, low=-REACH, high=REACH, step=1e-4
+        ),
+        Parameter(
+            name="dy", unit="m", doc="along y of the map", materiality=0.01, low=-REACH, high=REACH, step=1e-4
+        ),
     ),
     transform=transform,
     place="obstacle",

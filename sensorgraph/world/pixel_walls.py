@@ -37,8 +37,8 @@ MAX_BULGE = 1.5
 """[step] by which something round may stray from its chord; more, by its turns, is a corner between straight walls."""
 LONG_RUN = 8.0
 """[pixel] of a straight run on both sides of a single step, where the wall may have a jog of less than a pixel."""
-REGULAR = 1.5
-"""[pixel] by which the runs of a slanting wall differ."""
+REGULAR = 2.25
+"""[pixel] by which the runs of a slanting wall differ: by one, the last before a corner by two (steps are halves)."""
 MEETS = np.cos(np.arcsin(0.2))
 """Cosine of the turn below which two walls hardly meet."""
 
@@ -61,13 +61,10 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     round thing: its walls follow the outline every `CURVE_STEP` pixels. Walls that no free space touches are left out.
     """
     pixel = pixel_of(arena)
-    rings = shapely.get_parts(shapely.polygonize([shapely.union_all(shapely.linestrings(arena.walls))]))
-    outlines = [np.array(ring.coords)[:-1] for face in rings for ring in (face.exterior, *face.interiors)]
-    unique = {tuple(sorted(map(tuple, np.round(ring, 6).tolist()))): ring for ring in outlines}
     parts = shapely.get_parts(arena.free)
     free = shapely.union_all(parts[shapely.area(parts) > MIN_FREE * pixel**2])
     shapely.prepare(free)
-    found = [_Outline(ring, free, pixel) for ring in unique.values()]
+    found = [_Outline(ring, free, pixel) for ring in _rings(arena.walls, free, pixel)]
     walls, names, n_things, n_around = [np.zeros((0, 2, 2))], list[str](), 0, 0
     for one in found:
         own = one.walls()
@@ -86,6 +83,19 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
         np.sqrt(np.mean(np.concatenate([np.zeros(1), *(off for one in found for off in one.off)]) ** 2))
     )
     return replace(arena, walls=straight, names=tuple(names), surfaces=("wall",) * len(straight)), rms
+
+
+def _rings(walls: Floats, free: shapely.Geometry, pixel: float) -> list[Floats]:
+    """Return the outlines (n, 2) of the faces between walls that hold free space.
+
+    The other face at a wall, of its cells, has the same outline but where cells touch by a corner alone.
+    """
+    frame = shapely.box(*shapely.total_bounds(shapely.linestrings(walls))).buffer(pixel, join_style="mitre")
+    lines = shapely.union_all([*shapely.linestrings(walls), frame.exterior])
+    faces = shapely.get_parts(shapely.polygonize([lines]))
+    holds = shapely.area(shapely.intersection(faces, free)) > 0.5 * pixel**2
+    rings = [ring for face in faces[holds] for ring in (face.exterior, *face.interiors)]
+    return [np.array(ring.coords)[:-1] for ring in rings if not ring.equals(frame.exterior)]
 
 
 class _Outline:
