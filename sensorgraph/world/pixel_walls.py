@@ -1,7 +1,7 @@
 """Walls of a map of pixels: straight, through the middle of their cells, and where free space ends without one.
 
-A map_server map has thousands of walls as long as a pixel. Their outlines are simplified (Douglas and Peucker 1973),
-and every straight stretch is fitted to the steps that it replaces.
+A map_server map has thousands of walls as long as a pixel. Their outlines are traced by as few straight stretches as
+stay within a pixel of them, and every stretch is fitted to the steps that it replaces.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import shapely
 
 from planners.arena import Arena
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.fewest_segments import closed_corners
 
 PREFIX = "map/edge_"
 """Of the walls of a map of pixels, which are named by their order."""
@@ -108,9 +109,9 @@ class _Outline:
         self.side = _side_of_cells(self.steps, free)
         # the middle of each border, which a wall drawn in cells passes within half a pixel
         borders = self.steps[1::2]
-        closed = shapely.LineString(np.vstack([borders, borders[:1]]))
-        self.kept: Floats = np.array(closed.simplify(MAX_STEP * pixel).coords)[:-1]
-        at = [int(np.argmin(np.hypot(*(self.steps - corner).T))) for corner in self.kept]
+        corners = closed_corners(borders / pixel, MAX_STEP)
+        self.kept: Floats = borders[corners]
+        at = (2 * corners + 1).tolist()
         self.ends = list(zip(at, [*at[1:], at[0] + len(self.steps)], strict=True))
         self.lines: list[tuple[Floats, Floats]] = []
         self.off: list[Floats] = []
@@ -170,16 +171,26 @@ class _Outline:
     def _curved(self) -> list[bool]:
         """Tell which stretches are chords of something round.
 
-        A circle whose outline strays by s from its chord of length c has turned by 8 s / c along it.
+        A circle whose outline strays by s from its chord of length c has turned by 8 s / c along it, and strays by 2/3 s on
+        the average; a straight wall between two corners does not stray.
         """
         ways = np.array([way for _, way in self.lines])
         before = np.roll(ways, 1, axis=0)
         turn = np.arctan2(before[:, 0] * ways[:, 1] - before[:, 1] * ways[:, 0], (before * ways).sum(axis=1))
         after = np.roll(turn, -1)
         length = np.hypot(*(np.roll(self.kept, -1, axis=0) - self.kept).T) / self.pixel
-        bulge = length * np.abs(turn + after) / 2 / 8
-        result: list[bool] = ((turn * after > 0) & (bulge < MAX_BULGE * MAX_STEP)).tolist()
+        bulge = length * (turn + after) / 2 / 8
+        strays = np.array([self._stray(*ends) for ends in self.ends])
+        is_round = (turn * after > 0) & (np.abs(bulge) < MAX_BULGE * MAX_STEP)
+        result: list[bool] = (is_round & (strays * np.sign(bulge) > np.abs(bulge) / 3)).tolist()
         return result
+
+    def _stray(self, first: int, last: int) -> float:
+        """Return how far the outline strays from its chord on the average [pixel], to the right as positive."""
+        points = self._between(first, last)
+        way = (points[-1] - points[0]) / max(float(np.hypot(*(points[-1] - points[0]))), 1e-9)
+        middles = (points[1:] + points[:-1]) / 2 - points[0]
+        return float(np.mean(middles @ np.array([way[1], -way[0]]))) / self.pixel
 
     def _round(self, first: int, last: int) -> Floats:
         """Return corners (n, 2) of something round, between two steps."""
