@@ -81,7 +81,7 @@ def _misfit(sums: Floats, i: int, j: int) -> float:
     xx = sums[j + 1, 2] - sums[i, 2] - m * sx * sx
     xy = sums[j + 1, 3] - sums[i, 3] - m * sx * sy
     yy = sums[j + 1, 4] - sums[i, 4] - m * sy * sy
-    return max(0.5 * (xx + yy - math.hypot(xx - yy, 2 * xy)), 0.0)
+    return float(max(0.5 * (xx + yy - math.hypot(xx - yy, 2 * xy)), 0.0))
 
 
 def plain_open_corners(points: Floats, tolerance: float) -> Ints:

@@ -91,8 +91,9 @@ def _rings(walls: Floats, free: shapely.Geometry, pixel: float) -> list[Floats]:
 
     The other face at a wall, of its cells, has the same outline but where cells touch by a corner alone.
     """
-    frame = shapely.box(*shapely.total_bounds(shapely.linestrings(walls))).buffer(pixel, join_style="mitre")
-    lines = shapely.union_all([*shapely.linestrings(walls), frame.exterior])
+    steps = shapely.linestrings(walls)
+    frame = shapely.box(*shapely.total_bounds(steps)).buffer(pixel, join_style="mitre")
+    lines = shapely.union_all([shapely.union_all(steps), frame.exterior])
     faces = shapely.get_parts(shapely.polygonize([lines]))
     holds = shapely.area(shapely.intersection(faces, free)) > 0.5 * pixel**2
     rings = [ring for face in faces[holds] for ring in (face.exterior, *face.interiors)]

@@ -240,19 +240,20 @@ def fit(
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
     state.g[locked(data, model, corners)] = 0.0
-    must_lay = data.grain > 0 and not model
-    for _ in range(max(outer, SCAN.fit.map_casts) if must_lay else outer):
-        solver, at = solver_for(data.laid_by(state.g[len(Nuisance) :]), model)
+    is_laid = data.grain > 0
+    for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
+        laid = data.laid_by(state.g[len(Nuisance) :])
+        solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
         if best is None or got.j > best.j:
             best = got
-        if (solver.n_effects == 0 and not must_lay) or not better:
+        if (solver.n_effects == 0 and not is_laid) or not better:
             break
         model, state = with_increments(model, solution.p), solution.state
-        if not must_lay and _settled(solution):
+        if _settled(solution) and laid.is_laid_by(state.g[len(Nuisance) :]):
             break
     assert best is not None
     final = with_increments(best.model, best.solution.p)

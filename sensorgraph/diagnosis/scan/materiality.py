@@ -38,7 +38,18 @@ def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
         return values["b"] - values["a"] < 2 * SCAN.naming.map_pixels * pixel
     if effect.place in ("wall", "obstacle") and effect.steps:
         return bool(np.hypot.reduce([values[name] for name in effect.steps]) < pixel)
+    if effect.place is None and effect.diagnostics.corner_shifts is not None:
+        return _farthest_corner(data, amendment) < data.grain
     return effect.place == "obstacle" and _passed_share(data, amendment.place) < SCAN.naming.min_passed_share
+
+
+def _farthest_corner(data: ScanData, amendment: Amendment) -> float:
+    """Return how far a change of the whole map moves a corner at most [m], but for a shift of all of them."""
+    scene = data.scene()
+    before = scene.walls.copy()
+    amendment.effect.transform(scene, amendment)
+    shift = (scene.walls - before).reshape(-1, 2)
+    return float(np.hypot(*(shift - shift.mean(axis=0)).T).max())
 
 
 def _passed_share(data: ScanData, place: str) -> float:

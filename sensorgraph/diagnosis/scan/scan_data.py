@@ -156,6 +156,14 @@ class ScanData:
         walls = self.arena.walls + by.reshape(-1, 2)[self.corners.ends]
         return replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
 
+    def is_laid_by(self, shifts: Floats) -> bool:
+        """Tell whether walls lie where `laid_by` would lay them, but for a small share of the map's tolerance."""
+        again = self.laid_by(shifts).laid
+        if again is None:
+            return True
+        off = again if self.laid is None else again - self.laid
+        return bool(np.abs(off).max() <= SCAN.fit.settled_step * self.tolerances.map)
+
     @cached_property
     def plain_cast(self) -> tuple[Floats, Ints]:
         """Ranges (n_scans, n_rays) [m] to the walls, inf for none, and the index of each ray's wall, -1; of one laser alone."""
