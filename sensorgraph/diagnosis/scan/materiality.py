@@ -47,7 +47,7 @@ def _farthest_corner(data: ScanData, amendment: Amendment) -> float:
     """Return how far a change of the whole map moves a corner at most [m], but for a shift of all of them."""
     scene = data.scene()
     before = scene.walls.copy()
-    amendment.effect.transform(scene, amendment)
+    amendment(scene)
     shift = (scene.walls - before).reshape(-1, 2)
     return float(np.hypot(*(shift - shift.mean(axis=0)).T).max())
 
