@@ -34,8 +34,10 @@ MIN_WALL = 1.5
 """[pixel] a shorter stretch of an outline stays a part of its neighbour."""
 CURVE_STEP = 2
 """[pixel] between corners of a wall that is round, whose steps are averaged over as much either way [half pixel]."""
-MAX_BULGE = 1.5
-"""[step] by which something round may stray from its chord; more, by its turns, is a corner between straight walls."""
+MAX_OFF_CIRCLE = 0.5
+"""[pixel] r.m.s. by which the borders of the cells of a circle are off it; those of straight walls with a corner are more."""
+MIN_BULGE = 0.5
+"""[pixel] by which something round strays from its chord at least; with less a straight wall does."""
 LONG_RUN = 8.0
 """[pixel] of a straight run on both sides of a single step, where the wall may have a jog of less than a pixel."""
 REGULAR = 2.25
@@ -170,28 +172,23 @@ class _Outline:
         return np.concatenate(walls)
 
     def _curved(self) -> list[bool]:
-        """Tell which stretches are chords of something round.
+        """Tell which stretches are chords of something round: a circle fits them with half of their neighbours.
 
-        A circle whose outline strays by s from its chord of length c has turned by 8 s / c along it, and strays by 2/3 s on
-        the average; a straight wall between two corners does not stray.
+        A neighbour that turns the other way is none of it.
         """
         ways = np.array([way for _, way in self.lines])
         before = np.roll(ways, 1, axis=0)
         turn = np.arctan2(before[:, 0] * ways[:, 1] - before[:, 1] * ways[:, 0], (before * ways).sum(axis=1))
         after = np.roll(turn, -1)
-        length = np.hypot(*(np.roll(self.kept, -1, axis=0) - self.kept).T) / self.pixel
-        bulge = length * (turn + after) / 2 / 8
-        strays = np.array([self._stray(*ends) for ends in self.ends])
-        is_round = (turn * after > 0) & (np.abs(bulge) < MAX_BULGE * MAX_STEP)
-        result: list[bool] = (is_round & (strays * np.sign(bulge) > np.abs(bulge) / 3)).tolist()
-        return result
-
-    def _stray(self, first: int, last: int) -> float:
-        """Return how far the outline strays from its chord on the average [pixel], to the right as positive."""
-        points = self._between(first, last)
-        way = (points[-1] - points[0]) / max(float(np.hypot(*(points[-1] - points[0]))), 1e-9)
-        middles = (points[1:] + points[:-1]) / 2 - points[0]
-        return float(np.mean(middles @ np.array([way[1], -way[0]]))) / self.pixel
+        out = []
+        for k, (first, last) in enumerate(self.ends):
+            earlier, later = self.ends[k - 1], self.ends[(k + 1) % len(self.ends)]
+            low, high = first - (earlier[1] - earlier[0]) // 2, last + (later[1] - later[0]) // 2
+            windows = [(low, high)] if turn[k] * after[k] > 0 else [(low, last), (first, high)]
+            length = float(np.hypot(*(self.steps[last % len(self.steps)] - self.steps[first]))) / self.pixel
+            fits = [_circle(self._between(*window)[1::2] / self.pixel) for window in windows]
+            out.append(any(rms < MAX_OFF_CIRCLE and length**2 / 8 > MIN_BULGE * r for r, rms in fits))
+        return out
 
     def _round(self, first: int, last: int) -> Floats:
         """Return corners (n, 2) of something round, between two steps."""
@@ -260,6 +257,17 @@ def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:
         shapely.contains_xy(free, *(middles + side * aside).T).astype(np.float64) for side in (1, -1)
     )
     return np.asarray(right - left)
+
+
+def _circle(points: Floats) -> tuple[float, float]:
+    """Return the radius of the circle that fits points (n, 2) (Kasa 1976), and their r.m.s. distance from it."""
+    if len(points) < 4:
+        return np.inf, np.inf
+    middle = points.mean(axis=0)
+    q = points - middle
+    (x, y, c), *_ = np.linalg.lstsq(np.column_stack([2 * q, np.ones(len(q))]), (q**2).sum(axis=1), rcond=None)
+    radius = float(np.sqrt(max(c + x * x + y * y, 0.0)))
+    return radius, float(np.sqrt(np.mean((np.hypot(*(q - [x, y]).T) - radius) ** 2)))
 
 
 def _dense(ring: Floats, pixel: float) -> Floats:

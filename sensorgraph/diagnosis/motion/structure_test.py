@@ -65,7 +65,7 @@ MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
 """Noises of earlier fits that a fit may begin at, times that columns and noise are fitted in turn, and times that rows
 are weighed anew by what the columns leave."""
 MIN_GAIN = 0.5
-"""[nats] with less, another round changes nothing."""
+"""[nats] with less, another round changes nothing, and a family explains nothing."""
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
 """Fits the noise of a residual (n,) of one kind of rows, counted from 0, to its valid part."""
 
@@ -102,7 +102,7 @@ class StructureTest:
         screened = dict(zip(candidates, self._screened(own, candidates), strict=True))
         found: dict[str, StructureFamily] = {}
         for family in sorted(candidates, key=lambda family: -screened[family]):
-            if screened[family] > 0:
+            if screened[family] > MIN_GAIN:
                 found.setdefault(family.kind, family)
         return list(found.values())
 

@@ -168,7 +168,10 @@ def _in_partition(
         least = np.full(part.count, settings.min_size[family])
         if family in ("bias", "spread"):  # that the map may leave, in units of the scores
             least = np.maximum(least, grain / sigma if family == "bias" else (grain / sigma) ** 2)
+        of_one_wall = view.data.grain > 0 and part.name not in OF_WALLS
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
+            if of_one_wall and _is_of_one_wall(view, value, counted & (part.index == k), float(least[k])):
+                continue
             found.append(
                 Deviation(
                     family=family,
@@ -181,6 +184,26 @@ def _in_partition(
                 )
             )
     return found
+
+
+def _is_of_one_wall(view: FitResiduals, value: Floats, some: Bools, least: float) -> bool:
+    """Tell whether some rays (n_scans, n_rays) deviate on one wall alone: in a map of pixels that is where the wall lies.
+
+    Parameters
+    ----------
+    value : (n_scans, n_rays) the scores
+    least : mean below which the other rays do not deviate
+    """
+    wall = np.where(some, view.beams.wall, -1)
+    n_walls = int(wall.max(initial=-1)) + 1
+    on_walls = some & (wall >= 0)
+    if not on_walls.any():
+        return False
+    total = float(value[some].sum())
+    by_wall = np.bincount(wall[on_walls], value[on_walls], n_walls)
+    rest = some & (wall != int(np.argmax(np.sign(total) * by_wall)))
+    left = float(value[rest].sum()) / max(int(rest.sum()), 1)
+    return int(rest.sum()) < SCAN.goodness_of_fit.min_rays or float(np.sign(total)) * left < least
 
 
 def largest_z(found: Sequence[Deviation]) -> dict[str, float]:

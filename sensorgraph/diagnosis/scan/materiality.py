@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -24,23 +24,49 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
         return True
     spot = np.array([[values["x"], values["y"]]])
     stands_out = values["r"] - float(data.barriers.distances(spot)[0])
-    if 0 < stands_out < SCAN.naming.map_pixels * 2 * data.grain:
+    if stands_out > 0 and data.grain > 0 and _seen_before_walls(fitted, amendment) < _bulge(data):
         return True
     if data.arena.contains(spot)[0]:
         return False
     return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
 
 
+def _bulge(data: ScanData) -> float:
+    """Return how far a thing may stand out of the walls of a map of pixels and be no more than its cells leave open [m]."""
+    return SCAN.naming.map_pixels * 2 * data.grain
+
+
+def _seen_before_walls(fitted: Fitted, amendment: Amendment) -> float:
+    """Return how far from mapped walls readings end on a disc at most [m]; where none does, it may have any shape."""
+    data, values = fitted.solver.data, amendment.parameters
+    scene = data.scene()
+    scene.run((*data.known, *(a for a in fitted.model if a != amendment)))
+    beams = bare_cast(scene)
+    ahead, aside = beams.towards(values["x"], values["y"])
+    reach = ahead - np.sqrt(np.maximum(values["r"] ** 2 - aside**2, 0.0))
+    meets = (np.abs(aside) < values["r"]) & (reach > 0) & (reach < beams.ranges)
+    meets &= np.abs(data.ranges - reach) < np.abs(data.ranges - beams.ranges)
+    x, y = beams.ox + reach * beams.ux, beams.oy + reach * beams.uy
+    points = np.stack([x[meets], y[meets]], axis=1)
+    return float(data.barriers.distances(points).max(initial=0.0))
+
+
 def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
     """Tell whether a change of the walls in a map of pixels is of the size of its cells."""
     values, pixel, effect = amendment.parameters, 2 * data.grain, amendment.effect
     if effect.on_part_of_wall:
-        return values["b"] - values["a"] < 2 * SCAN.naming.map_pixels * pixel
+        return is_short_of_pixels(data, amendment)
     if effect.place in ("wall", "obstacle") and effect.steps:
         return bool(np.hypot.reduce([values[name] for name in effect.steps]) < pixel)
     if effect.place is None and effect.diagnostics.corner_shifts is not None:
         return _farthest_corner(data, amendment) < data.grain
     return effect.place == "obstacle" and _passed_share(data, amendment.place) < SCAN.naming.min_passed_share
+
+
+def is_short_of_pixels(data: ScanData, amendment: Amendment) -> bool:
+    """Tell whether a part of a wall in a map of pixels is no longer than an error at a corner looks."""
+    values = amendment.parameters
+    return amendment.effect.on_part_of_wall and values["b"] - values["a"] < 2 * _bulge(data)
 
 
 def _farthest_corner(data: ScanData, amendment: Amendment) -> float:

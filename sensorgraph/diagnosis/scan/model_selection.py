@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.scan.fit import (
     thin,
     thin_state,
 )
+from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.ranking import n_parameters, ranked
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -213,8 +214,12 @@ def _try(
             outer=3,
             inner=3 if strained else 2,
         )
+        if data.grain > 0 and is_short_of_pixels(data, got.model[-1]):
+            continue
         gain = evidence(few, got.model[-1], got, base) * every
         quick.append((gain - price(candidate.amendment, data), got))
+    if not quick:
+        return [], []
     quick.sort(key=lambda pair: -pair[0])
     for k, (gain, got) in enumerate(quick[: SCAN.selection.max_searched]):
         if gain > SCAN.selection.searched_share * quick[0][0] - SCAN.selection.gain_margin and is_rough(
