@@ -18,7 +18,7 @@ from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
-from sensorgraph.diagnosis.scan.likelihood import find_edges
+from sensorgraph.diagnosis.scan.depth_edges import find_edges
 from sensorgraph.diagnosis.scan.people_law import clustered
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.effects import mixed_pixels, sector_bias, self_occlusion, tilt

@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.pixel_walls import THING, pixel_of, straightened, unknown_borders
+from sensorgraph.world.pixel_walls import THING, is_near_gap, pixel_of, straightened, unknown_borders
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot
 
@@ -85,6 +85,8 @@ class RasterMap:
     """[m] standard deviation of its walls: half a pixel either way, and what straight walls leave."""
     borders: Floats
     """(n, 2, 2) [m] where free space ends without a wall: beyond is unknown."""
+    drawn: Arena
+    """With the borders of the cells as walls."""
 
     @classmethod
     def of(cls, arena: Arena) -> RasterMap:
@@ -92,7 +94,13 @@ class RasterMap:
         pixel = pixel_of(arena)
         straight, rms = straightened(arena)
         tolerance = float(np.hypot(pixel / np.sqrt(12), rms))
-        return cls(arena=straight, pixel=pixel, tolerance=tolerance, borders=unknown_borders(arena))
+        return cls(
+            arena=straight,
+            pixel=pixel,
+            tolerance=tolerance,
+            borders=unknown_borders(arena),
+            drawn=arena,
+        )
 
     def widened(self, robot: Robot) -> Robot:
         """Return the robot with a tolerance of the map that such a map holds at best."""
@@ -110,6 +118,7 @@ class RasterMap:
                 "map_tolerance_m": self.tolerance,
             }
         _, wall = data.plain_cast
+        data = replace(data, ranges=np.where(self._at_gap(data), np.nan, data.ranges), memo={})
         data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
         return data, {
@@ -118,6 +127,17 @@ class RasterMap:
             "map_tolerance_m": self.tolerance,
             **said,
         }
+
+    def _at_gap(self, data: ScanData) -> Bools:
+        """Tell which rays (n_scans, n_rays) end at a gap between cells, or pass it though the map closes it."""
+        out = np.zeros(data.ranges.shape, dtype=np.bool_)
+        expected, wall = data.plain_cast
+        lasers = laser_poses(data.poses, data.sensor.mount)
+        scan, ray = np.nonzero(wall >= 0)
+        angle, r = lasers[scan, 2] + data.sensor.bearings[ray], expected[scan, ray]
+        ends = lasers[scan, :2] + r[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        out[scan, ray] = is_near_gap(self.drawn, ends)
+        return out
 
 
 def _most_met(walls: Floats, wall: Ints) -> Corners:

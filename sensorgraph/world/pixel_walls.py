@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from planners.arena import Arena
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.fewest_segments import closed_corners
 
 PREFIX = "map/edge_"
@@ -64,8 +65,8 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     round thing: its walls follow the outline every `CURVE_STEP` pixels. Walls that no free space touches are left out.
     """
     pixel = pixel_of(arena)
-    parts = shapely.get_parts(arena.free)
-    free = shapely.union_all(parts[shapely.area(parts) > MIN_FREE * pixel**2])
+    parts, is_gap = _parts_of_free(arena)
+    free = shapely.union_all(parts[~is_gap])
     shapely.prepare(free)
     found = [_Outline(ring, free, pixel) for ring in _rings(arena.walls, free, pixel)]
     walls, names, n_things, n_around = [np.zeros((0, 2, 2))], list[str](), 0, 0
@@ -86,6 +87,25 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
         np.sqrt(np.mean(np.concatenate([np.zeros(1), *(off for one in found for off in one.off)]) ** 2))
     )
     return replace(arena, walls=straight, names=tuple(names), surfaces=("wall",) * len(straight)), rms
+
+
+def is_near_gap(arena: Arena, points: Floats) -> Bools:
+    """Tell which points (n, 2) are within a pixel of a part of free space that holds no robot.
+
+    Such a slit may be open to a ray though cells close it.
+    """
+    parts, is_gap = _parts_of_free(arena)
+    if not is_gap.any():
+        return np.zeros(len(points), dtype=np.bool_)
+    gaps = shapely.union_all(parts[is_gap])
+    shapely.prepare(gaps)
+    return np.asarray(shapely.dwithin(gaps, shapely.points(points), pixel_of(arena)))
+
+
+def _parts_of_free(arena: Arena) -> tuple[NDArray[np.object_], Bools]:
+    """Return the connected parts (n,) of free space, and which are mere gaps."""
+    parts = shapely.get_parts(arena.free)
+    return parts, np.asarray(shapely.area(parts) <= MIN_FREE * pixel_of(arena) ** 2)
 
 
 def _rings(walls: Floats, free: shapely.Geometry, pixel: float) -> list[Floats]:

@@ -167,7 +167,8 @@ def _in_partition(
         unit = sigma if family == "bias" else 1.0
         least = np.full(part.count, settings.min_size[family])
         if family in ("bias", "spread"):  # that the map may leave, in units of the scores
-            least = np.maximum(least, grain / sigma if family == "bias" else (grain / sigma) ** 2)
+            # a wall is half a pixel off, the borders of its cells stray by a whole one from it
+            least = np.maximum(least, grain / sigma if family == "bias" else (2 * grain / sigma) ** 2)
         of_one_wall = view.data.grain > 0 and part.name not in OF_WALLS
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
             if of_one_wall and _is_of_one_wall(view, value, counted & (part.index == k), float(least[k])):

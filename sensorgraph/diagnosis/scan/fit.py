@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
     Solution,
     Solver,
@@ -17,11 +18,9 @@ from sensorgraph.diagnosis.scan.gauss_newton import (
     iterate,
 )
 from sensorgraph.diagnosis.scan.likelihood import (
-    Edges,
     ExpectedReadings,
     e_step,
     expected_readings,
-    find_edges,
 )
 from sensorgraph.diagnosis.scan.nuisance import Jacobian, corners_of, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData

@@ -1,4 +1,4 @@
-"""How likely measured readings are under expected ones: the beam mixture, its edges in depth, and draws from it."""
+"""How likely measured readings are under expected ones: the beam mixture, and draws from it."""
 
 from __future__ import annotations
 
@@ -24,32 +24,16 @@ from sensorgraph.diagnosis.scan.beam_mixture import (
     WEIGHT,
     mixture,
 )
+from sensorgraph.diagnosis.scan.depth_edges import Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Floats
 from sensorgraph.world.beams import Beams
-from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.scene import apply_range_limits
 
 SQRT_TAU = np.sqrt(2 * np.pi)
 SETTINGS = SCAN.likelihood
-MIN_END_RANGE = 0.05
-"""[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
-GRAZING = -0.02
-"""Cosine against the normal, above which a ray does not meet the extension of a wall."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Edges:
-    """Rays so near a step in depth that a small error of pose or map takes them to its other side."""
-
-    index: tuple[Ints, Ints]
-    """Indices (scan, ray) of k rays."""
-    other: Floats
-    """(k,) [m] what they would read on the other side."""
-    chance: Floats
-    """(k,) of being there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,78 +269,6 @@ def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
         return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (SQRT_TAU * sigma))
     half = lattice / 2
     return np.asarray((ndtr((e + half) / sigma) - ndtr((e - half) / sigma)) / cell)
-
-
-def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
-    """Find the rays next to a step in depth, and what they would read beyond it."""
-    t = data.tolerances
-    ranges, wall = beams.ranges, beams.wall
-    rights, lefts = neighbouring_rays(data.sensor)
-    scan, pair = np.nonzero(wall[:, lefts] != wall[:, rights])
-    if len(scan) == 0:
-        return None
-    right, left, bearings = rights[pair], lefts[pair], data.sensor.bearings
-    gap = (bearings[left] - bearings[right]) % (2 * np.pi)
-    near = np.where(ranges[scan, right] <= ranges[scan, left], right, left)
-    rows: list[tuple[Ints, Ints, Floats, Floats]] = []
-    # where the nearer surface ends, as an angle from the right ray
-    edge = _end_angle(beams, walls, scan, right, near, gap)
-    r_near = np.maximum(ranges[scan, near], MIN_END_RANGE)
-    blur = np.sqrt(t.pose_yaw**2 + t.mount_yaw**2 + (t.pose_xy**2 + t.map**2 + t.mount_xy**2) / r_near**2)
-    for ray, other, away in ((right, left, edge), (left, right, gap - edge)):
-        chance = np.minimum(ndtr(-away / blur), 0.5)
-        beyond = _extended(beams, walls, scan, ray, other)
-        own = ranges[scan, ray]
-        with np.errstate(invalid="ignore"):
-            keep = (
-                (chance > SETTINGS.min_edge_chance)
-                & (np.abs(beyond - own) > SETTINGS.min_edge_step * data.sensor.sigma)
-                & np.isfinite(own)
-                & (beyond > 0)
-            )
-        rows.append((scan[keep], ray[keep], beyond[keep], chance[keep]))
-    return Edges(
-        index=(np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])),
-        other=np.concatenate([r[2] for r in rows]),
-        chance=np.concatenate([r[3] for r in rows]),
-    )
-
-
-def _end_angle(beams: Beams, walls: Floats, scan: Ints, right: Ints, near: Ints, gap: Floats) -> Floats:
-    """Return the angle [rad] from the right ray to the end of the nearer wall; half the gap where it has none there."""
-    index = beams.wall[scan, near]
-    middle = gap / 2
-    if len(walls) == 0:
-        return np.asarray(middle)
-    known = index >= 0
-    ux, uy = beams.ux[scan, right], beams.uy[scan, right]
-    ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, right]
-    oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, right]
-    best = np.asarray(middle).copy()
-    for end in (0, 1):
-        corner = walls[np.where(known, index, 0), end]
-        x, y = corner[:, 0] - ox, corner[:, 1] - oy
-        angle = np.arctan2(ux * y - uy * x, ux * x + uy * y)
-        fits = known & (angle >= -1e-3) & (angle <= gap + 1e-3)
-        best = np.where(fits, np.clip(angle, 0.0, gap), best)
-    return best
-
-
-def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -> Floats:
-    """Return where a ray would meet the surface that its neighbour meets, extended; inf where that is nothing."""
-    index = beams.wall[scan, other]
-    fallback = beams.ranges[scan, other]
-    if len(walls) == 0:
-        return np.asarray(fallback)
-    a = walls[np.where(index >= 0, index, 0), 0]
-    nx, ny = beams.nx[scan, other], beams.ny[scan, other]
-    ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, ray]
-    oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, ray]
-    across = beams.ux[scan, ray] * nx + beams.uy[scan, ray] * ny
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = ((a[:, 0] - ox) * nx + (a[:, 1] - oy) * ny) / across
-    usable = (index >= 0) & (across < GRAZING)
-    return np.asarray(np.where(usable, r, fallback))
 
 
 def sample(
