@@ -161,15 +161,15 @@ def test_somebody_who_walks_by_and_rays_that_do_not_return_are_no_change_of_the_
 def test_walls_laid_on_readings_count_their_errors_from_the_map(pixels: Arena) -> None:
     _, data, _ = judged(pixels)
     null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
-    laid = null.solver.data.laid
-    assert laid is not None and 0 < np.abs(laid).max() <= PIXEL / 2
+    laid = data.laid_by(null.state.corners)
+    assert laid.laid is not None and 0 < np.abs(laid.laid).max() <= PIXEL / 2
     assert null.j > fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1).j - 1e-6
     seen = null.solver.jacobian.valid & data.returned
     left = np.abs(null.solver.y - null.solver.shift(null.state, np.zeros(0)))[seen]
     assert np.median(left) < 0.01
     true = shapely.Polygon(ROOM).exterior
     hit = np.unique(null.solver.jacobian.wall[seen])
-    walls = null.solver.data.arena.walls[hit]
+    walls = laid.arena.walls[hit]
     middles = shapely.points(walls[np.hypot(*np.diff(walls, axis=1)[:, 0].T) > 1.0].mean(axis=1))
     assert shapely.distance(middles, true).max() < 0.02
 

@@ -10,7 +10,7 @@ from conftest import polygon_arena
 from planners.arena import Arena
 from planners.maps.ros_map import _borders, _union
 from sensorgraph.types import Floats
-from sensorgraph.world.pixel_walls import OUTLINE, THING, straightened
+from sensorgraph.world.pixel_walls import OUTLINE, THING, is_near_gap, straightened
 
 PIXEL = 0.05
 
@@ -96,3 +96,31 @@ def test_a_room_along_the_grid_has_hardly_more_walls_than_sides() -> None:
     arena = polygon_arena([(0, 0), (2, 0), (2, 1), (0, 1)])
     straight, _ = straightened(drawn(shapely.Polygon([(0, 0), (2, 0), (2, 1), (0, 1)])))
     assert straight.n_walls <= arena.n_walls + 4
+
+
+def test_a_long_wall_stays_straight_where_something_touches_it() -> None:
+    room = shapely.difference(ROOM, shapely.Point(4.1, 4.51).buffer(0.15))
+    straight, _ = straightened(drawn(room))
+    length = np.hypot(*np.diff(straight.walls, axis=1)[:, 0].T)
+    top = straight.walls[(length > 1.5) & (straight.walls[:, :, 1].min(axis=1) > 4.3)]
+    assert len(top) == 2
+    assert np.abs(np.diff(top[:, :, 1], axis=1)).max() < 0.05 * PIXEL
+    assert off(top, ROOM.exterior).max() < 0.6
+
+
+def test_a_wall_one_cell_thin_is_one_wall() -> None:
+    """Where the cells of a slanting wall touch by corners alone, its far side has the same outline in other rings."""
+    room = turned(ROOM, 3.0)
+    straight, _ = straightened(drawn(room))
+    length = np.hypot(*np.diff(straight.walls, axis=1)[:, 0].T)
+    assert length.sum() == pytest.approx(room.exterior.length, rel=0.02)
+    assert len(straight.walls) < 12
+
+
+def test_a_slit_that_cells_close_may_be_open() -> None:
+    slit = shapely.box(3.0, 4.4, 3.1, 5.2)
+    arena = drawn(shapely.union_all([ROOM, slit]))
+    near, far = is_near_gap(arena, np.array([[3.05, 4.9], [1.0, 1.0]]))
+    assert not far
+    parts = shapely.get_parts(arena.free)
+    assert near == (len(parts) > 1)

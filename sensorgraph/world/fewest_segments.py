@@ -13,19 +13,45 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 
+DIGITAL = 0.75
+"""[step] by which the middles of the borders of cells are off the line that is drawn in them, at most 0.71."""
+CUT = 2
+"""Points that a corner may cut off at either end of a stretch."""
+
 
 def closed_corners(points: Floats, tolerance: float) -> Ints:
-    """Return which points (n, 2) of a closed chain are corners of its simplest polygon, in order, the first one among them.
+    """Return which points (n, 2) of a closed chain of borders of cells [step] are corners of its simplest polygon, in order.
 
-    Points between two corners lie within the tolerance of the segment that joins these. The chain is opened at its first
-    point, which should be a corner, and once more at the corner found farthest along from there.
+    Points between two corners lie within the tolerance of the segment that joins these, or within what a digital line
+    leaves of the line that fits them: where a cell at a corner is cut off, a polygon on the points has a side more.
     """
-    n = len(points)
-    first = open_corners(np.vstack([points, points[:1]]), tolerance)
-    middle = int(first[len(first) // 2])
+    opened = np.vstack([points, points[:1]])
+    middle = int(open_corners(opened, tolerance)[1])
     turned = np.roll(points, -middle, axis=0)
-    again = open_corners(np.vstack([turned, turned[:1]]), tolerance)[:-1]
-    return np.sort((again + middle) % n)
+    corners = open_corners(np.vstack([turned, turned[:1]]), tolerance)[:-1]
+    return np.sort((_merged(turned, corners) + middle) % len(points))
+
+
+def _merged(points: Floats, corners: Ints) -> Ints:
+    """Take away corners (k,) of a closed chain whose two sides are one digital line, the straightest first."""
+    kept = corners.tolist()
+    while len(kept) > 3:
+        leaves = [_off_line(points, kept[k - 1], kept[(k + 1) % len(kept)]) for k in range(len(kept))]
+        k = int(np.argmin(leaves))
+        if leaves[k] > DIGITAL:
+            break
+        del kept[k]
+    return np.array(kept)
+
+
+def _off_line(points: Floats, first: int, last: int) -> float:
+    """Return how far points from one to another, but for their ends, are off the line that fits them at most."""
+    n = len(points)
+    own = points[np.arange(first, last + (n if last <= first else 0) + 1) % n]
+    own = own[CUT:-CUT] if len(own) > 4 * CUT else own
+    q = own - own.mean(axis=0)
+    way = np.linalg.svd(q, full_matrices=False)[2][0]
+    return float(np.abs(q @ np.array([-way[1], way[0]])).max())
 
 
 @kernel

@@ -242,6 +242,7 @@ class _Outline:
         along = ((points[at] + points[at + 1]) / 2 - centre) @ way / self.pixel
         ends = (points[[0, -1]] - centre) @ way / self.pixel
         place = along[np.diff(along, prepend=-np.inf) > 1]  # two half pixels make one step
+        place = place[(place > ends[0] + MIN_WALL) & (place < ends[1] - MIN_WALL)]  # at its ends is a corner
         runs = np.diff(np.concatenate([ends[:1], place, ends[1:]]))
         inner = runs[1:-1]
         if (
@@ -255,18 +256,18 @@ class _Outline:
         return np.asarray(centre + pair * way)
 
     def _meeting(self, k: int) -> Floats:
-        """Return where the stretch before ends and this one begins (2, 2): the same, but for a jog between parallel walls."""
+        """Return where the stretch before ends and this one begins (2, 2): the same, unless their lines meet elsewhere."""
         (p, u), (q, v) = self.lines[k - 1], self.lines[k]
         ends = [self.kept[k], self.kept[k]]
         is_jog = abs(u @ v) > MEETS
         for i, (point, way) in enumerate(((p, u), (q, v))):
             across = np.array([-way[1], way[0]])
             ends[i] = ends[i] + ((point - ends[i]) @ across) * across + is_jog * (i - 0.5) * self.pixel * way
-        if is_jog:
-            return np.array(ends)
-        meet = p + float((q - p)[0] * v[1] - (q - p)[1] * v[0]) / float(u[0] * v[1] - u[1] * v[0]) * u
-        is_near = np.hypot(*(meet - np.mean(ends, axis=0))) < 2 * self.pixel
-        return np.repeat(meet[None] if is_near else np.mean(ends, axis=0)[None], 2, axis=0)
+        if not is_jog:
+            meet = p + float((q - p)[0] * v[1] - (q - p)[1] * v[0]) / float(u[0] * v[1] - u[1] * v[0]) * u
+            if np.hypot(*(meet - np.mean(ends, axis=0))) < 2 * self.pixel:
+                return np.repeat(meet[None], 2, axis=0)
+        return np.array(ends)
 
 
 def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:

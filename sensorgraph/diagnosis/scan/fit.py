@@ -240,11 +240,13 @@ def fit(
     corners = corners_of(data)
     state.g[locked(data, model, corners)] = 0.0
     is_laid = data.grain > 0
+    shifts = state.corners if state.laid is None else state.laid  # a further effect begins at the same cast
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
-        laid = data.laid_by(state.g[len(Nuisance) :])
+        laid = data.laid_by(shifts)
         solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
+        solution.state.laid = laid.laid
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
         if best is None or got.j > best.j:
@@ -252,7 +254,8 @@ def fit(
         if (solver.n_effects == 0 and not is_laid) or not better:
             break
         model, state = with_increments(model, solution.p), solution.state
-        if _settled(solution) and laid.is_laid_by(state.g[len(Nuisance) :]):
+        shifts = state.corners
+        if _settled(solution) and laid.is_laid_by(shifts):
             break
     assert best is not None
     final = with_increments(best.model, best.solution.p)
@@ -274,7 +277,7 @@ def log_p_at(
     ----------
     noise_bounds : the noise is estimated again within it; None: it stays
     """
-    data = data.laid_by(state.g[len(Nuisance) :])
+    data = data.laid_by(state.corners if state.laid is None else state.laid)
     at = cast(data, model)
     corners = corners_of(data)
     shape = at.expected.reading.shape

@@ -45,6 +45,13 @@ class State:
     """By how much the tolerances of the reference are too tight."""
     map_scale: float = 1.0
     """By how much the tolerance of the map is too tight."""
+    laid: Floats | None = None
+    """(2 n_corners,) [m] where the corners of a map of pixels were in the cast that this was found with."""
+
+    @property
+    def corners(self) -> Floats:
+        """Shifts of the corners (2 n_corners,) [m]."""
+        return self.g[len(Nuisance) :]
 
     def copy(self) -> State:
         """Return a copy that may be changed."""

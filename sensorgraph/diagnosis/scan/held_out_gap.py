@@ -9,14 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import FitQuality, Gap
-from sensorgraph.diagnosis.scan.fit import Fitted, cast, locked
+from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, cast, locked
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, corners_of, pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 
 
@@ -34,7 +33,7 @@ class _HeldOutFit:
     """One model on the held-out scans: poses from every other ray, likelihood on the rays between."""
 
     def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
-        data = data.laid_by(fitted.state.g[len(Nuisance) :])
+        data = as_laid(data, fitted)
         at = cast(data, model)
         corners = corners_of(data)
         self.expected, self.steep = at.expected, at.jacobian.steep
