@@ -117,6 +117,13 @@ def test_a_wall_one_cell_thin_is_one_wall() -> None:
     assert len(straight.walls) < 12
 
 
+def test_a_niche_one_cell_wide_stays_open() -> None:
+    niche = shapely.box(3.02, 4.4, 3.13, 4.81)
+    straight, _ = straightened(drawn(shapely.union_all([ROOM, niche])))
+    mouth = shapely.LineString([(3.075, 4.4), (3.075, 4.7)])
+    assert not shapely.intersects(shapely.multilinestrings(list(straight.walls)), mouth)
+
+
 def test_a_slit_that_cells_close_may_be_open() -> None:
     slit = shapely.box(3.0, 4.4, 3.1, 5.2)
     arena = drawn(shapely.union_all([ROOM, slit]))

@@ -45,12 +45,18 @@ def _merged(points: Floats, corners: Ints) -> Ints:
 
 
 def _off_line(points: Floats, first: int, last: int) -> float:
-    """Return how far points from one to another, but for their ends, are off the line that fits them at most."""
+    """Return how far points from one to another, but for their ends, are off the line that fits them at most.
+
+    Where they go back along it, as into a slit and out again, there is no such line: inf.
+    """
     n = len(points)
     own = points[np.arange(first, last + (n if last <= first else 0) + 1) % n]
     own = own[CUT:-CUT] if len(own) > 4 * CUT else own
     q = own - own.mean(axis=0)
     way = np.linalg.svd(q, full_matrices=False)[2][0]
+    along = q @ way
+    if np.ptp(along) > abs(along[-1] - along[0]) + 2 * DIGITAL:
+        return np.inf
     return float(np.abs(q @ np.array([-way[1], way[0]])).max())
 
 
