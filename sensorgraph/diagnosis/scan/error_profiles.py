@@ -168,10 +168,16 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
 
 def _sure(fitted: Fitted, least: float = 0.0) -> ErrorProfile | None:
     """Return the likeliest profile if likelihood and parts of the run speak for it; None where none does."""
-    found = next(iter(error_profiles(fitted, least=least)), None)
+    profiles = error_profiles(fitted, least=least)
+    found = next((one for one in profiles if not _is_of_walls(one, fitted.solver.data.grain)), None)
     if found is None or found.gain - _price() < SCAN.selection.threshold:
         return None
     return found if found.amplitude_z > _least_z() else None
+
+
+def _is_of_walls(found: ErrorProfile, grain: float) -> bool:
+    """Tell whether an error over range is within a pixel of the map: of near walls and far ones, each half a pixel off."""
+    return found.kind == BIAS_BY_RANGE and float(np.abs(found.errors).max()) < 2 * grain
 
 
 def _price() -> float:
