@@ -200,7 +200,7 @@ def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: P
 
     there, empty = polygon_arena(ROOM, BIN), polygon_arena(ROOM)
     moved, disc, pane = (EFFECTS[name] for name in ("moved_obstacle", "unmapped_obstacle", "glass"))
-    stretched = EFFECTS["map_scale"]
+    stretched, shifted = EFFECTS["map_scale"], EFFECTS["moved_wall"]
     assert is_error(empty, stretched(s=0.012, dx=0.1, dy=0.0))  # 4 cm at corners 3.2 m from the middle
     assert not is_error(empty, stretched(s=-0.02, dx=0.0, dy=0.0))
     wall = next(name for name in raster.arena.names if not name.startswith(thing))
@@ -210,6 +210,13 @@ def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: P
     assert is_error(there, EFFECTS["missing_obstacle"]().at(thing))
     assert not is_error(empty, EFFECTS["missing_obstacle"]().at(thing))
     assert is_error(there, pane(a=0.1, b=0.4).at(wall)) and not is_error(there, pane(a=0.1, b=0.9).at(wall))
+    assert not is_error(empty, shifted(d=0.3).at(wall)) and not is_error(empty, shifted(d=-0.3).at(wall))
+    width = (
+        5.0
+        if np.hypot(*np.diff(raster.arena.walls[raster.arena.names.index(wall)], axis=0)[0]) < 4.5
+        else 4.0
+    )
+    assert is_error(empty, shifted(d=width).at(wall)) or is_error(empty, shifted(d=-width).at(wall))
     x, y = raster.arena.walls[raster.arena.names.index(f"{thing}/edge_0")].mean(axis=0)
     assert is_error(there, disc(x=x, y=y, r=0.15)) and not is_error(there, disc(x=1.0, y=1.0, r=0.15))
 

@@ -57,10 +57,20 @@ def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
     if effect.on_part_of_wall:
         return is_short_of_pixels(data, amendment)
     if effect.place in ("wall", "obstacle") and effect.steps:
-        return bool(np.hypot.reduce([values[name] for name in effect.steps]) < pixel)
+        size = float(np.hypot.reduce([values[name] for name in effect.steps]))
+        return size < pixel or (effect.place == "wall" and _is_where_another_is(data, amendment))
     if effect.place is None and effect.diagnostics.corner_shifts is not None:
         return _farthest_corner(data, amendment) < data.grain
     return effect.place == "obstacle" and _passed_share(data, amendment.place) < SCAN.naming.min_passed_share
+
+
+def _is_where_another_is(data: ScanData, amendment: Amendment) -> bool:
+    """Tell whether a wall has moved to where the map has another one, within a pixel, along most of it."""
+    scene = data.scene()
+    amendment(scene)
+    first, last = scene.walls[data.arena.names.index(amendment.place)]
+    along = np.linspace(0.1, 0.9, 9)[:, None]
+    return float(np.median(data.barriers.distances(first + along * (last - first)))) < 2 * data.grain
 
 
 def is_short_of_pixels(data: ScanData, amendment: Amendment) -> bool:
