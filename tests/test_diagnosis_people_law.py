@@ -11,7 +11,13 @@ from test_diagnosis_commissioning import ARENA, ROBOT, SENSOR, ranges_in
 from logs.run import Run
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.people_law import clusters_of, repeated_share, why_not_people
+from sensorgraph.diagnosis.scan.people_law import (
+    clustered,
+    clusters_of,
+    least_clustered,
+    repeated_share,
+    why_not_people,
+)
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -134,3 +140,26 @@ def test_a_cluster_is_as_wide_as_what_it_shows() -> None:
     assert things.width.max() < 0.45  # a disc of 0.4 m
     near = np.abs(things.xy[things.n_rays > 3, 1] - 3.2)
     assert near.max() < 0.25  # the middle of its visible side
+
+
+def test_legs_far_off_need_fewer_neighbours_and_scattered_rays_never_pass() -> None:
+    view, _ = short_readings(walker())
+    rng = np.random.default_rng(3)
+    spacing = float(np.median(np.diff(SENSOR.bearings)))
+    leg = SCAN.goodness_of_fit.leg_width
+    for rays in (0.9, 1.3, 1.7, 3.0):  # that a leg is wide, at this range
+        r = leg / (rays * spacing)
+        first = rng.uniform(0, 1, 20_000)  # from the left end of the leg to its first ray
+        count = np.floor(rays - first).astype(int) + 1
+        met = np.repeat(count, np.maximum(count, 0))  # by each ray that meets one, how many do
+        view.z = np.full(view.z.shape, r)
+        some = np.zeros(view.z.shape, dtype=np.bool_)
+        some[::40, 0] = True
+        least = least_clustered(view, some)
+        share = float(np.mean(met >= 2)) if len(met) else 0.0
+        by_chance = 4 * float(some.mean())
+        half = SCAN.goodness_of_fit.min_clustered_share
+        assert least == pytest.approx(max(half * share, by_chance), abs=0.01)
+    scattered = rng.random(view.z.shape) < 0.03
+    view.z = np.where(scattered, rng.uniform(0.5, 3.0, view.z.shape), view.z)
+    assert clustered(view, scattered) < least_clustered(view, scattered)

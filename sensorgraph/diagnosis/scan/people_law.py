@@ -52,7 +52,7 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     """Return why short readings (n_scans, n_rays) are no people, and what they may be; empty: they may be people."""
     settings = SCAN.goodness_of_fit
     short_ones = f"{100 * short.mean():.1f} % of the readings are short"
-    if clustered(view, short) < settings.min_clustered_share:
+    if clustered(view, short) < least_clustered(view, short):
         return f"{short_ones}, one by one: too scattered for people", STRAY_CAUSES
     z = view.z[short]
     width = settings.range_bin
@@ -189,6 +189,21 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
             judged += 1
             stands += max(shares) > settings.standing_ray_share
     return stands / judged if judged >= settings.min_standing_places else 0.0
+
+
+def least_clustered(view: FitResiduals, some: Bools) -> float:
+    """Return the share of short readings (n_scans, n_rays) with a neighbour below which they are no people.
+
+    A leg that is w rays wide, at most 2, gives a ray that meets it a neighbour with chance 2 (w - 1) / w: none, where rays
+    are farther apart. Scattered readings have one with twice their share, by chance.
+    """
+    settings = SCAN.goodness_of_fit
+    if view.sensor.n_rays < 2 or not some.any():
+        return settings.min_clustered_share
+    rays = np.clip(settings.leg_width / np.maximum(view.z[some] * _spacing(view), 1e-9), 1.0, 2.0)
+    chance = float(np.mean(2 * (rays - 1) / rays))
+    by_chance = 2 * 2 * float(some.mean())
+    return settings.min_clustered_share * min(1.0, max(chance, by_chance / settings.min_clustered_share))
 
 
 def clustered(view: FitResiduals, some: Bools) -> float:

@@ -369,7 +369,9 @@ class GoodnessOfFitSettings:
     neighbour_distance: float = 0.3
     """[m] between the ranges of neighbouring rays within which they meet the same thing."""
     min_clustered_share: float = 0.5
-    """Share of short readings with a neighbour, below which they are no people."""
+    """Share of short readings with a neighbour, below which they are no people, where two rays meet a leg."""
+    leg_width: float = 0.13
+    """[m] of what a laser sees of somebody at least: a leg below the knee."""
     range_bin: float = 0.06
     """[m] of a histogram of short readings."""
     max_bin_share: float = 0.4
