@@ -118,7 +118,9 @@ class RasterMap:
                 "map_tolerance_m": self.tolerance,
             }
         _, wall = data.plain_cast
-        data = replace(data, ranges=np.where(self._at_gap(data), np.nan, data.ranges), memo={})
+        at_gap = self._at_gap(data)
+        if at_gap.any():  # else its cast of the plain walls is kept
+            data = replace(data, ranges=np.where(at_gap, np.nan, data.ranges), memo={})
         data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
         return data, {
@@ -132,12 +134,18 @@ class RasterMap:
         """Tell which rays (n_scans, n_rays) end at a gap between cells, or pass it though the map closes it."""
         out = np.zeros(data.ranges.shape, dtype=np.bool_)
         expected, wall = data.plain_cast
-        lasers = laser_poses(data.poses, data.sensor.mount)
         scan, ray = np.nonzero(wall >= 0)
-        angle, r = lasers[scan, 2] + data.sensor.bearings[ray], expected[scan, ray]
-        ends = lasers[scan, :2] + r[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        out[scan, ray] = is_near_gap(self.drawn, ends)
+        lasers = laser_poses(data.poses, data.sensor.mount)
+        out[scan, ray] = is_near_gap(
+            self.drawn, _ends(lasers, data.sensor.bearings, scan, ray, expected[scan, ray])
+        )
         return out
+
+
+def _ends(lasers: Floats, bearings: Floats, scan: Ints, ray: Ints, r: Floats) -> Floats:
+    """Return where some rays are at ranges r, (n, 2) [m]; lasers (n_scans, 3), bearings (n_rays,)."""
+    angle = lasers[scan, 2] + bearings[ray]
+    return np.asarray(lasers[scan, :2] + r[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def _most_met(walls: Floats, wall: Ints) -> Corners:
@@ -229,9 +237,7 @@ class _Sight:
 
     def points(self, scan: Ints, ray: Ints, r: Floats) -> Floats:
         """Return where some rays are at ranges r, (n, 2) [m]."""
-        angle = self.angle[scan, ray]
-        way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return np.asarray(self.lasers[scan, :2] + r[:, None] * way)
+        return _ends(self.lasers, self.data.sensor.bearings, scan, ray, r)
 
     def share(self, kind: str, place: Floats) -> float:
         """Return the share of the rays aimed at a place (2,) that show a change there."""

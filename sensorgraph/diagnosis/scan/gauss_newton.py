@@ -120,7 +120,7 @@ class Solver:
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
         if self.map is not None:
-            out += self._by_corners(state.g[len(Nuisance) :]) - self.laid
+            out += self._by_corners(state.corners) - self.laid
         return np.asarray(out)
 
     def _by_corners(self, g: Floats) -> Floats:
@@ -343,8 +343,7 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
     scale = state.map_scale
     if len(corners) >= SCAN.fit.min_known_corners:
         tau = solver.scaled(state)
-        a = system.matrix[:n, :n].copy()
-        a[np.arange(n), np.arange(n)] += 1 / tau**2
+        a = with_prior(system.matrix[:n, :n], tau)
         rows = solve_triangular(cho_factor(a, lower=True)[0], np.eye(n), lower=True)  # a^-1 = rows' rows
         left = (rows**2).sum(axis=0)[corners] / tau[
             corners

@@ -93,7 +93,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
 
 def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
     """Test the smooth effects that no nuisance spans: assemble the system with their difference quotients."""
-    old, state, n = fitted.solver, fitted.state, fitted.solver.n_g
+    old, state = fitted.solver, fitted.state
     tau, found = old.scaled(state), []
     for effect in EFFECTS.values():
         if not effect.has_own_columns or effect.name in fitted.names():
@@ -104,8 +104,8 @@ def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Cand
         solver = Solver(data, old.expected, old.jacobian, walls, columns, old.corners, old.locked)
         system = solver.assemble(weight, state.pose_scale)
         k = len(effect.steps)
-        without, _ = _solved(system.matrix[:-k, :-k], system.right[:-k], tau, old.locked, n)
-        value, x = _solved(system.matrix, system.right, tau, old.locked, n)
+        without, _ = _solved(system.matrix[:-k, :-k], system.right[:-k], tau, old.locked)
+        value, x = _solved(system.matrix, system.right, tau, old.locked)
         values = {name: at_neutral[name] + float(v) for name, v in zip(effect.steps, x[-k:], strict=True)}
         found.append(Candidate(amendment=at_neutral.moved_to(values), gain=value - without))
     return found
@@ -115,7 +115,7 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
     """Test biases, scales and mounts of each of several sensors, with one system of the columns of all."""
     if not data.sensor.is_composite:
         return []
-    old, state, n = fitted.solver, fitted.state, fitted.solver.n_g
+    old, state = fitted.solver, fitted.state
     owner = sensor_of_rays(data.sensor)
     present = {(a.name, a.place) for a in fitted.model}
     blocks, columns = [], [old.effects]
@@ -135,12 +135,12 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
     system = wide.assemble(weight, state.pose_scale)
     n_old = len(system.right) - sum(part.shape[1] for part in columns[1:])
     base = np.arange(n_old)
-    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked, n)
+    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked)
     found, first = [], n_old
     for at in blocks:
         k = len(at.effect.steps)
         some = np.concatenate([base, np.arange(first, first + k)])
-        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked, n)
+        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked)
         moved = {name: at[name] + float(v) for name, v in zip(at.effect.steps, x[-k:], strict=True)}
         found.append(Candidate(amendment=at.moved_to(moved), gain=value - without))
         first += k
@@ -229,15 +229,15 @@ def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Fl
 
 def _value(system: System, tau: Floats, x: Floats, moved: Floats | None = None) -> float:
     """Return the quadratic where readings are shifted as by `moved` (k,), the nuisances being those of x (k,)."""
-    moved = x if moved is None else moved
-    return float(
-        system.right @ moved - 0.5 * moved @ system.matrix @ moved - 0.5 * np.sum((x[: len(tau)] / tau) ** 2)
-    )
+    return _quadratic(system.matrix, system.right, tau, x, x if moved is None else moved)
 
 
-def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> tuple[float, Floats]:
+def _quadratic(matrix: Floats, right: Floats, tau: Floats, x: Floats, moved: Floats) -> float:
+    """Return what shifts `moved` (k,) gain [nats], less the prior of the nuisances in x (k,)."""
+    return float(right @ moved - 0.5 * moved @ matrix @ moved - 0.5 * np.sum((x[: len(tau)] / tau) ** 2))
+
+
+def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools) -> tuple[float, Floats]:
     """Return the maximum of the quadratic and where it is."""
-    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
-    x = np.concatenate([g, p])
-    value = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
-    return value, x
+    x = np.concatenate(boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held))
+    return _quadratic(matrix, right, tau, x, x), x
