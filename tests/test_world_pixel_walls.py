@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -10,7 +12,7 @@ from conftest import polygon_arena
 from planners.arena import Arena
 from planners.maps.ros_map import _borders, _union
 from sensorgraph.types import Floats
-from sensorgraph.world.pixel_walls import OUTLINE, THING, is_near_gap, straightened
+from sensorgraph.world.pixel_walls import OUTLINE, THING, is_near_gap, pixel_of, straightened
 
 PIXEL = 0.05
 
@@ -131,3 +133,47 @@ def test_a_slit_that_cells_close_may_be_open() -> None:
     assert not far
     parts = shapely.get_parts(arena.free)
     assert near == (len(parts) > 1)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 20.0])
+def test_cells_in_a_row_are_a_wall_through_them(degrees: float) -> None:
+    """A thin partition that stands free: each step of its two sides, a cell apart, was a wall."""
+    thin = turned(shapely.box(2.0, 2.02, 3.2, 2.021), degrees)
+    straight, _ = straightened(drawn(ROOM, thin))
+    own = straight.walls[[name.startswith(THING) for name in straight.names]]
+    assert len(own) == (3 if degrees else 1)
+    assert off(own, thin.exterior).max() < 0.75
+    assert np.hypot(*(own[0, 1] - own[0, 0])) == pytest.approx(1.2, abs=2 * PIXEL)
+
+
+def test_a_few_cells_have_the_corners_of_their_outline() -> None:
+    straight, _ = straightened(drawn(ROOM, shapely.box(2.01, 2.01, 2.02, 2.02)))
+    assert sum(name.startswith(THING) for name in straight.names) == 4
+
+
+def test_what_is_as_long_as_a_building_is_no_thing_and_the_outline_comes_first() -> None:
+    """Effects take all names but the first wall's for things that may be moved."""
+    core, table = shapely.box(1.0, 1.0, 5.2, 1.6), shapely.box(2.0, 3.0, 3.2, 3.6)
+    straight, _ = straightened(drawn(ROOM, core, table))
+    features = dict.fromkeys(name.rsplit("/", 1)[0] for name in straight.names)
+    assert list(features) == [OUTLINE, f"{THING}1"]
+
+
+def test_the_width_of_a_cell_is_known_though_no_border_is_that_short() -> None:
+    drawn_with_the_grid = drawn(ROOM, shapely.box(1.0, 1.0, 5.2, 1.6))
+    length = np.hypot(*np.diff(drawn_with_the_grid.walls, axis=1)[:, 0].T)
+    assert length.min() > 5 * PIXEL
+    assert pixel_of(drawn_with_the_grid) == pytest.approx(PIXEL)
+
+
+def test_a_map_whose_origin_is_turned_has_the_same_walls() -> None:
+    """map_server turns the cells of a map by the yaw of its origin."""
+    plain = drawn(turned(ROOM, 12.0), turned(shapely.Point(2.5, 2.0).buffer(0.3), 12.0))
+    yaw = np.radians(25.0)
+    turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    other = replace(
+        plain, walls=plain.walls @ turn, free=shapely.transform(plain.free, lambda points: points @ turn)
+    )
+    (straight, rms), (also, same) = straightened(plain), straightened(other)
+    assert also.names == straight.names and same == pytest.approx(rms)
+    np.testing.assert_allclose(also.walls, straight.walls @ turn, atol=1e-6)

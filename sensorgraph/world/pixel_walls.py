@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import shapely
@@ -23,16 +24,22 @@ OUTLINE, THING = "outline", "thing_"
 """Names of the straight walls that stand for them: around free space, and of what stands in it."""
 MIN_AROUND = 0.75
 """Of the outline of a thing, that free space touches."""
+MAX_THING = 4.0
+"""[m] across; what is longer is a part of the building, and no furniture."""
 MIN_FREE = 100
 """[pixel²] a smaller part of free space holds no robot: a gap between cells of a thick wall."""
 MAX_STEP = 0.75
 """[pixel] that the borders of cells may stray from a chord; those of a straight wall stray by 0.71 from where it is."""
+ROUND_OFF = 1e-4
+"""[m] of coordinates, as files keep them."""
 MIN_WALLS = 40
 """Fewer borders are no steps worth straightening."""
 SPECK = 0.2
 """[pixel] a shorter wall is what is left of a single cell."""
 MIN_WALL = 1.5
 """[pixel] a shorter stretch of an outline stays a part of its neighbour."""
+MIN_THIN = 3.0
+"""[pixel] cells in a row of this length are a wall without thickness; fewer are a box, which may be seen from its end, too."""
 CURVE_STEP = 2
 """[pixel] between corners of a wall that is round, whose steps are averaged over as much either way [half pixel]."""
 MAX_OFF_CIRCLE = 0.5
@@ -53,8 +60,28 @@ def is_raster(arena: Arena) -> bool:
 
 
 def pixel_of(arena: Arena) -> float:
-    """Return the width of a cell [m]."""
-    return float(np.hypot(*np.diff(arena.walls, axis=1)[:, 0].T).min())
+    """Return the width of a cell [m]: what divides all gaps between the rows and columns that borders lie on."""
+    ends = arena.walls.reshape(-1, 2) @ _axes(arena).T
+    lines = [np.unique(np.round(ends[:, k], 6)) for k in (0, 1)]
+    return float(
+        reduce(_common_divisor, np.unique(np.round(np.concatenate([np.diff(at) for at in lines]), 6)))
+    )
+
+
+def _common_divisor(a: float, b: float) -> float:
+    """Return the largest length that two are whole multiples of, but for round-off."""
+    while b > ROUND_OFF:
+        a, b = b, abs(a - b * round(a / b))
+    return a
+
+
+def _axes(arena: Arena) -> Floats:
+    """Return the directions of the rows and columns of a map of pixels, (2, 2) unit vectors; a map may be turned."""
+    x, y = arena.walls[0, 1] - arena.walls[0, 0]
+    angle = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    if abs(angle) < ROUND_OFF:
+        return np.eye(2)
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def straightened(arena: Arena) -> tuple[Arena, float]:
@@ -64,11 +91,13 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     the width of a cell before the surface, seen along its normal. A chain of short walls that turn all one way is a
     round thing: its walls follow the outline every `CURVE_STEP` pixels. Walls that no free space touches are left out.
     """
-    pixel = pixel_of(arena)
-    parts, is_gap = _parts_of_free(arena)
+    pixel, axes = pixel_of(arena), _axes(arena)
+    cells = _along_grid(arena, axes)
+    parts, is_gap = _parts_of_free(cells)
     free = shapely.union_all(parts[~is_gap])
     shapely.prepare(free)
-    found = [_Outline(ring, free, pixel) for ring in _rings(arena.walls, free, pixel)]
+    found = [_Outline(ring, free, pixel) for ring in _rings(cells.walls, free, pixel)]
+    found.sort(key=lambda one: one.is_thing)  # the first outline of an arena is no obstacle
     walls, names, n_things, n_around = [np.zeros((0, 2, 2))], list[str](), 0, 0
     for one in found:
         own = one.walls()
@@ -86,7 +115,16 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     rms = float(
         np.sqrt(np.mean(np.concatenate([np.zeros(1), *(off for one in found for off in one.off)]) ** 2))
     )
+    straight = straight @ axes
     return replace(arena, walls=straight, names=tuple(names), surfaces=("wall",) * len(straight)), rms
+
+
+def _along_grid(arena: Arena, axes: Floats) -> Arena:
+    """Return a map of pixels with its rows and columns along x and y."""
+    if (axes == np.eye(2)).all():
+        return arena
+    free = shapely.transform(arena.free, lambda points: np.round(points @ axes.T, 9))
+    return replace(arena, free=free, walls=np.round(arena.walls @ axes.T, 9))
 
 
 def is_near_gap(arena: Arena, points: Floats) -> Bools:
@@ -143,10 +181,11 @@ class _Outline:
 
     @property
     def is_thing(self) -> bool:
-        """Tell whether free space is around the outline, nearly everywhere, and not within it."""
+        """Tell whether free space is around the outline, nearly everywhere, and not within it, and it is no building."""
         x, y = self.steps.T
         area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-        return area * float(self.side.sum()) > 0 and float(np.mean(self.side != 0)) > MIN_AROUND
+        is_small = float(np.hypot(*np.ptp(self.steps, axis=0))) < MAX_THING
+        return is_small and area * float(self.side.sum()) > 0 and float(np.mean(self.side != 0)) > MIN_AROUND
 
     def _between(self, first: int, last: int) -> Floats:
         """Return the steps (n, 2) from one to another."""
@@ -174,7 +213,7 @@ class _Outline:
         """Return straight walls (n, 2, 2) [m] that stand for what free space touches of the outline."""
         n = len(self.lines)
         if n < 3:
-            return np.stack([self.steps, np.roll(self.steps, -1, axis=0)], axis=1)
+            return self._thin_or_small()
         curved = self._curved()
         meets = [
             np.repeat(self._smooth(self.ends[k][:1]), 2, axis=0)
@@ -190,6 +229,18 @@ class _Outline:
             chain = np.vstack([meets[k], between, meets[(k + 1) % n][:1]])
             walls.append(np.stack([chain[:-1], chain[1:]], axis=1))
         return np.concatenate(walls)
+
+    def _thin_or_small(self) -> Floats:
+        """Return what stands for cells in a row, the wall through their middles, or for a few cells, their outline."""
+        centre = self.steps.mean(axis=0)
+        way = np.linalg.svd(self.steps - centre, full_matrices=False)[2][0]
+        along = (self.steps - centre) @ way
+        reach = np.array([along.min(), along.max()]) + 0.5 * self.pixel * np.array([1.0, -1.0])
+        if reach[1] - reach[0] >= MIN_THIN * self.pixel:
+            return np.asarray(centre + reach[:, None] * way)[None]
+        is_corner = np.abs(np.roll(self.steps, -1, axis=0) - np.roll(self.steps, 1, axis=0)).min(axis=1) > 0
+        ring = self.steps[is_corner]
+        return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
     def _curved(self) -> list[bool]:
         """Tell which stretches are chords of something round: a circle fits them with half of their neighbours.
