@@ -111,8 +111,9 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
     if not some.any():
         return None
     rays = ox[some], oy[some], beams.ux[some], beams.uy[some]
-    bare = np.delete(walls, members, axis=0)
-    behind, _ = nearest_from_each(bare, *rays)
+    behind = beams.ranges[some].copy()
+    own = np.isin(beams.wall[some], members)
+    behind[own] = nearest_from_each(np.delete(walls, members, axis=0), *(axis[own] for axis in rays))[0]
     with np.errstate(invalid="ignore"):  # a ray that meets nothing has no reading for nuisances to add to
         added = residuals.mu[some] - beams.ranges[some]
     usual = np.where(residuals.aimed[some] & np.isfinite(added), added, 0.0)
