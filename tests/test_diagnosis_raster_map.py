@@ -19,6 +19,7 @@ from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.score_test import hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
@@ -217,13 +218,40 @@ def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: P
     assert is_error(there, disc(x=x, y=y, r=0.15)) and not is_error(there, disc(x=1.0, y=1.0, r=0.15))
 
 
-def test_corners_that_nothing_meets_share_one_unknown() -> None:
+def test_corners_that_nothing_meets_stay_where_the_map_has_them() -> None:
     walls = polygon_arena(ROOM).walls
     met = np.array([True, False, False, False])
-    assert Corners.of(walls).count == 4
+    assert Corners.of(walls).count == 4 and Corners.of(walls).rest == -1
     few = Corners.of(walls, met)
     assert few.count == 3 and few.ends[0, 0] != few.ends[0, 1]
-    assert (few.ends[2] == 2).all() and few.ends.max() == 2
+    assert (few.ends[2] == few.rest).all() and few.rest == 2
+
+
+def test_readings_on_walls_whose_corners_stay_scatter_as_the_map_errs() -> None:
+    """Where a building has more corners than may shift, errors of the others are noise, and no places to look at."""
+    arena = polygon_arena(ROOM)
+    data, _ = prepare_scans(scanned(arena), arena, ROBOT)
+    data = replace(data, corners=Corners.of(arena.walls, np.array([True, False, False, False])))
+    fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=2)
+    rest = len(Nuisance) + 2 * 2
+    assert (fitted.state.g[rest : rest + 2] == 0).all() and fitted.state.g[rest - 1] != 0
+    assert {h.amendment.place for h in hypotheses(data, fitted) if h.amendment.place} == {"w/edge_0"}
+
+    rng, lasers = np.random.default_rng(2), laser_poses(data.poses[:3], data.sensor.mount)
+    n_draws, tau = 400, data.tolerances.map
+    drawn = []
+    d = np.diff(arena.walls, axis=1)[:, 0]
+    normals = np.stack([d[:, 1], -d[:, 0]], axis=1) / np.hypot(*d.T)[:, None]
+    for _ in range(n_draws):
+        walls = arena.walls.copy()
+        walls[2] += tau * rng.normal(size=(2, 1)) * normals[2]
+        drawn.append(cast_laser(walls, lasers, data.sensor.bearings, 82.0)[0])
+    steep = solver_for(data, ())[1].jacobian.steep[:3]
+    _, wall = cast_laser(arena.walls, lasers, data.sensor.bearings, 82.0)
+    inside = (wall == 2) & (np.ptp(np.array(drawn), axis=0) > 0)
+    ratio = np.std(drawn, axis=0)[inside] / steep[inside]
+    assert inside.sum() > 20 and abs(np.median(ratio) - 1) < 0.1
+    assert (steep[wall == 0] == 0).mean() > 0.8
 
 
 def test_a_wrong_place_is_no_change_of_the_building(pixels: Arena) -> None:

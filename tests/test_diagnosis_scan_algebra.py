@@ -1,27 +1,28 @@
-"""Sums by wall, the bounded solve and the best run of rays, each against its plain definition."""
+"""Sums by corner, the bounded solve and the best run of rays, each against its plain definition."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from sensorgraph.diagnosis.scan.corner_sums import corner_sums, plain_corner_sums
 from sensorgraph.diagnosis.scan.deviations import clipped_variance
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects.proposals import best_run
 
 
-def test_compiled_sums_by_wall_are_the_plain_ones() -> None:
+def test_compiled_sums_by_corner_are_the_plain_ones() -> None:
     rng = np.random.default_rng(4)
-    shape, k, n_walls = (7, 11), 5, 6
+    shape, k, n_walls, count = (7, 11), 5, 6, 4
     w = np.where(rng.random(shape) < 0.3, 0.0, rng.random(shape))
     wall = rng.integers(0, n_walls, shape)
     pose, stack = rng.normal(size=(7, 3, 11)), rng.normal(size=(7, k, 11))
     ends, y = rng.normal(size=(2, 7, 11)), rng.normal(size=shape)
-    got = wall_sums(w, pose, stack, ends, wall, y, n_walls)
-    for compiled, plain in zip(got, plain_wall_sums(w, pose, stack, ends, wall, y, n_walls), strict=True):
-        np.testing.assert_allclose(compiled, plain, atol=1e-12)
+    walls = rng.normal(size=(n_walls, 2)), rng.integers(0, count, (n_walls, 2)), count
+    got, plain = (sums(w, pose, stack, ends, wall, y, *walls) for sums in (corner_sums, plain_corner_sums))
+    for one, other in zip(got, plain, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_the_box_holds_and_binds_only_where_it_must() -> None:

@@ -153,7 +153,7 @@ def _most_met(walls: Floats, wall: Ints) -> Corners:
     count = np.bincount(wall[wall >= 0], minlength=len(walls))
     for least in range(1, int(count.max(initial=1)) + 1):
         corners = Corners.of(walls, count >= least)
-        if corners.count <= SCAN.nuisance.max_corners:
+        if corners.count <= SCAN.nuisance.max_pixel_corners:
             break
     return corners
 

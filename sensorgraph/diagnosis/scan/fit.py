@@ -153,13 +153,15 @@ def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
 
 
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
-    """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
+    """Return which nuisances are held at 0: copies of effects in the model, the mount of a bare laser, corners that stay."""
     out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
     whole = [a for a in model if a.effect.place is not None or not a.place]  # not of one of several sensors
     held = [nuisance for a in whole for nuisance in a.effect.nuisances]
     if data.laser_frame:
         held += [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
     out[held] = True
+    if corners.rest >= 0:
+        out[len(Nuisance) + 2 * corners.rest :][:2] = True
     return out
 
 

@@ -11,11 +11,14 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dtrtri
 
+from sensorgraph.diagnosis.bounded_least_squares import BoundedOptimum
+from sensorgraph.diagnosis.scan.corner_sums import corner_sums
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
-from sensorgraph.diagnosis.scan.normal_equations import System, boxed, with_prior
+from sensorgraph.diagnosis.scan.normal_equations import System, boxed_optimum, with_prior, without_poses
 from sensorgraph.diagnosis.scan.nuisance import (
     BeamNoise,
     Jacobian,
@@ -24,7 +27,6 @@ from sensorgraph.diagnosis.scan.nuisance import (
 )
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.wall_sums import wall_sums
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -74,14 +76,18 @@ class Solver:
         self.data, self.expected, self.jacobian, self.corners = data, expected, jacobian, corners
         self.effects = effects  # (n_scans, k, n_rays)
         self.n_effects = effects.shape[1]
-        self.map = corners.along_normals(walls) if corners.count else None
         self.shape = expected.reading.shape
         self.laid = np.zeros(self.shape)
-        self.n_walls = max(len(walls), 1)
-        d = walls[:, 1] - walls[:, 0]
-        d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
-        if self.map is not None:
-            facing = np.sign(jacobian.nx * d[:, 1][jacobian.wall] - jacobian.ny * d[:, 0][jacobian.wall])
+        met, wall = np.unique(jacobian.wall, return_inverse=True)  # of a building one run meets a part
+        self.wall = wall.reshape(self.shape)
+        if corners.count:
+            self.corner_ends = corners.ends[met]  # (n_walls, 2)
+            d = np.diff(walls[met], axis=1)[:, 0]
+            d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
+            self.normals = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
+            facing = np.sign(
+                jacobian.nx * self.normals[:, 0][self.wall] + jacobian.ny * self.normals[:, 1][self.wall]
+            )
             self.ends = jacobian.ends * facing
             self.laid += 0.0 if data.laid is None else self._by_corners(data.laid)
         self.tau = np.concatenate(
@@ -102,8 +108,8 @@ class Solver:
             j, pose=j.pose[rows], nuisances=j.nuisances[rows], ends=j.ends[:, rows], wall=j.wall[rows],
             nx=j.nx[rows], ny=j.ny[rows], valid=j.valid[rows], steep=j.steep[rows],
         )  # fmt: skip
-        out.shape = (len(rows), self.shape[1])
-        if self.map is not None:
+        out.shape, out.wall = (len(rows), self.shape[1]), self.wall[rows]
+        if self.corners.count:
             out.ends = self.ends[:, rows]
         return out
 
@@ -119,65 +125,42 @@ class Solver:
         """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
-        if self.map is not None:
+        if self.corners.count:
             out += self._by_corners(state.corners) - self.laid
         return np.asarray(out)
 
     def _by_corners(self, g: Floats) -> Floats:
         """Return what shifts (2 n_corners,) [m] of the corners add to the readings, (n_scans, n_rays)."""
-        assert self.map is not None
-        first, last = (self.map @ g).reshape(2, self.n_walls)
-        return np.asarray(self.ends[0] * first[self.jacobian.wall] + self.ends[1] * last[self.jacobian.wall])
+        shifts = g.reshape(-1, 2)[self.corner_ends]  # (n_walls, 2 ends, 2)
+        first, last = np.matmul(shifts, self.normals[:, :, None])[..., 0].T
+        return np.asarray(self.ends[0] * first[self.wall] + self.ends[1] * last[self.wall])
 
     def assemble(self, weight: Floats, pose_scale: float) -> System:
         """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
-        n_scans, _ = self.shape
         prior = pose_prior(self.data, pose_scale)
-        inverse = np.linalg.inv(prior)
         w = np.where(self.jacobian.valid, weight, 0.0)
         y = self.y + self.laid
         wb = self.jacobian.pose * w[:, None, :]
-        block = np.matmul(wb, self.jacobian.pose.transpose(0, 2, 1))
-        h = block + inverse
+        h = np.matmul(wb, self.jacobian.pose.transpose(0, 2, 1)) + np.linalg.inv(prior)
         ws = self.stack * w[:, None, :]
         turned = self.stack.transpose(0, 2, 1)
         c = np.matmul(wb, turned)  # (n_scans, 3, 8 + k)
         b = np.matmul(wb, y[:, :, None])[..., 0]  # (n_scans, 3)
         g = np.matmul(ws, turned).sum(axis=0)
         r = np.einsum("nkm,nm->k", ws, y)
-        if self.map is not None:
+        if self.corners.count:
             c, g, r = self._with_corners(w, y, c, g, r)
-        hc = np.linalg.solve(h, np.concatenate([c, b[..., None]], axis=2))
-        gain, start = hc[..., :-1], hc[..., -1]
-        flat = c.reshape(3 * n_scans, -1)
-        matrix = g - flat.T @ gain.reshape(3 * n_scans, -1)
-        right = r - flat.T @ start.reshape(-1)
-        _, logdet = np.linalg.slogdet(np.eye(3) + np.matmul(prior, block))
-        return System(
-            matrix=(matrix + matrix.T) / 2,
-            right=right,
-            poses=h,
-            gain=gain,
-            start=start,
-            logdet=float(logdet.sum()),
-        )
+        return without_poses(g, r, h, c, b, prior)
 
     def _with_corners(
         self, w: Floats, y: Floats, c: Floats, g: Floats, r: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Insert the corners between the nuisances and the effects."""
-        assert self.map is not None
-        n_scans, k, n_walls = self.shape[0], len(Nuisance), self.n_walls
-        cl, gl, rl, square = wall_sums(
-            w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, y, n_walls
-        )
-        cv = (self.map.T @ cl.reshape(n_scans * 3, -1).T).T.reshape(n_scans, 3, -1)
-        gv = gl.reshape(len(gl), -1) @ self.map
-        first, last = self.map[:n_walls], self.map[n_walls:]
-        crossed = first.T @ (square[0, 1][:, None] * last)
-        squares = first.T @ (square[0, 0][:, None] * first) + last.T @ (square[1, 1][:, None] * last)
-        vv = (squares + crossed + crossed.T).toarray()
-        rv = rl.reshape(-1) @ self.map
+        k = len(Nuisance)
+        cv, gv, vv, rv = corner_sums(
+            w, self.jacobian.pose, self.stack, self.ends, self.wall, y, self.normals, self.corner_ends,
+            self.corners.count,
+        )  # fmt: skip
         c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
         top = np.concatenate([g[:k, :k], gv[:k], g[:k, k:]], axis=1)
         middle = np.concatenate([gv[:k].T, vv, gv[k:].T], axis=1)
@@ -189,10 +172,11 @@ class Solver:
         """Count of nuisances."""
         return len(self.tau)
 
-    def maximise(self, system: System, state: State) -> tuple[Floats, Floats]:
-        """Solve for (g, p) under prior and boxes."""
-        g, p = boxed(system.matrix, system.right, self.scaled(state), self.box(state), self.locked)
-        return g, p
+    def maximise(self, system: System, state: State, like: BoundedOptimum | None = None) -> BoundedOptimum:
+        """Solve for (g, p) under prior and boxes; the active bounds of a similar optimum are tried first."""
+        return boxed_optimum(
+            system.matrix, system.right, self.scaled(state), self.box(state), self.locked, like
+        )
 
     def box(self, state: State) -> Floats:
         """Return how large each nuisance may become."""
@@ -205,10 +189,6 @@ class Solver:
         tau[: len(Nuisance)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
         return tau
 
-    def poses_at(self, system: System, x: Floats) -> Floats:
-        """Return the pose errors (n_scans, 3) for (g, p), before their length is limited."""
-        return np.asarray(system.start - system.gain @ x)
-
     def objective(
         self, system: System, state: State, responsibilities: Responsibilities, delta_prior: Floats
     ) -> float:
@@ -217,14 +197,14 @@ class Solver:
         free = ~self.locked
         n = self.n_g
         penalty = 0.5 * float(np.sum((state.g[free] / tau[free]) ** 2))
-        s = system.matrix[:n, :n][np.ix_(free, free)] * tau[free] * tau[free][:, None]
-        _, volume = np.linalg.slogdet(np.eye(int(free.sum())) + s)
+        lower = np.linalg.cholesky(with_prior(system.matrix[:n, :n], tau)[np.ix_(free, free)])
+        volume = 2 * float(np.log(np.diag(lower)).sum() + np.log(tau[free]).sum())
         return (
             float(responsibilities.log_p.sum())
             - 0.5 * float(delta_prior.sum())
             - 0.5 * system.logdet
             - penalty
-            - 0.5 * float(volume)
+            - 0.5 * volume
         )
 
 
@@ -258,6 +238,7 @@ def iterate(
     """Alternate responsibilities and the linear solve; return the best J seen."""
     state, p = state.copy(), p.copy()
     best: Solution | None = None
+    optimum: BoundedOptimum | None = None
     n = solver.n_g
     for turn in range(rounds + 1):
         responsibilities = e_step(solver.data, solver.expected, solver.shift(state, p), state.noise)
@@ -284,7 +265,8 @@ def iterate(
             break
         g = state.g
         if nuisance_free:
-            g, p = solver.maximise(system, state)
+            optimum = solver.maximise(system, state, optimum)
+            g, p = optimum.x[:n], optimum.x[n:]
         else:
             inner = system.matrix[n:, n:] + 1e-9 * np.diag(1 + np.diag(system.matrix)[n:])
             if len(p):
@@ -293,7 +275,7 @@ def iterate(
                 )
         state.g = g
         if poses_free:
-            delta = solver.poses_at(system, np.concatenate([g, p]))
+            delta = system.poses_at(np.concatenate([g, p]))
             length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
             most = SCAN.nuisance.max_pose_error
             state.delta = delta * np.minimum(1.0, most / np.maximum(length, 1e-9))[:, None]
@@ -344,7 +326,7 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
     if len(corners) >= SCAN.fit.min_known_corners:
         tau = solver.scaled(state)
         a = with_prior(system.matrix[:n, :n], tau)
-        rows = solve_triangular(cho_factor(a, lower=True)[0], np.eye(n), lower=True)  # a^-1 = rows' rows
+        rows, _ = dtrtri(np.linalg.cholesky(a), lower=1)  # a^-1 = rows' rows
         left = (rows**2).sum(axis=0)[corners] / tau[
             corners
         ] ** 2  # share of the prior's variance that is left

@@ -221,7 +221,10 @@ def _of_doubts(
 def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
     """Doubt a model under which scans differ more from each other than within."""
     scatter, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
-    if scatter.ratio <= limit:
+    noise = excess_noise(scatter.excess, view.data.sensor.sigma)
+    if (
+        scatter.ratio <= limit or noise < view.data.grain
+    ):  # scans at several places see walls with errors of their own
         return []
     where = next((d for d in found if d.family == "spread" and d.partition in OF_SCANS), None)
     place = "" if where is None else f", most at {where.partition} {where.label}"
@@ -232,7 +235,7 @@ def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
             misfit=(scatter.ratio - 1) / 2 * view.data.n_scans,
             statistic=scatter.ratio,
             threshold=limit,
-            size=ScanError(noise=excess_noise(scatter.excess, view.data.sensor.sigma), affected=1.0),
+            size=ScanError(noise=noise, affected=1.0),
             causes=SCATTER_CAUSES,
         )
     ]
@@ -318,12 +321,13 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
     )
     state = solution.state.copy()
     state.delta[:] = 0.0
-    p = solution.p
+    p, optimum = solution.p, None
     for _ in range(2):
         responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
         system = solver.assemble(responsibilities.weight, state.pose_scale)
-        state.g, p = solver.maximise(system, state)
-        state.delta = solver.poses_at(system, np.concatenate([state.g, p]))
+        optimum = solver.maximise(system, state, optimum)
+        state.g, p = optimum.x[: solver.n_g], optimum.x[solver.n_g :]
+        state.delta = system.poses_at(optimum.x)
     responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
     refit = Solution(
         state=state,

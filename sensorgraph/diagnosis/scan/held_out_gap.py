@@ -63,7 +63,7 @@ class _HeldOutFit:
         for _ in range(SCAN.held_out.pose_rounds):
             responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
             system = solver.assemble(np.where(even, responsibilities.weight, 0.0), state.pose_scale)
-            state.delta = solver.poses_at(system, state.g)
+            state.delta = system.poses_at(state.g)
         shift = solver.shift(state, none)
         return e_step(data, expected, shift, state.noise), expected.reading + shift
 

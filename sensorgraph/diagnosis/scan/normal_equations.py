@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
+from sensorgraph.diagnosis.bounded_least_squares import BoundedOptimum, solve_bounded
 from sensorgraph.types import Bools, Floats
 
 
@@ -20,12 +20,41 @@ class System:
     """(k,)"""
     poses: Floats
     """(n_scans, 3, 3) H_s"""
-    gain: Floats
-    """(n_scans, 3, k) H_s^-1 C_s"""
+    across: Floats
+    """(n_scans, 3, k) C_s"""
     start: Floats
     """(n_scans, 3) H_s^-1 b_s"""
     logdet: float
     """Sum over scans of log |I + P_s B'WB|."""
+
+    def poses_at(self, x: Floats) -> Floats:
+        """Return the pose errors (n_scans, 3) that are likeliest beside x (k,)."""
+        return np.asarray(self.start - np.linalg.solve(self.poses, (self.across @ x)[..., None])[..., 0])
+
+
+def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: Floats) -> System:
+    """Eliminate the poses of scans: the Schur complement of their 3 x 3 blocks.
+
+    Parameters
+    ----------
+    g, r : (k, k), (k,) normal equations at fixed poses
+    h, c, b : (n_scans, 3, 3), (n_scans, 3, k), (n_scans, 3) blocks of the poses with their prior, beside g and r
+    prior : (n_scans, 3, 3) covariance of the poses
+    """
+    lower = np.linalg.cholesky(h)
+    inverse = np.linalg.inv(lower)
+    whitened = np.matmul(inverse, c).reshape(3 * len(h), -1)
+    residual = np.matmul(inverse, b[..., None])
+    _, of_prior = np.linalg.slogdet(prior)
+    of_poses = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
+    return System(
+        matrix=g - whitened.T @ whitened,
+        right=r - whitened.T @ residual.reshape(-1),
+        poses=h,
+        across=c,
+        start=np.matmul(inverse.transpose(0, 2, 1), residual)[..., 0],
+        logdet=float(of_prior.sum() + of_poses),
+    )
 
 
 def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
@@ -37,9 +66,18 @@ def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools
     tau, box : (n,) prior standard deviations and bounds
     locked : (n,) nuisances that stay 0
     """
-    limit = limits(len(right), box, locked)
-    x = solve_bounded(with_prior(matrix, tau), right, -limit, limit).x
+    x = boxed_optimum(matrix, right, tau, box, locked).x
     return x[: len(tau)], x[len(tau) :]
+
+
+def boxed_optimum(
+    matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools, like: BoundedOptimum | None = None
+) -> BoundedOptimum:
+    """Return what `boxed` does, and which unknowns are at a bound; those of a similar problem are tried first."""
+    limit = limits(len(right), box, locked)
+    if like is not None:
+        like = replace(like, x=np.where(like.is_free, 0.0, np.sign(like.x) * np.minimum(limit, 1e300)))
+    return solve_bounded(with_prior(matrix, tau), right, -limit, limit, like)
 
 
 def with_prior(matrix: Floats, tau: Floats) -> Floats:

@@ -75,7 +75,7 @@ class Jacobian:
     valid: Bools
     """(n_scans, n_rays) the columns hold; elsewhere they are 0."""
     steep: Floats
-    """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting."""
+    """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting, or one whose corners stay."""
 
 
 def linearise(
@@ -147,7 +147,7 @@ def linearise(
     )
     steep = np.where(grazing, sigma, 0.0)
     steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
-    steep = np.hypot(steep, _wobble(data, pose))
+    steep = np.hypot(steep, np.hypot(_wobble(data, pose), _by_corners_that_stay(data, wall, ends)))
     return Jacobian(
         pose=pose,
         nuisances=nuisances,
@@ -172,6 +172,20 @@ def _wobble(data: ScanData, pose: Floats) -> Floats:
     xy, yaw = data.wobble
     wobble = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
     return np.minimum(wobble, SETTINGS.max_grazing_sigma)
+
+
+def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
+    """Return the further standard deviation [m] of readings by errors of the map that no unknown stands for.
+
+    Parameters
+    ----------
+    ends : (2, n_scans, n_rays) change of the readings with shifts of the ends of their walls, along the normal
+    """
+    if data.corners is None or data.corners.rest < 0:
+        return np.zeros(wall.shape)
+    stays = data.corners.ends == data.corners.rest
+    off = np.hypot(*(ends[k] * stays[:, k][wall] for k in (0, 1)))
+    return np.asarray(np.minimum(data.tolerances.map * off, SETTINGS.max_grazing_sigma))
 
 
 def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:

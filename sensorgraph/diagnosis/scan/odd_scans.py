@@ -147,7 +147,14 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
     late, is_late = _two_delays(each)
     elsewhere, is_elsewhere, prior = _two_priors(each)
     shifted, spread, is_rough = _offsets(each)
-    if is_rough and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
+    is_of_walls = (
+        spread < fitted.solver.data.grain
+    )  # scans far apart see others, each with an error of its own
+    if (
+        is_rough
+        and not is_of_walls
+        and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere))
+    ):
         return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
     if late > least_gain():
         found, left = _late(fitted, is_late)

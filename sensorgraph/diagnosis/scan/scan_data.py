@@ -26,6 +26,8 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
 
+LAID = b"laid"
+"""In `ScanData.memo`: the data with the walls where they were laid last."""
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal."""
 
@@ -136,11 +138,9 @@ class ScanData:
     @property
     def barriers(self) -> Barriers:
         """What stands, and what nobody has looked into."""
-        key = b"barriers"
-        if key not in self.memo:
-            self.memo[key] = Barriers(self.arena)
-        kept = self.memo[key]
+        kept = self.memo.get(b"barriers") or Barriers(self.arena)
         assert isinstance(kept, Barriers)
+        self.memo[b"barriers"] = kept
         return kept
 
     def laid_by(self, shifts: Floats) -> ScanData:
@@ -152,9 +152,13 @@ class ScanData:
         if self.grain <= 0 or self.corners is None or not self.corners.count:
             return self
         new = np.clip(shifts, -self.grain, self.grain)
+        for kept in (self, self.memo.get(LAID)):
+            if isinstance(kept, ScanData) and kept.laid is not None and np.array_equal(kept.laid, new):
+                return kept  # with its casts
         by = new if self.laid is None else new - self.laid
         walls = self.arena.walls + by.reshape(-1, 2)[self.corners.ends]
-        return replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
+        self.memo[LAID] = laid = replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
+        return laid
 
     def is_laid_by(self, shifts: Floats) -> bool:
         """Tell whether walls lie where `laid_by` would lay them, but for a small share of the map's tolerance."""

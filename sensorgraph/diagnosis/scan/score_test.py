@@ -199,6 +199,8 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
                 continue
             if effect.place == "wall" and found.place in short:
                 continue
+            if found.place and corners.rest >= 0 and found.shift[corners.rest].any():
+                continue  # few rays meet it, and no unknown stands for it
             k = found.shift.shape[2]
             directions = np.zeros((fitted.solver.n_g, k))
             directions[len(Nuisance) :] = found.shift.reshape(-1, k)

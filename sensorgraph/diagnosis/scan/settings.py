@@ -153,7 +153,10 @@ class NuisanceSettings:
     max_bent_sigma: float = 0.5
     """[m] largest extra standard deviation of a ray that a surface has bent."""
     max_corners: int = 400
-    """Corners of a map beyond which none of them may shift."""
+    """Corners of a map beyond which none of them may shift; ..."""
+    max_pixel_corners: int = 200
+    """... of a map of pixels, those that most rays meet may, as many: errors of the others are noise. A building has thousands,
+    and time grows with their square."""
     max_pose_error: float = 3.5
     """Mahalanobis length that the estimated pose error of a scan may have."""
     stretched_scale: float = 1.3

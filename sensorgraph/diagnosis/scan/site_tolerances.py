@@ -55,7 +55,7 @@ def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> flo
     for _ in range(4):
         responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
         weight: Floats = np.where(rays, responsibilities.weight, 0.0)
-        state.delta = solver.poses_at(solver.assemble(weight, 1.0), state.g)
+        state.delta = solver.assemble(weight, 1.0).poses_at(state.g)
     log_p = e_step(data, expected, solver.shift(state, none), state.noise).log_p
     return float(log_p[:, ~rays].sum())
 

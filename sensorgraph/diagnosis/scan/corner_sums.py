@@ -1,0 +1,139 @@
+"""Sums over rays by the wall that each meets: what the corners of the map add to the normal equations.
+
+The sums over rays are compiled; `plain_corner_sums` says the same in numpy and is what tests hold `corner_sums` against.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.types import Floats, Ints
+
+Sums = tuple[Floats, Floats, Floats, Floats]
+
+
+def corner_sums(
+    w: Floats,
+    pose: Floats,
+    stack: Floats,
+    ends: Floats,
+    wall: Ints,
+    y: Floats,
+    normals: Floats,
+    corners: Ints,
+    count: int,
+) -> Sums:
+    """Return weighted products of corner shifts with poses, columns, each other and readings.
+
+    A ray's reading changes with a shift of the corners of its wall along the wall's normal.
+
+    Parameters
+    ----------
+    w : (n_scans, n_rays) [1/m²] weights; 0 leaves a ray out
+    pose : (n_scans, 3, n_rays) columns of the pose of each scan
+    stack : (n_scans, k, n_rays) columns that all scans share
+    ends : (2, n_scans, n_rays) what a shift of each end of the wall along its normal does to the reading
+    wall : (n_scans, n_rays) index of the wall
+    y : (n_scans, n_rays) [m] residuals
+    normals : (n_walls, 2)
+    corners : (n_walls, 2) index of the corner at each end
+    count : of corners; each has two columns, x and y
+
+    Returns
+    -------
+    (n_scans, 3, 2 count), (k, 2 count), (2 count, 2 count), (2 count,)
+    """
+    with_pose, by_wall, square = _by_wall(w, pose, stack, ends, wall, y, normals, corners, count)
+    with_column, with_corner = _by_corner(by_wall, square, normals, corners, count)
+    return with_pose, with_column[:-1], with_corner, with_column[-1]
+
+
+@kernel
+def _by_corner(
+    by_wall: Floats, square: Floats, normals: Floats, corners: Ints, count: int
+) -> tuple[Floats, Floats]:
+    """Return products by end of a wall, along its normal, as those by x and y of each corner: with columns and each other."""
+    with_column = np.zeros((len(by_wall), 2 * count))
+    with_corner = np.zeros((2 * count, 2 * count))
+    for at in range(len(normals)):
+        for e in range(2):
+            for d in range(2):
+                column = 2 * corners[at, e] + d
+                for j in range(len(by_wall)):
+                    with_column[j, column] += by_wall[j, e, at] * normals[at, d]
+                for f in range(2):
+                    for c in range(2):
+                        other = 2 * corners[at, f] + c
+                        with_corner[column, other] += square[e, f, at] * normals[at, d] * normals[at, c]
+    return with_column, with_corner
+
+
+@kernel
+def _by_wall(
+    w: Floats,
+    pose: Floats,
+    stack: Floats,
+    ends: Floats,
+    wall: Ints,
+    y: Floats,
+    normals: Floats,
+    corners: Ints,
+    count: int,
+) -> tuple[Floats, Floats, Floats]:
+    """Return the products with poses (n_scans, 3, 2 count); by end of a wall those with columns, and last with readings,
+    (k + 1, 2, n_walls), and with each other (2, 2, n_walls).
+    """
+    n_scans, n_rays = w.shape
+    k, n_walls = stack.shape[1], len(normals)
+    with_pose = np.zeros((n_scans, 3, 2 * count))
+    by_wall = np.zeros((k + 1, 2, n_walls))
+    square = np.zeros((2, 2, n_walls))
+    for i in range(n_scans):
+        for m in range(n_rays):
+            if w[i, m] == 0.0:
+                continue
+            at = wall[i, m]
+            for e in range(2):
+                value = w[i, m] * ends[e, i, m]
+                for d in range(2):
+                    column = 2 * corners[at, e] + d
+                    for axis in range(3):
+                        with_pose[i, axis, column] += value * normals[at, d] * pose[i, axis, m]
+                by_wall[k, e, at] += value * y[i, m]
+                square[e, 0, at] += value * ends[0, i, m]
+                square[e, 1, at] += value * ends[1, i, m]
+        for j in range(k):
+            for m in range(n_rays):
+                value = w[i, m] * stack[i, j, m]
+                if value != 0.0:
+                    by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
+                    by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
+    return with_pose, by_wall, square
+
+
+def plain_corner_sums(
+    w: Floats,
+    pose: Floats,
+    stack: Floats,
+    ends: Floats,
+    wall: Ints,
+    y: Floats,
+    normals: Floats,
+    corners: Ints,
+    count: int,
+) -> Sums:
+    """Return what `corner_sums` does, with a dense column for each corner's x and y."""
+    columns = np.zeros((len(w), 2 * count, w.shape[1]))  # (n_scans, 2 count, n_rays)
+    for e in range(2):
+        for d in range(2):
+            at = 2 * corners[wall, e] + d
+            for column in range(2 * count):
+                columns[:, column] += np.where(at == column, ends[e] * normals[wall, d], 0.0)
+    weighted = w[:, None] * columns
+    return (
+        np.einsum("njm,nam->naj", weighted, pose),
+        np.einsum("njm,nkm->kj", weighted, stack),
+        np.einsum("njm,nlm->jl", weighted, columns),
+        np.einsum("njm,nm->j", weighted, y),
+    )
