@@ -1,0 +1,108 @@
+"""A map of pixels of a real building, counted as slam_toolbox does (Karto), and written as map_server reads it.
+
+    python -m benchmarks.slam_map LOCATED.mcap -o FOLDER [--first-half] [--cell 0.05]
+
+A cell that two rays or more reach is occupied where at least a tenth of them end in it, and else free (Konolige, Grisetti,
+Kümmerle, Burgard, Limketkai and Vincent 2010, Efficient sparse pose adjustment for 2D mapping; Karto's parameters
+`MinPassThrough` 2, `OccupancyThreshold` 0.1). No line of it comes from the project.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from logs import pair, read
+
+Floats = NDArray[np.float64]
+MIN_PASS_THROUGH, OCCUPANCY = 2, 0.1
+OCCUPIED, FREE, UNKNOWN = 0, 254, 205
+MAX_USED = 20.0  # [m] a longer reading is followed up to here, and ends nowhere
+MARGIN = 1.0  # [m] around what was reached
+LONGEST_TURN = 0.02  # [rad] from scan to scan: in faster turns poses are worst, and maps get shadows
+
+
+def grey_of(
+    poses: Floats, ranges: Floats, bearings: Floats, cell: float
+) -> tuple[NDArray[np.uint8], tuple[float, float]]:
+    """Return the picture of a map, row 0 on top, and the place [m] of its lower left corner.
+
+    Parameters
+    ----------
+    poses : (n, 3) [m, m, rad] of the laser
+    ranges : (n, n_rays) [m]
+    """
+    angle = poses[:, 2:] + bearings
+    ends_here = np.isfinite(ranges) & (ranges < MAX_USED) & (ranges > 0.05)
+    reach = np.where(np.isfinite(ranges) & (ranges > 0.05), np.minimum(ranges, MAX_USED), 0.0)
+    x, y = poses[:, :1] + reach * np.cos(angle), poses[:, 1:2] + reach * np.sin(angle)
+    low = np.array([x.min(), y.min()]) - MARGIN
+    shape = np.ceil((np.array([x.max(), y.max()]) + MARGIN - low) / cell).astype(int)
+    hits, passes = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+    for k in range(len(poses)):
+        steps = np.arange(0.0, reach[k].max(initial=0.0), cell / 2)
+        on_way = steps[:, None] < reach[k] - cell / 2
+        px = (poses[k, 0] + steps[:, None] * np.cos(angle[k]))[on_way]
+        py = (poses[k, 1] + steps[:, None] * np.sin(angle[k]))[on_way]
+        ray = np.broadcast_to(np.arange(len(bearings)), on_way.shape)[on_way]
+        i, j = ((px - low[0]) / cell).astype(int), ((py - low[1]) / cell).astype(int)
+        once = np.unique((ray * shape[0] + i) * shape[1] + j) % (shape[0] * shape[1])
+        np.add.at(passes.reshape(-1), once, 1)
+        i = ((x[k, ends_here[k]] - low[0]) / cell).astype(int)
+        j = ((y[k, ends_here[k]] - low[1]) / cell).astype(int)
+        np.add.at(hits, (i, j), 1)
+    reached = hits + passes
+    grey = np.full(shape, UNKNOWN, dtype=np.uint8)
+    known = reached >= MIN_PASS_THROUGH
+    grey[known] = np.where(hits[known] >= OCCUPANCY * reached[known], OCCUPIED, FREE)
+    return np.ascontiguousarray(grey.T[::-1]), (float(low[0]), float(low[1]))
+
+
+def write(folder: Path, grey: NDArray[np.uint8], origin: tuple[float, float], cell: float) -> Path:
+    """Write map.pgm and map.yaml; return the latter."""
+    folder.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey).save(folder / "map.pgm")
+    path = folder / "map.yaml"
+    path.write_text(
+        f"image: map.pgm\nmode: trinary\nresolution: {cell}\norigin: [{origin[0]}, {origin[1]}, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def main() -> None:
+    """Map a log."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("log", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--first-half", action="store_true", help="of the log alone")
+    parser.add_argument("--cell", type=float, default=0.05, help="[m]")
+    options = parser.parse_args()
+    log = read(options.log)
+    pairing = pair(log)
+    kept = np.flatnonzero(pairing.paired)
+    kept = kept[: len(kept) // 2] if options.first_half else kept
+    poses = pairing.poses[kept]
+    turn = np.abs(np.diff(np.unwrap(poses[:, 2]), prepend=poses[0, 2]))
+    slow = turn < LONGEST_TURN
+    mount = log.sensor.mount
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    lasers = poses + np.stack(
+        [c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], np.full(len(poses), mount[2])], axis=1
+    )
+    grey, origin = grey_of(lasers[slow], log.ranges[kept][slow], log.sensor.bearings, options.cell)
+    print(
+        f"{int(slow.sum())} of {len(kept)} scans, {int((grey == OCCUPIED).sum())} cells occupied, "
+        f"{int((grey == FREE).sum())} free; wrote {write(options.output, grey, origin, options.cell)}"
+    )
+
+
+if __name__ == "__main__":
+    main()
