@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from sensorgraph.diagnosis.scan.people_law import (
     clusters_of,
     least_clustered,
     repeated_share,
+    where_things_stand,
     why_not_people,
 )
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -123,6 +125,18 @@ def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: st
     reason, causes = why_not_people(*short_readings(before))
     assert words in reason
     assert causes
+
+
+def test_where_readings_end_again_and_again_something_stands_and_its_place_is_told() -> None:
+    legs = [(0.9, 3.1), (1.1, 3.3), (3.0, 3.2)]
+    there = [disc(np.full(len(T), x), np.full(len(T), y), 0.05) for x, y in legs]
+    view, short = short_readings(np.minimum.reduce(there))
+    told = where_things_stand(view, short)
+    place = re.search(r"most at \((-?\d+\.\d), (-?\d+\.\d)\) m", told)
+    assert place is not None
+    x, y = (float(v) for v in place.groups())
+    assert min(np.hypot(x - cx, y - cy) for cx, cy in legs) < 0.5
+    assert where_things_stand(*short_readings(ghosts(np.random.default_rng(3)))) == ""
 
 
 def test_coarse_steps_repeat_by_chance_and_are_not_counted() -> None:

@@ -46,7 +46,15 @@ class Deviation:
             "outliers": f"{100 * self.size:.1f} % more strays than expected",
             "misses": f"{100 * self.size:.1f} % more rays without a return than expected",
         }[self.family]
-        return f"{what} at {self.partition} {self.label} ({self.strength()}, {self.n_rays} rays)"
+        return (
+            f"{what} at {self.partition} {self.label}{self.about()} ({self.strength()}, {self.n_rays} rays)"
+        )
+
+    def about(self) -> str:
+        """Say where a wall is whose name says nothing."""
+        if self.xy is None or not self.partition.startswith("wall"):
+            return ""
+        return f" about ({self.xy[0]:.1f}, {self.xy[1]:.1f}) m"
 
     def strength(self) -> str:
         """Say how sure the difference is, in the unit of its test."""

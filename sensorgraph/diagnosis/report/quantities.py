@@ -97,9 +97,10 @@ def place_text(a: Amendment) -> str:
     """Return where an effect sits, empty where it has no place."""
     if a.location is None:
         return ""
-    if a.location.name:
-        return a.location.name
-    return "" if a.location.xy is None else minus(f"({a.location.xy[0]:.2f}, {a.location.xy[1]:.2f}) m")
+    name, xy = a.location.name, a.location.xy
+    if xy is None:
+        return name
+    return minus(f"{name} about ({xy[0]:.1f}, {xy[1]:.1f}) m" if name else f"({xy[0]:.2f}, {xy[1]:.2f}) m")
 
 
 def percent(p: float | None) -> str:

@@ -287,8 +287,8 @@ def _place_phrase(deviation: Deviation | None) -> str:
         return f": {BOTH_SIDES[deviation.channel]} differ {deviation.label}"
     part = deviation.partition.removesuffix(" and half of the run")
     words = {"hit place": "", "robot place": "where the robot is"}
-    where = f"{words.get(part, 'at ' + part)} {deviation.label}".strip()
-    return f" {where}"
+    where = f"{words.get(part, 'at ' + part)} {deviation.label}{deviation.about()}".strip()
+    return minus(f" {where}")
 
 
 def main_channel(finding: Finding) -> str:

@@ -11,7 +11,13 @@ from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import bare_cast, log_p_at
 from sensorgraph.diagnosis.scan.materiality import is_map_error
-from sensorgraph.diagnosis.scan.people_law import STRAY_CAUSES, clustered, why_not_people
+from sensorgraph.diagnosis.scan.people_law import (
+    STANDING_CAUSES,
+    STRAY_CAUSES,
+    clustered,
+    where_things_stand,
+    why_not_people,
+)
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
@@ -66,11 +72,11 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words, odd_share, causes = "", 0.0, STRAY_CAUSES
+        words, causes, odd_share = "", STRAY_CAUSES, 0.0
         if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
             (words, causes), odd_share = why_not_people(view, short), float(short.mean())
         elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
-            words, odd_share = _not_random(view, odd), float(odd.mean())
+            (words, causes), odd_share = _why_not_random(view, odd), float(odd.mean())
         if words:
             # a fringe of a strong effect's own rays is no doubt
             worth = settings.failed_law_share * max(gains[index], absorbed)
@@ -239,17 +245,22 @@ def _middle(some: Bools) -> float:
     return float(np.angle(np.exp(1j * at).mean()))
 
 
-def _not_random(view: FitResiduals, odd: Bools) -> str:
-    """Return why stray readings are not uniform, or nothing."""
+def _why_not_random(view: FitResiduals, odd: Bools) -> tuple[str, tuple[str, ...]]:
+    """Return why stray readings are not uniform, and what they may be; empty: they may be random."""
     settings = SCAN.goodness_of_fit
     share = float(odd.mean())
     u = np.sort(view.z[odd] / view.range_max)
     n = len(u)
     d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
     least, per_root = settings.max_uniform_distance
-    if d > max(least, per_root / np.sqrt(n)):
-        return f"{100 * share:.1f} % of the readings are strays, but not from anywhere: their ranges are not uniform"
     constant, times = settings.max_clustered_strays
-    if clustered(view, odd) > constant + times * share:
-        return f"{100 * share:.1f} % of the readings are strays that come in clusters"
-    return ""
+    strays = f"{100 * share:.1f} % of the readings are strays"
+    if d > max(least, per_root / np.sqrt(n)):
+        words = f"{strays}, but not from anywhere: their ranges are not uniform"
+    elif clustered(view, odd) > constant + times * share:
+        words = f"{strays} that come in clusters"
+    else:
+        return "", ()
+    if standing := where_things_stand(view, odd):
+        return f"{strays}, {standing}: the map is not as the building there", STANDING_CAUSES
+    return words, STRAY_CAUSES

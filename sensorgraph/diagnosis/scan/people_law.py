@@ -14,12 +14,17 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_order import neighbouring_rays
 
+PLACE = 0.5
+"""[m] to which the place of most readings is told."""
 STRAY_CAUSES: tuple[str, ...] = (
     "a second laser, or the robot's own light reflected",
     "dust, fog, rain or a dirty window",
     "parts of the robot, cables, or things on it within view",
 )
-STANDING_CAUSES: tuple[str, ...] = ("furniture, doors or walls that the map lacks",)
+STANDING_CAUSES: tuple[str, ...] = (
+    "furniture, doors or walls that the map lacks",
+    "things that have been moved a little, or are drawn too large or too small",
+)
 REPEATED_CAUSES: tuple[str, ...] = (
     "a driver or a filter that passes old readings on",
     "rays of the laser that stick",
@@ -81,14 +86,24 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
                 "what somebody walks meanwhile",
                 STRAY_CAUSES,
             )
-    still = _standing_share(view, short)
-    if still > settings.max_standing_share:
-        return (
-            f"{short_ones}, and at {100 * still:.0f} % of the places where they end rays end there, too, that come "
-            f"{settings.standing_time:g} s to {settings.standing_window:g} s later or before: what stands there does not walk",
-            STANDING_CAUSES,
-        )
+    if standing := where_things_stand(view, short):
+        return f"{short_ones}, {standing}: what stands there does not walk", STANDING_CAUSES
     return "", ()
+
+
+def where_things_stand(view: FitResiduals, some: Bools) -> str:
+    """Say that readings (n_scans, n_rays) end where others do, later or before, and where most; empty: they do not."""
+    settings = SCAN.goodness_of_fit
+    still = _standing_share(view, some)
+    if still <= settings.max_standing_share:
+        return ""
+    ends = view.ends(some)
+    cell, count = np.unique(np.floor(ends / PLACE).astype(np.intp), axis=0, return_counts=True)
+    x, y = PLACE * (cell[count.argmax()] + 0.5)
+    return (
+        f"and at {100 * still:.0f} % of the places where they end rays end there, too, that come {settings.standing_time:g} s to "
+        f"{settings.standing_window:g} s later or before (most at ({x:.1f}, {y:.1f}) m)"
+    )
 
 
 def repeated_share(view: FitResiduals, some: Bools) -> float:
