@@ -45,7 +45,8 @@ def _seen_before_walls(fitted: Fitted, amendment: Amendment) -> float:
     ahead, aside = beams.towards(values["x"], values["y"])
     reach = ahead - np.sqrt(np.maximum(values["r"] ** 2 - aside**2, 0.0))
     meets = (np.abs(aside) < values["r"]) & (reach > 0) & (reach < beams.ranges)
-    meets &= np.abs(data.ranges - reach) < np.abs(data.ranges - beams.ranges)
+    z = np.where(data.returned, data.ranges, np.nan)
+    meets &= np.abs(z - reach) < np.abs(z - beams.ranges)
     x, y = beams.ox + reach * beams.ux, beams.oy + reach * beams.uy
     points = np.stack([x[meets], y[meets]], axis=1)
     return float(data.barriers.distances(points).max(initial=0.0))

@@ -156,11 +156,11 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
         and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere))
     ):
         return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
-    if late > least_gain():
+    if late > least_gain() and is_late.sum() >= SCAN.odd_scans.min_scans:
         found, left = _late(fitted, is_late)
         if found.gain > least_gain() and left < SCAN.odd_scans.left_share * max(late, elsewhere):
             return found
-    if elsewhere < least_gain():
+    if elsewhere < least_gain() or is_elsewhere.sum() < SCAN.odd_scans.min_scans:
         return None
     return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere)
 

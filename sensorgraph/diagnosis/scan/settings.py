@@ -487,6 +487,8 @@ class OddScanSettings:
     """Of the scans, that the second kind begins with."""
     min_share: float = 1e-3
     """Of either kind."""
+    min_scans: int = 5
+    """Of the rarer kind: fewer are mishaps, and no kind."""
     rounds: int = 40
     """Of expectation and maximisation."""
     refit_rounds: int = 8
