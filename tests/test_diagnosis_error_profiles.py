@@ -14,6 +14,7 @@ from planners.types import Floats
 from sensorgraph.diagnosis.report.data import unknown_dict
 from sensorgraph.diagnosis.report.figures.profile import profile_picture
 from sensorgraph.diagnosis.result import Unknown
+from sensorgraph.diagnosis.scan.column_fit import fit_columns
 from sensorgraph.diagnosis.scan.error_profiles import (
     BEARING_ERROR,
     BIAS_BY_BEARING,
@@ -122,3 +123,18 @@ def test_a_profile_is_told_in_numbers_and_as_a_picture(tmp_path: Path) -> None:
     assert (written["of"], written["over"]) == ("bearing", "bearing")
     profile_picture(doubt.profile, tmp_path / "profile.png")
     assert (tmp_path / "profile.png").stat().st_size > 5000
+
+
+def test_beside_a_bias_the_mean_of_a_profile_over_bearing_is_nobodys() -> None:
+    """The bias does what all knots do together: no covariance, but an information, of which that has none."""
+    data = data_of(hall_arena(), (EFFECTS["range_bias"](b=0.04),))
+    fitted = null_of(data, (EFFECTS["range_bias"](b=0.04),))
+    bearings = data.sensor.bearings
+    knots = np.linspace(bearings.min(), bearings.max(), 9)
+    hats = np.array([np.interp(bearings, knots, one) for one in np.eye(len(knots))])
+    columns = np.where(fitted.solver.jacobian.valid[:, None], hats, 0.0)
+    got = fit_columns(fitted, columns, np.zeros(len(knots)), rounds=2)
+    alone = np.diag(got.information)
+    assert (alone > 0).all()
+    assert np.abs(got.information.sum(axis=1) / alone).max() < 1e-6
+    assert all(np.isfinite(one.amplitude_z) for one in error_profiles(fitted, least=-np.inf))

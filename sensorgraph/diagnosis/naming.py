@@ -182,7 +182,9 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
-    return fit.is_doubted and fit.misfit > SCAN.naming.max_unexplained_share * explained.gains[index]
+    naming = SCAN.naming
+    share = naming.max_building_share if fit.is_of_building else naming.max_unexplained_share
+    return fit.is_doubted and fit.misfit > share * explained.gains[index]
 
 
 def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
@@ -190,7 +192,7 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
     naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
-    if fit.is_doubted:
+    if fit.is_doubted and not fit.is_of_building:
         p *= naming.doubted_factor
     amendment = fitted.model[index]
     return float(p * material_probability(amendment, amendment.stderr, required_ratio(fitted)))

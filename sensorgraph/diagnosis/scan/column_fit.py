@@ -9,8 +9,9 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
+from sensorgraph.diagnosis.scan.normal_equations import with_prior
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 Parts = Sequence[tuple[Floats, Floats]]
 """Normal equations (matrix (m, m), right (m,)) of parts of a run."""
@@ -27,8 +28,8 @@ class ColumnFit:
     """[nats] that they make the readings likelier."""
     each: Floats
     """(n_parts, k) by how much each part of the run would move them."""
-    covariance: Floats
-    """(k, k) of the values, if rays are independent."""
+    information: Floats
+    """(k, k) on the values, if rays are independent: the inverse of their covariance."""
 
 
 def fit_columns(
@@ -58,7 +59,7 @@ def fit_columns(
         solution=solution,
         gain=solution.j - fitted.j,
         each=(scores - scores.mean(axis=0)) @ inverse[:, -k:],
-        covariance=inverse[-k:, -k:],
+        information=information_of_last(parts, solver, solution, k),
     )
 
 
@@ -86,12 +87,29 @@ def equations_of_parts(solver: Solver, solution: Solution, rows: Sequence[Ints])
 
 def inverse_of_whole(parts: Parts, solver: Solver, solution: Solution) -> Floats:
     """Return the inverse (m, m) of the whole system with its priors; 0 for what is held or at its bound."""
-    tau, g = solver.scaled(solution.state), solution.state.g
-    total = np.sum([matrix for matrix, _ in parts], axis=0)
-    n, k = len(tau), len(total)
-    total[np.arange(k), np.arange(k)] += np.concatenate([1 / tau**2, np.full(k - n, 1e-9)])
-    at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau
-    free = np.concatenate([~(solver.locked | at_bound), np.ones(k - n, dtype=np.bool_)])
-    out = np.zeros((k, k))
+    total, free = _whole(parts, solver, solution)
+    out = np.zeros(total.shape)
     out[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
     return out
+
+
+def information_of_last(parts: Parts, solver: Solver, solution: Solution, k: int) -> Floats:
+    """Return the information (k, k) on the last k unknowns of the whole system, all others integrated out.
+
+    It is the inverse of their covariance, which has none where another unknown does what some of them do together.
+    """
+    total, free = _whole(parts, solver, solution)
+    rest = free.copy()
+    rest[-k:] = False
+    across = total[rest][:, -k:]
+    return np.asarray(total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(rest, rest)], across))
+
+
+def _whole(parts: Parts, solver: Solver, solution: Solution) -> tuple[Floats, Bools]:
+    """Return the whole system (m, m) with its priors, and which unknowns are neither held nor at a bound."""
+    tau, g = solver.scaled(solution.state), solution.state.g
+    total = with_prior(np.sum([matrix for matrix, _ in parts], axis=0), tau)
+    at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau
+    return total, np.concatenate(
+        [~(solver.locked | at_bound), np.ones(len(total) - len(tau), dtype=np.bool_)]
+    )

@@ -52,6 +52,8 @@ class Doubt:
     """What it may be, the likeliest first."""
     profile: Profile | None = None
     """Its shape, where it is an error over bearing or range."""
+    is_of_building: bool = False
+    """Things stand where the map has none, or the other way round: that concerns few rays of a sensor that errs everywhere."""
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -> list[Doubt]:
@@ -89,6 +91,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     failed=frozenset([index]),
                     size=ScanError(wrong=odd_share),
                     causes=causes,
+                    is_of_building=causes == STANDING_CAUSES,
                 )
             )
     for telltale in _telltales():

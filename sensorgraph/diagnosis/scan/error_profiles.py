@@ -233,8 +233,7 @@ def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
     used = fitted.solver.jacobian.valid & fitted.solver.data.returned
     mass = np.einsum("nkm,nm->k", np.abs(columns) > 0, used)
     errors = got.values - float(mass @ got.values) / max(float(mass.sum()), 1.0)
-    information = np.linalg.inv(got.covariance)
-    along = information @ errors / max(float(errors @ information @ errors), 1e-12)
+    along = got.information @ errors / max(float(errors @ got.information @ errors), 1e-12)
     scatter = float(np.sqrt(np.square(got.each @ along).sum()))
     off = np.matmul(errors, columns)[used]
     return ErrorProfile(

@@ -69,6 +69,8 @@ class GoodnessOfFit:
     """What is left and significant, but too small for a user to mind."""
     profile: Profile | None = None
     """Its shape, where it is an error over bearing or range."""
+    is_of_building: bool = False
+    """All that is left is that the building is not as its map."""
 
     @property
     def is_doubted(self) -> bool:
@@ -215,6 +217,7 @@ def _of_doubts(
         causes=causes,
         immaterial=immaterial,
         profile=first.profile,
+        is_of_building=all(d.is_of_building for d in doubts),
     )
 
 
