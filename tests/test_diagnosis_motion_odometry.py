@@ -11,6 +11,7 @@ from diagnosis_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
+from planners.types import Floats
 from sensorgraph.diagnosis.motion import whitening
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
@@ -86,6 +87,30 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
     )
     test.gain(np.ones((2 * n, 1)), family)
     assert low <= test.dispersion(4.0, 0.1) < high
+
+
+def test_structure_is_judged_under_the_same_noise_as_what_it_competes_with() -> None:
+    """The noise of what is fitted first is found with a poor start: what came later looked better by thousands of nats."""
+    n, rng, calls = 600, np.random.default_rng(5), [0]
+    patch = (np.arange(n) % 150 < 40).astype(float)  # what an effect does
+    hump = np.sin(np.arange(n) * 2 * np.pi / 150)  # what a family makes of it
+    y = 0.05 * patch + 0.01 * rng.normal(size=n)
+    family = StructureFamily(kind="any", columns=hump[:, None], labels=[""], sigma=0.1, statement="")
+    one = np.ones((n, 1))
+
+    def slow_to_learn(_kind: int, residual: Floats, _valid: object) -> WhiteningFilter:
+        calls[0] += 1
+        return WhiteningFilter.white(0, float(residual.std()) * (4.0 if calls[0] < 6 else 1.0))
+
+    def at_once(_kind: int, residual: Floats, _valid: object) -> WhiteningFilter:
+        return WhiteningFilter.white(0, float(residual.std()))
+
+    leads = []
+    for fit_noise in (slow_to_learn, at_once):
+        test = StructureTest(np.ones(n, dtype=np.bool_), y, fit_noise)
+        test.best(one, [family])
+        leads.append(test.lead(one, family, np.column_stack([one, patch])))
+    assert leads[0] == pytest.approx(leads[1], abs=1.0) and leads[1] < -100
 
 
 def test_two_effects_are_both_named() -> None:

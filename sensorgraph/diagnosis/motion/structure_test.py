@@ -94,7 +94,9 @@ class StructureTest:
         here = self._evidence(own)
         screened = self._screened(own, candidates)
         k = int(np.argmax(screened))
-        return candidates[k], max(self._evidence(own, candidates[k]) - here, screened[k])
+        found = self._evidence(own, candidates[k])
+        here = max(here, self._evidence(own))  # under the noise that the family has brought to light
+        return candidates[k], max(found - here, screened[k])
 
     def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
         """Return the likeliest family of each kind, the likeliest first; those that explain nothing are left out."""
@@ -138,9 +140,11 @@ class StructureTest:
         """Return the evidence of one family beside columns (n_kinds n, k) [nats]."""
         return self._evidence(own, family) - self._evidence(own)
 
-    def log_likelihood_ratio(self, more: Floats, fewer: Floats) -> float:
-        """Return how much more likely the rows are with more columns than with fewer [nats]."""
-        return self._evidence(more) - self._evidence(fewer)
+    def lead(self, own: Floats, family: StructureFamily, more: Floats) -> float:
+        """Return how much likelier [nats] the rows are with a family beside columns `own` than with `more` columns."""
+        self._evidence(own, family)  # so that both are judged under the noises of both
+        other = self._evidence(more)
+        return self._evidence(own, family) - other
 
     def _evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
         """Fit columns and noise in turn; return the evidence, without constants [nats].

@@ -198,7 +198,7 @@ def _in_stead_of_patches(
     """Return the better candidate of structure beside the patches and structure in their stead."""
     # patches need not leave what they mimic
     family, total = _best_structure(model, test, model.A, families)
-    gain = total - test.log_likelihood_ratio(own, model.A)
+    gain = test.lead(model.A, family, own)
     if gain + PATCH_PRICE * len(model.patches) > beside.evidence:
         return StructureCandidate(family=family, evidence=total, replaces_patches=True)
     return beside
