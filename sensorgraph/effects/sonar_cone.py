@@ -138,7 +138,7 @@ SONAR_CONE = Effect(
         unobservable=unobservable,
         sweep=sweep,
         wide_beam=True,
-        leftover_share=0.06,
+        leftover_share=0.01,
         misfit_share=0.06,
         is_forecast=False,
     ),

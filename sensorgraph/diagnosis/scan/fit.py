@@ -316,7 +316,7 @@ def polish(
     data: ScanData,
     model: tuple[Amendment, ...],
     index: int,
-    fitted: Fitted,
+    state: State,
     noise_bounds: NoiseBounds,
     *,
     rounds: int,
@@ -329,7 +329,7 @@ def polish(
 
     Parameters
     ----------
-    rounds : over all parameters
+    rounds : over all parameters; further ones, as long as one strides
     first : scale of the first steps
     """
     amendment = model[index]
@@ -337,18 +337,20 @@ def polish(
     if not steps:
         return model
     if amendment.effect.absorber:
-        return _peaked(data, model, index, fitted.state, noise_bounds, factor=1 + 2 * first)
+        return _peaked(data, model, index, state, noise_bounds, factor=1 + 2 * first)
     bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
     current = [*model]
-    best = log_likelihood(data, current, fitted.state)
-    for _ in range(rounds):
+    best = log_likelihood(data, current, state)
+    for turn in range(SCAN.fit.max_strides):
+        if turn >= rounds and all(s <= first * amendment.search_steps[k] for k, s in steps.items()):
+            break
         moved = False
         for name in steps:
             for sign in (1.0, -1.0):
                 value = float(np.clip(current[index][name] + sign * steps[name], *bounds[name]))
                 trial = [*current]
                 trial[index] = current[index].moved_to({name: value})
-                got = log_likelihood(data, trial, fitted.state)
+                got = log_likelihood(data, trial, state)
                 if got > best + 1e-6:
                     best, current, moved = got, trial, True
                     steps[name] *= 1.5

@@ -256,10 +256,19 @@ def is_rough(amendment: Amendment) -> bool:
 def searched(
     data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
 ) -> Fitted:
-    """Search the rough parameters of the last effect, then fit again."""
+    """Search the rough parameters of the last effect, then fit again.
+
+    Tolerances that have stretched may hide by how much the parameters are wrong, or hold what another effect does: then
+    nuisances that begin anew are tried, too.
+    """
     for _ in range(turns):
-        polished = polish(data, got.model, len(got.model) - 1, got, noise_bounds, rounds=rounds, first=first)
-        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=2)
+        is_strained = max(got.state.pose_scale, got.state.map_scale) > SCAN.nuisance.stretched_scale
+        tried = []
+        for state in (got.state, start_state(data, noise_bounds))[: 1 + is_strained]:
+            last = len(got.model) - 1
+            polished = polish(data, got.model, last, state, noise_bounds, rounds=rounds, first=first)
+            tried.append(fit(data, polished, state, noise_bounds, outer=1, inner=4 if is_strained else 2))
+        better = max(tried, key=lambda one: one.j)
         gained = better.j - got.j
         if gained > 0:
             got = better

@@ -191,6 +191,8 @@ class FitSettings:
     """[nats] of a round of expectation and maximisation, below which it is the last."""
     end_of_search: float = 0.2
     """Of the first step of a searched parameter, below which its search ends."""
+    max_strides: int = 16
+    """Rounds of a search at most, whose steps have grown in between: it began far off."""
     min_cast_gain: float = 0.3
     """[nats] of another cast, below which it is the last."""
     map_casts: int = 4
