@@ -14,15 +14,16 @@ from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.naming import is_material
 from sensorgraph.diagnosis.scan.deviations import dispersion
-from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, polish, solver_for, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
+from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import parse_robot
@@ -339,3 +340,30 @@ def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
         stderr={"x": 0.002, "y": 0.002, "r": 0.002},
     )
     assert is_material(null, disc) == is_named
+
+
+@pytest.mark.parametrize("start", [1.5, 0.45])
+def test_a_search_goes_on_as_long_as_it_strides(hall: Arena, start: float) -> None:
+    """Four rounds ended 0.15 rad off the largest incidence, and a dropout was found beside the cone."""
+    cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)
+    data, noise_bounds = data_of(hall, (cone,)), NoiseBounds()
+    far = (EFFECTS["sonar_cone"](gamma=0.12, alpha_max=start),)
+    state = start_state(data, noise_bounds)
+    (found,) = polish(data, far, 0, state, noise_bounds, rounds=4, first=1.0)
+    assert found["alpha_max"] == pytest.approx(0.98, abs=0.03)
+    assert found["gamma"] == pytest.approx(0.12, abs=0.01)
+
+
+def test_where_tolerances_have_stretched_a_search_begins_at_fresh_ones_too(hall: Arena) -> None:
+    cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)
+    data, noise_bounds = data_of(hall, (cone,)), NoiseBounds()
+    off = fit(
+        data,
+        (EFFECTS["sonar_cone"](gamma=0.16, alpha_max=0.98),),
+        start_state(data, noise_bounds),
+        noise_bounds,
+    )
+    assert max(off.state.pose_scale, off.state.map_scale) > SCAN.nuisance.stretched_scale
+    found = searched(data, off, noise_bounds, rounds=4, first=1.0, turns=1)
+    assert found.model[0]["gamma"] == pytest.approx(0.12, abs=0.01)
+    assert max(found.state.pose_scale, found.state.map_scale) < SCAN.nuisance.stretched_scale
