@@ -13,6 +13,9 @@ With `--graph` the log is one that `sensorgraph locate` has written, the map a s
 windows are of its second half, 90 rays of some 100 scans each. With `--another-day` the graph is of another log, and the
 windows are of all of this one.
 
+With `--pixels map.yaml` the map is one of pixels (`benchmarks.slam_map` makes it), the windows are samples of the whole log,
+and there is no commissioning: what robot.yaml and the map say is all that is known.
+
 Prints, per effect and size: windows, how often it is named first, in how many another name stands first, the median
 evidence and the median of the estimated size; and the names given on untouched windows.
 """
@@ -36,6 +39,7 @@ from benchmarks.planted_site import (
     measurement,
     robot_of,
     scans_alone,
+    spread_over_log,
     windows,
     windows_in_graph,
 )
@@ -45,6 +49,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot
 
@@ -170,6 +175,7 @@ def arguments_given() -> argparse.Namespace:
     parser.add_argument(
         "--graph", type=Path, help="of the first half of a located log, built if it is not there"
     )
+    parser.add_argument("--pixels", type=Path, help="map.yaml of the building of a located log")
     parser.add_argument(
         "--another-day", action="store_true", help="the graph is of another log of the building"
     )
@@ -185,7 +191,9 @@ def arguments_given() -> argparse.Namespace:
 def main() -> None:
     """Plant, diagnose, count."""
     arguments = arguments_given()
-    log = scans_alone(read(arguments.log)) if arguments.graph else read(arguments.log)
+    log = read(arguments.log)
+    if arguments.graph or arguments.pixels:
+        log = scans_alone(log)
     lists = {"full": FULL_SIZE, "half": HALF_SIZE, "also": OTHERS}
     plants = [p for part in arguments.only.split(",") if part in lists for p in lists[part]]
     if arguments.effects:
@@ -198,6 +206,8 @@ def main() -> None:
         arena, first = arena_of(graph_of_first_half(log, arguments.graph)), log.n_scans // 2
     if arguments.graph:
         parts = list(windows_in_graph(log, arena, first=first, n_scans=arguments.scans))
+    elif arguments.pixels:
+        parts = list(spread_over_log(log, load_arena(str(arguments.pixels))))
     else:
         parts = list(windows(log))
     print(f"{len(parts)} windows", flush=True)
@@ -206,7 +216,8 @@ def main() -> None:
     for number, window in enumerate(parts):
         if wanted is not None and number not in wanted:
             continue
-        reference = None if arguments.undithered else baseline_of_others(number)
+        is_alone = arguments.undithered or arguments.pixels
+        reference = None if is_alone else baseline_of_others(number)
         if not arguments.quiet:
             print(f"window {number}, scans {window.name}, {window.arena.n_walls} surfaces")
             if reference is not None:

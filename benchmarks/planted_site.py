@@ -34,6 +34,7 @@ N_SCANS_IN_GRAPH = 100  # of these that are taken
 MAX_WINDOWS = (
     20  # of a log, evenly spread over its second half: commissioning takes longer than it tells beyond
 )
+N_SPREAD, SCANS_SPREAD = 3, 200  # samples of a whole log against a map of pixels, and scans of each
 MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 
 
@@ -231,6 +232,15 @@ def windows_in_graph(
         )
         if (at_wall < at_border).mean() > MIN_KNOWN:
             yield LogWindow(f"{part[0]}-{part[-1]}", scans, arena)
+
+
+def spread_over_log(log: Run, arena: Arena) -> Iterator[LogWindow]:
+    """Take some of the scans of a located log, evenly spread over all of it, N_SPREAD times."""
+    scans = np.linspace(0, log.n_scans - 1, N_SPREAD * SCANS_SPREAD).astype(np.intp)
+    for k in range(N_SPREAD):
+        yield LogWindow(
+            f"{k + 1} of {N_SPREAD}, one scan in {log.n_scans // SCANS_SPREAD}", scans[k::N_SPREAD], arena
+        )
 
 
 def scans_alone(log: Run) -> Run:

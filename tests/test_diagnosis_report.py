@@ -23,6 +23,7 @@ from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.naming import without_close_calls
+from sensorgraph.diagnosis.report import comparison
 from sensorgraph.diagnosis.report.data import to_dict
 from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.diagnosis.report.files import save_report
@@ -165,9 +166,7 @@ def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -
 
 
 def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
-    from sensorgraph.diagnosis.report.comparison import compare
-
-    compared = compare(found)
+    compared = comparison.compare(found)
     assert compared is not None
     assert compared.is_amended
     before, after = (side.rms(compared.sigma).mean() for side in (compared.before, compared.after))
@@ -176,9 +175,7 @@ def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
 
 
 def test_the_picture_shows_the_part_of_a_large_arena_that_the_run_saw(found: Finding, room: Arena) -> None:
-    from sensorgraph.diagnosis.report.comparison import compare
-
-    compared = compare(found)
+    compared = comparison.compare(found)
     assert compared is not None
     x0, y0, x1, y1 = compared.limits
     left, low, right, high = room.bounds
@@ -198,6 +195,15 @@ def test_the_picture_shows_the_part_of_a_large_arena_that_the_run_saw(found: Fin
     ends = large.ends(np.flatnonzero(np.isfinite(large.measured)), seen)
     inside = (ends > large.limits[:2]).all(axis=1) & (ends < large.limits[2:]).all(axis=1)
     assert inside.mean() > 0.99
+
+
+def test_a_mount_that_driving_tells_is_in_the_poses_and_amends_no_scan(silent: Finding) -> None:
+    """The poses of a located run put the laser where it was; moved by its mount as well, it is off by that."""
+    mount = EFFECTS["mount_xy"](dx=0.095, dy=0.006)
+    odometry = replace(silent.channels["odometry"], effects=(mount,))
+    compared = comparison.compare(replace(silent, channels={**silent.channels, "odometry": odometry}))
+    assert compared is not None and not compared.is_amended
+    assert comparison.bare_gap(replace(silent, channels={**silent.channels, "odometry": odometry})) is None
 
 
 @pytest.mark.usefixtures("no_pictures")

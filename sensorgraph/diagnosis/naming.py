@@ -182,8 +182,10 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
-    naming = SCAN.naming
-    share = naming.max_building_share if fit.is_of_building else naming.max_unexplained_share
+    naming, is_coarse = SCAN.naming, explained.final.solver.data.grain > 0
+    share = naming.max_pixel_share if is_coarse else naming.max_unexplained_share
+    if fit.is_of_building:
+        share = naming.max_building_share
     return fit.is_doubted and fit.misfit > share * explained.gains[index]
 
 

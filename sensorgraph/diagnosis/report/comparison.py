@@ -261,7 +261,8 @@ def bare_gap(finding: Finding) -> Gap | None:
 
 
 def _named(finding: Finding) -> tuple[Amendment, ...]:
-    return tuple(a for a in finding.effects if a.effect.channel == "scan")
+    """Return what is named in scans: a mount that driving alone tells is in the poses, which were found with the stated one."""
+    return finding.channels["scan"].effects if "scan" in finding.channels else ()
 
 
 def compare(finding: Finding) -> ComparedScans | None:

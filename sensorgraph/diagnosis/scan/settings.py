@@ -595,8 +595,10 @@ class NamingSettings:
     """Of the rays aimed at an obstacle of a map of pixels, that must pass where it is gone."""
     max_unexplained_share: float = 0.006
     """Of an effect's evidence; where more than this stays unexplained, its name falls; ..."""
+    max_pixel_share: float = 0.03
+    """... more in a map of pixels, which is coarse itself; ..."""
     max_building_share: float = 0.1
-    """... more, where that is only the building, which is not as its map: an effect of the sensor is everywhere."""
+    """... and most, where that is only the building, which is not as its map: an effect of the sensor is everywhere."""
     max_probability: float = 0.975
     """Most that a name deserves: now and then something outside the library looks like it."""
     probability_per_nat: float = 0.15
