@@ -137,14 +137,26 @@ def slow_to_gain_speed(run: Run) -> Floats:
     return np.stack([np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T], axis=1)
 
 
+def coasting(run: Run) -> Floats:
+    """Return the rates (n, 2) of motors that speed up with a lag of 0.06 s, and slow down with one of 0.35 s."""
+    fine = np.arange(0.0, run.odom_stamps[-1], 0.005)
+    told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
+    out = np.zeros((len(fine), 2))
+    for k in range(1, len(fine)):
+        tau = np.where(np.abs(told[k]) > np.abs(out[k - 1]), 0.06, 0.35)
+        out[k] = out[k - 1] + 0.005 / tau * (told[k] - out[k - 1])
+    return np.stack([np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T], axis=1)
+
+
 @pytest.mark.parametrize(
     ("rates", "said"),
     [
         (ringing, "rings"),
+        (coasting, "another one while the base speeds up"),
         (sharing_power, "a speed that depends on how fast it turns"),
         (slow_to_gain_speed, "the base accelerates at about"),
     ],
-    ids=["rings", "shares", "ramps"],
+    ids=["rings", "coasts", "shares", "ramps"],
 )
 def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Floats], said: str) -> None:
     run = make_run(6)

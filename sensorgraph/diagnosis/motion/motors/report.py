@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import ANSWER, RAMP, WHAT_CHANGES, jump_of
+from sensorgraph.diagnosis.motion.motors.structure import ANSWER, LAG_BY_SENSE, RAMP, WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -64,9 +64,9 @@ def drive_result(
     kind = "" if structure is None else structure.family.kind
     is_change = kind in map(jump_of, WHAT_CHANGES)
     steady = [a for a, term in found if not (is_change and jump_of(term.column))]
-    if structure is not None and kind in (ANSWER, RAMP):
-        # a lag takes most of a ramp, and much of the other
-        least = np.inf if kind == RAMP else DRIVE.structure.lead_over_answer * structure.evidence
+    if structure is not None and kind in (ANSWER, LAG_BY_SENSE, RAMP):
+        # a lag takes most of a ramp and of two lags, and much of the other
+        least = np.inf if kind != ANSWER else DRIVE.structure.lead_over_answer * structure.evidence
         timing = (ACTUATOR_LAG, DEAD_TIME)
         steady = [a for a in steady if a.effect not in timing or (a.evidence or 0.0) > least]
     return ChannelResult(

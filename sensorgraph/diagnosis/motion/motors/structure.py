@@ -22,6 +22,9 @@ ANSWER = "answer"
 RAMP = "ramp"
 """Kind of the families of a base that accelerates more slowly than stated."""
 
+LAG_BY_SENSE = "lag by sense"
+"""Kind of the family of motors that speed up with another lag than they slow down with."""
+
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
 
@@ -65,6 +68,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         ),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
+        _lag_by_sense(model, fit),
         _slopes(model),
         _stops(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
@@ -124,6 +128,18 @@ def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
         labels=[],
         sigma=DRIVE.structure.answer_sigma,
         statement="after each change of a command, in another way than by one lag: the base rings, overshoots or creeps",
+    )
+
+
+def _lag_by_sense(model: DriveModel, fit: DriveFit) -> StructureFamily:
+    """Return the family of motors that speed up with another lag than they slow down with: a load, a brake, a worm gear."""
+    faster = [np.gradient(np.abs(x)) > 0 for x in both_kinds(fit.simulated, model.rows.n)]
+    return StructureFamily(
+        kind=LAG_BY_SENSE,
+        columns=(fit.columns[:, Column.LAG] * np.concatenate(faster))[:, None],
+        labels=[],
+        sigma=DRIVE.structure.delay_sigma,
+        statement="by a lag that is another one while the base speeds up than while it slows down",
     )
 
 
