@@ -350,12 +350,11 @@ def _dense(ring: Floats, pixel: float) -> Floats:
 
 def unknown_borders(arena: Arena) -> Floats:
     """Return where free space ends without a wall, (n, 2, 2) [m]."""
-    walls = shapely.union_all(shapely.linestrings(arena.walls)).buffer(
-        1e-4 * pixel_of(arena), cap_style="flat"
-    )
+    pixel = pixel_of(arena)
+    walls = shapely.union_all(shapely.linestrings(arena.walls)).buffer(1e-4 * pixel, cap_style="flat")
     left = shapely.get_parts(arena.free.boundary.difference(walls))
     segments = [
         np.stack([c[:-1], c[1:]], axis=1) for c in (np.array(part.coords) for part in left) if len(c) > 1
     ]
-    long = [s[np.hypot(*np.diff(s, axis=1)[:, 0].T) > 0.01 * pixel_of(arena)] for s in segments]
+    long = [s[np.hypot(*np.diff(s, axis=1)[:, 0].T) > 0.01 * pixel] for s in segments]
     return np.concatenate(long) if long else np.zeros((0, 2, 2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,7 +35,3 @@ class Corners:
             return cls(ends=index, count=count)
         index = np.where(is_met, np.cumsum(is_met) - 1, n_met)[index]
         return cls(ends=index, count=n_met + 1, rest=n_met)
-
-    def of_walls(self, some: Ints) -> Corners:
-        """Return the same corners, with the ends of some walls (n,) alone."""
-        return replace(self, ends=self.ends[some])

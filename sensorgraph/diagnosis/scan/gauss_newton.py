@@ -55,6 +55,11 @@ class State:
         """Shifts of the corners (2 n_corners,) [m]."""
         return self.g[len(Nuisance) :]
 
+    @property
+    def stretch(self) -> float:
+        """By how much the tolerances of reference or map are too tight, whichever is more."""
+        return max(self.pose_scale, self.map_scale)
+
     def copy(self) -> State:
         """Return a copy that may be changed."""
         return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))

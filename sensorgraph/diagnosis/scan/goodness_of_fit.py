@@ -143,7 +143,7 @@ def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Do
 def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     """Fit again with wider tolerances where they proved too tight, and find the edges anew."""
     state = fitted.state
-    if max(state.pose_scale, state.map_scale) < SCAN.nuisance.stretched_scale:
+    if state.stretch < SCAN.nuisance.stretched_scale:
         return data, fitted
     t = data.tolerances
     wide = replace(
@@ -225,9 +225,8 @@ def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
     """Doubt a model under which scans differ more from each other than within."""
     scatter, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
     noise = excess_noise(scatter.excess, view.data.sensor.sigma)
-    if (
-        scatter.ratio <= limit or noise < view.data.grain
-    ):  # scans at several places see walls with errors of their own
+    is_of_walls = noise < view.data.grain  # scans at several places see walls with errors of their own
+    if scatter.ratio <= limit or is_of_walls:
         return []
     where = next((d for d in found if d.family == "spread" and d.partition in OF_SCANS), None)
     place = "" if where is None else f", most at {where.partition} {where.label}"

@@ -130,7 +130,7 @@ def held_out_gap(
 def _as_stated(fitted: Fitted) -> Fitted | None:
     """Return a fit with the tolerances that robot.yaml states; None where it did not widen them."""
     state = fitted.state
-    if max(state.pose_scale, state.map_scale) < SCAN.nuisance.stretched_scale:
+    if state.stretch < SCAN.nuisance.stretched_scale:
         return None
     narrow = replace(state, pose_scale=min(state.pose_scale, 1.0), map_scale=1.0)
     return replace(fitted, solution=replace(fitted.solution, state=narrow))

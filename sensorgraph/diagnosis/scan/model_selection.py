@@ -185,7 +185,7 @@ def _try(
     come near the best of these are fitted to all scans.
     """
     noise = current.state.noise
-    stretched = max(current.state.pose_scale, current.state.map_scale) > SCAN.nuisance.stretched_scale
+    stretched = current.state.stretch > SCAN.nuisance.stretched_scale
     strained = noise_bounds.max_scale > 1.0 and (
         stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
     )
@@ -262,10 +262,10 @@ def searched(
     nuisances that begin anew are tried, too.
     """
     for _ in range(turns):
-        is_strained = max(got.state.pose_scale, got.state.map_scale) > SCAN.nuisance.stretched_scale
-        tried = []
-        for state in (got.state, start_state(data, noise_bounds))[: 1 + is_strained]:
-            last = len(got.model) - 1
+        is_strained = got.state.stretch > SCAN.nuisance.stretched_scale
+        states = [got.state, start_state(data, noise_bounds)] if is_strained else [got.state]
+        tried, last = [], len(got.model) - 1
+        for state in states:
             polished = polish(data, got.model, last, state, noise_bounds, rounds=rounds, first=first)
             tried.append(fit(data, polished, state, noise_bounds, outer=1, inner=4 if is_strained else 2))
         better = max(tried, key=lambda one: one.j)

@@ -147,14 +147,9 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
     late, is_late = _two_delays(each)
     elsewhere, is_elsewhere, prior = _two_priors(each)
     shifted, spread, is_rough = _offsets(each)
-    is_of_walls = (
-        spread < fitted.solver.data.grain
-    )  # scans far apart see others, each with an error of its own
-    if (
-        is_rough
-        and not is_of_walls
-        and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere))
-    ):
+    # scans far apart see other walls, each with an error of its own
+    is_offset = is_rough and spread >= fitted.solver.data.grain
+    if is_offset and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
         return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
     if late > least_gain() and is_late.sum() >= SCAN.odd_scans.min_scans:
         found, left = _late(fitted, is_late)
