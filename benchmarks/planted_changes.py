@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.planted_site import MAP_MAX_RANGE, MAP_MIN_RANGE, Floats, limited, measured_rays
+from benchmarks.planted_site import MAP_MAX_RANGE, MAP_MIN_RANGE, Floats, LogWindow, limited, measured_rays
 from logs import Run
 
 DEGREES = 180 / np.pi
@@ -37,8 +36,8 @@ class Plant:
     name: str
     size: float
     unit: str
-    change: Callable[[Run, Run, NDArray[np.intp], float, np.random.Generator], Run]
-    """(measurement, whole log, its scans, size, rng) -> measurement with the effect."""
+    change: Callable[[Run, Run, LogWindow, float, np.random.Generator], Run]
+    """(measurement, whole log, window, size, rng) -> measurement with the effect."""
     estimate: Callable[[Mapping[str, float]], float]
     """Parameters of the named effect -> the size that they say, in this unit."""
 
@@ -47,40 +46,40 @@ def _ranges(run: Run, ranges: Floats) -> Run:
     return replace(run, ranges=limited(ranges))
 
 
-def bias(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def bias(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Lengthen every reading."""
     return _ranges(run, run.ranges + size)
 
 
-def stretch(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def stretch(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Scale every reading."""
     return _ranges(run, run.ranges * (1 + size))
 
 
-def drift(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def drift(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Lengthen readings more and more."""
     t = (run.stamps - run.stamps[0]) / (run.stamps[-1] - run.stamps[0])
     return _ranges(run, run.ranges + size * t[:, None])
 
 
-def sector(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def sector(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Lengthen the readings of a sector of 35 degrees."""
     first = np.radians(rng.uniform(-80, 45))
     inside = (run.sensor.bearings >= first) & (run.sensor.bearings < first + np.radians(35))
     return _ranges(run, run.ranges + size * inside)
 
 
-def yaw(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def yaw(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Give every ray the reading of the real beam that points further to the left by a whole count of rays."""
     step = float(np.diff(log.sensor.bearings).mean())
     turn = round(np.radians(size) / step)
     rays = measured_rays(log) + turn
     inside = (rays >= 0) & (rays < log.sensor.n_rays)
-    ranges = log.ranges[scans][:, np.clip(rays, 0, log.sensor.n_rays - 1)]
+    ranges = log.ranges[window.scans][:, np.clip(rays, 0, log.sensor.n_rays - 1)]
     return _ranges(run, np.where(inside, ranges, np.nan))
 
 
-def offset(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def offset(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Report poses of a body whose laser sits forward of where it is thought to be, or to a side."""
     angle = run.poses[:, 2] + rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2])
     poses = run.poses.copy()
@@ -89,8 +88,9 @@ def offset(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ran
     return replace(run, poses=poses)
 
 
-def latency(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def latency(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Stamp scans late: they were taken where the robot was before; all poses of the stretch are told."""
+    scans = window.scans
     around = np.arange(scans[0], scans[-1] + 1)
     told = np.arange(
         log.stamps[scans[0]], log.stamps[scans[-1]], 0.1
@@ -102,7 +102,7 @@ def latency(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ra
     )
 
 
-def occlusion(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def occlusion(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Hide a sector behind a part of the robot, 0.3 m away."""
     width = np.radians(size)
     first = rng.uniform(run.sensor.bearings[0], run.sensor.bearings[-1] - width)
@@ -113,18 +113,18 @@ def occlusion(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.
     return _ranges(run, np.where(hidden, part, run.ranges))
 
 
-def cut_off(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def cut_off(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Lose what is farther."""
     return _ranges(run, np.where(run.ranges > size, np.inf, run.ranges))
 
 
-def lattice(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def lattice(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Round every reading."""
     return _ranges(run, np.round(run.ranges / size) * size)
 
 
-def pillar(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
-    """Stand a round pillar of this diameter in free space beside the path: of 400 places, the one most rays meet."""
+def pillar(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
+    """Stand a round pillar of this diameter in the map's free space beside the path: of 400 places, the one most rays meet."""
     radius = size / 2
     best, most = run, 0
     for _ in range(400):
@@ -132,7 +132,7 @@ def pillar(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ran
         away, angle = rng.uniform(0.6, 1.5), run.poses[k, 2] + rng.uniform(-1.2, 1.2)
         x, y = run.poses[k, 0] + away * np.cos(angle), run.poses[k, 1] + away * np.sin(angle)
         dx, dy = x - run.poses[:, :1], y - run.poses[:, 1:2]
-        if np.hypot(dx, dy).min() < radius + 0.4:
+        if np.hypot(dx, dy).min() < radius + 0.4 or not window.arena.contains(np.array([[x, y]]))[0]:
             continue
         heading = run.poses[:, 2:] + run.sensor.bearings
         ahead = dx * np.cos(heading) + dy * np.sin(heading)
@@ -147,12 +147,12 @@ def pillar(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ran
     return best
 
 
-def noise(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def noise(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Add noise in proportion to the range."""
     return _ranges(run, np.abs(run.ranges * (1 + size * rng.normal(size=run.ranges.shape))))
 
 
-def outliers(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
+def outliers(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Replace a share of the readings by any."""
     some = (rng.random(run.ranges.shape) < size) & ~np.isnan(run.ranges)
     return _ranges(

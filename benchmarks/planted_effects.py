@@ -123,7 +123,7 @@ def diagnose_window(
     run = measurement(log, window.scans)
     for plant in (None, *plants):
         rng = np.random.default_rng([number, 7])
-        planted = run if plant is None else plant.change(run, log, window.scans, plant.size, rng)
+        planted = run if plant is None else plant.change(run, log, window, plant.size, rng)
         if plant is not None and planted is run:
             print(f"  {plant.label}: this window has no place for it")
             continue

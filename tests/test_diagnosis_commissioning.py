@@ -352,7 +352,7 @@ def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) 
     run = planted_site.measurement(log, window.scans)
     untouched = diagnose(run, window.arena, told, baseline=good, plan_next=False)
     assert names(untouched) == []
-    longer = planted_changes.bias(run, log, window.scans, 0.03, np.random.default_rng(0))
+    longer = planted_changes.bias(run, log, window, 0.03, np.random.default_rng(0))
     named = diagnose(longer, window.arena, told, baseline=good, plan_next=False).effects[0]
     assert named.name == "range_bias"
     assert named["b"] == pytest.approx(0.03, abs=0.01)  # the map of scans has an offset of its own

@@ -159,6 +159,29 @@ def test_before_unknown_space_a_thing_is_judged_by_rays_that_it_stops_and_by_tho
     assert not surely_stands(disc, gone)
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_rays_without_a_return_have_not_passed_a_thing_that_is_out_of_their_range(
+    room: Arena, stands: bool
+) -> None:
+    robot = parse_robot("sensor: {n_rays: 181, range_max: 1.2}")
+    run, (x, y, r) = looking_about(room), (3.2, 2.3, 0.1)
+    poses = run.poses + np.linspace(0.0, 1.2, 60)[:, None] * np.array([1.0, 0.5, 0.0])  # towards it
+    ranges = cast(room, poses, robot.sensor).ranges
+    if stands:
+        pillar = shapely.Point(x, y).buffer(r).exterior
+        ring = np.stack([pillar.coords[:-1], pillar.coords[1:]], axis=1)
+        full = replace(
+            room,
+            walls=np.concatenate([room.walls, ring]),
+            names=(*room.names, *(f"pillar/{k}" for k in range(len(ring)))),
+            surfaces=(*room.surfaces, *["wall"] * len(ring)),
+        )
+        ranges = cast(full, poses, robot.sensor).ranges
+    run = replace(run, sensor=robot.sensor, poses=poses, ranges=np.where(ranges > 1.2, np.inf, ranges))
+    data, _ = prepare_scans(run, room, robot)
+    assert surely_stands(EFFECTS["unmapped_obstacle"](x=x, y=y, r=r), data) is stands
+
+
 def test_what_lies_beyond_the_horizon_is_no_evidence_of_the_sensor(
     room: Arena,
 ) -> None:

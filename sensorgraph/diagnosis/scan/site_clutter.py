@@ -46,11 +46,15 @@ def surely_stands(amendment: Amendment, data: ScanData) -> bool:
 
 
 def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bools]:
-    """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or beside it."""
+    """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or beside it.
+
+    A face out of range is none: a reading without a return does not tell whether it was met.
+    """
     beams, near = _beams(data), SCAN.goodness_of_fit.outline_distance
     ahead, aside = beams.towards(x, y)
     face = ahead - np.sqrt(np.maximum(r**2 - aside**2, 0.0))
-    free = beams.ranges if data.horizon is None else np.minimum(beams.ranges, data.horizon)
+    known = np.inf if data.horizon is None else data.horizon
+    free = np.minimum(np.minimum(beams.ranges, known), data.sensor.range_max)
     ahead = np.where((face > 0) & (free > face + 2 * near), ahead, np.inf)
     aside = np.abs(aside)
     aimed = np.isfinite(ahead) & (aside < SCAN.site.inner_share * r)
