@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 
 from benchmarks.planted_site import MAP_MAX_RANGE, MAP_MIN_RANGE, Floats, LogWindow, limited, measured_rays
 from logs import Run
@@ -132,7 +133,8 @@ def pillar(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Ge
         away, angle = rng.uniform(0.6, 1.5), run.poses[k, 2] + rng.uniform(-1.2, 1.2)
         x, y = run.poses[k, 0] + away * np.cos(angle), run.poses[k, 1] + away * np.sin(angle)
         dx, dy = x - run.poses[:, :1], y - run.poses[:, 1:2]
-        if np.hypot(dx, dy).min() < radius + 0.4 or not window.arena.contains(np.array([[x, y]]))[0]:
+        standing = shapely.Point(x, y).buffer(radius)
+        if np.hypot(dx, dy).min() < radius + 0.4 or not window.arena.free.contains(standing):
             continue
         heading = run.poses[:, 2:] + run.sensor.bearings
         ahead = dx * np.cos(heading) + dy * np.sin(heading)
