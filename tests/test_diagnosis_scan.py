@@ -367,3 +367,12 @@ def test_where_tolerances_have_stretched_a_search_begins_at_fresh_ones_too(hall:
     found = searched(data, off, noise_bounds, rounds=4, first=1.0, turns=1)
     assert found.model[0]["gamma"] == pytest.approx(0.12, abs=0.01)
     assert max(found.state.pose_scale, found.state.map_scale) < SCAN.nuisance.stretched_scale
+
+
+def test_a_share_is_searched_between_none_and_all(quiet: ScanData) -> None:
+    """A bounded search tried 103 %: probabilities below 0, and a noise that is no number."""
+    far, noise_bounds = (EFFECTS["random_outliers"](p=0.9),), NoiseBounds()
+    state = start_state(quiet, noise_bounds)
+    with np.errstate(invalid="raise"):
+        (found,) = polish(quiet, far, 0, state, noise_bounds, rounds=4, first=2.0)
+    assert 0.0 < found["p"] < 0.9

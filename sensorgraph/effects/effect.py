@@ -315,6 +315,16 @@ class Amendment:
         """Return it with some parameters replaced."""
         return replace(self, parameters={**self.parameters, **values})
 
+    def moved_within_bounds(self, values: Mapping[str, float]) -> Amendment:
+        """Return it with some parameters replaced, each by the nearest value that the effect allows."""
+        allowed = {name: self.effect.parameter(name) for name in values}
+        return self.moved_to(
+            {
+                name: float(min(max(value, allowed[name].low), allowed[name].high))
+                for name, value in values.items()
+            }
+        )
+
     @property
     def ratio(self) -> float:
         """Its size over its materiality; inf for an effect that has no limit of size."""

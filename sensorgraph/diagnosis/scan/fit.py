@@ -214,13 +214,11 @@ def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, .
     """Add increments to the smooth parameters."""
     out, k = [], 0
     for amendment in model:
-        names = list(amendment.steps)
         values = {}
-        for name in names:
-            spec = amendment.effect.parameter(name)
-            values[name] = float(np.clip(amendment.parameters.get(name, 0.0) + p[k], spec.low, spec.high))
+        for name in amendment.steps:
+            values[name] = amendment.parameters.get(name, 0.0) + float(p[k])
             k += 1
-        out.append(amendment.moved_to(values) if values else amendment)
+        out.append(amendment.moved_within_bounds(values) if values else amendment)
     return tuple(out)
 
 
@@ -338,7 +336,6 @@ def polish(
         return model
     if amendment.effect.absorber:
         return _peaked(data, model, index, state, noise_bounds, factor=1 + 2 * first)
-    bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
     current = [*model]
     best = log_likelihood(data, current, state)
     for turn in range(SCAN.fit.max_strides):
@@ -347,9 +344,8 @@ def polish(
         moved = False
         for name in steps:
             for sign in (1.0, -1.0):
-                value = float(np.clip(current[index][name] + sign * steps[name], *bounds[name]))
-                trial = [*current]
-                trial[index] = current[index].moved_to({name: value})
+                trial, value = [*current], current[index][name] + sign * steps[name]
+                trial[index] = current[index].moved_within_bounds({name: value})
                 got = log_likelihood(data, trial, state)
                 if got > best + 1e-6:
                     best, current, moved = got, trial, True
@@ -378,7 +374,8 @@ def _peaked(
     start = model[index][name]
 
     def at(u: float) -> tuple[Amendment, ...]:
-        return (*model[:index], model[index].moved_to({name: start * float(np.exp(u))}), *model[index + 1 :])
+        value = start * float(np.exp(u))
+        return (*model[:index], model[index].moved_within_bounds({name: value}), *model[index + 1 :])
 
     reach = float(np.log(factor))
     found = minimize_scalar(

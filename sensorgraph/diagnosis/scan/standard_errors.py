@@ -96,7 +96,7 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
         """Return the log-likelihood per scan."""
         moved = (
             *fitted.model[:index],
-            amendment.moved_to({name: float(np.clip(value, spec.low, spec.high))}),
+            amendment.moved_within_bounds({name: value}),
             *fitted.model[index + 1 :],
         )
         if spec.refit:
