@@ -26,6 +26,17 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.strip().splitlines()[-1] == "set()"
 
 
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sensorgraph", "inspect", "missing.mcap"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "missing.mcap" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
 def test_interruption_is_said_and_has_its_own_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,5 @@
+"""`python -m sensorgraph` is the command `sensorgraph`."""
+
+from sensorgraph.cli import main
+
+main()
