@@ -11,7 +11,7 @@ import yaml
 from benchmarks.hidden_effects.baselines import least_squares, room_of
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
-from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.world.robot import parse_robot
 
@@ -59,6 +59,13 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
     finding, _ = found(suite="none", index=2, background=background)
     assert not finding.effects
     assert finding.unknown is None
+
+
+def test_ticks_of_a_slow_loop_that_beat_with_the_commands_are_no_changing_delay() -> None:
+    """A base at 10 Hz, commands at 20 Hz: delays of stretches differ by 36 ms, which 96 nats had made unknown."""
+    run, _, _, robot, _ = make_case(CaseSpec(suite="none", stream="report", index=10276, background="dirty"))
+    for channel in diagnose_motion(run, parse_robot(robot), (), 0):
+        assert channel.effects == () and channel.unknown is None
 
 
 def test_a_baseline_names_what_is_continuous_and_knows_no_unknown() -> None:

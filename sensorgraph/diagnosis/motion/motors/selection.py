@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
-from sensorgraph.diagnosis.motion.motors.structure import drive_families
+from sensorgraph.diagnosis.motion.motors.structure import DELAYS, drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import both_kinds
@@ -101,14 +101,18 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     found = _all_significant(test, own, family, families, needed)
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
-    changed = _coefficient(test, own, family) if np.isfinite(family.materiality) else 0.0
+    is_material = size.is_material(model.robot.limits.v, gain)
+    changed = _coefficients(test, own, family)
+    sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
     # a command waits up to a period for the base's loop: where the two beat, delays of two stretches differ by half of it
-    least = max(family.materiality, model.robot.tolerances.control_period / 2)
-    if not size.is_material(model.robot.limits.v, gain) and sure_share(gain) * abs(changed) < least:
+    waiting = model.robot.tolerances.control_period / 2
+    if family.kind in DELAYS and sure_change < waiting:
+        return selected
+    if not is_material and sure_change < max(family.materiality, waiting):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
-    if changed:
-        family = replace(family, statement=f"{family.statement}, by {1000 * changed:+.0f} ms")
+    if np.isfinite(family.materiality):
+        family = replace(family, statement=f"{family.statement}, by {1000 * changed[0]:+.0f} ms")
     model.structure = family
     full = model.fit(terms, here.motors)
     model.fit_noise(model.residual(full))
@@ -127,12 +131,13 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     )
 
 
-def _coefficient(test: StructureTest, own: Floats, family: StructureFamily) -> float:
-    """Return how large the one coefficient of a family is, beside the model's own columns (2 n, k)."""
+def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> Floats:
+    """Return how large the coefficients (k,) of a family are, beside the model's own columns (2 n, .)."""
     columns = np.concatenate([own, test.nuisances, family.columns], axis=1)
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     explained = test.explained(own, [family])
-    return float((np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale)[-1])
+    found = np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale
+    return np.asarray(found[-family.columns.shape[1] :])
 
 
 def _all_significant(

@@ -34,6 +34,10 @@ def jump_of(column: int) -> str:
     return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
 
 
+DELAYS = ("timing", jump_of(Column.DELAY))
+"""Kinds of the families of delays that change, which a base's own loop makes, too."""
+
+
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return differences that no effect makes, with columns (2 n, k)."""
     rows = model.rows
@@ -60,7 +64,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             [omega < 0],
         ),
         StructureFamily(
-            kind="timing",
+            kind=DELAYS[0],
             columns=timing,
             labels=[],
             sigma=DRIVE.structure.delay_sigma,
