@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.scan.fit import (
     thin_state,
 )
 from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
+from sensorgraph.diagnosis.scan.merging import fewer_effects
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.ranking import n_parameters, ranked
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -115,8 +116,9 @@ def explain(
             rival, nats = max(others, key=lambda t: t[1])
             rivals[_key(mine)] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
-        current = _pruned(data, best, noise_bounds, threshold, struck)
-        if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
+        current = _merged(data, _pruned(data, best, noise_bounds, threshold, struck), noise_bounds)
+        is_same = {_key(a) for a in current.model} == {_key(a) for a in before.model}
+        if is_same and current.j < before.j + threshold:
             break
         n_small += small
         if n_small == 2:  # what is left is smaller still
@@ -347,3 +349,18 @@ def _pruned(
         else:
             index += 1
     return best
+
+
+def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
+    """Let fewer effects stand for two of them, where they do that as well."""
+
+    def worth(fitted: Fitted) -> float:
+        return fitted.j - sum(price(a, data) for a in fitted.model)
+
+    for model in fewer_effects(current.model, data):
+        got = fit(data, model, current.state, noise_bounds, outer=3, inner=5)
+        if is_rough(got.model[-1]):
+            got = searched(data, got, noise_bounds, rounds=2, first=0.25, turns=1)
+        if worth(got) > worth(current):
+            return _merged(data, got, noise_bounds)
+    return current

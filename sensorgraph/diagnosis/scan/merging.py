@@ -1,0 +1,62 @@
+"""Two effects of a model that are one: parts of a wall that touch, and two sectors of which the rest is the one that differs.
+
+Effects are added one at a time, and so the search may cut in two what is one. Of a pane the first half explains most, and a
+black part beside it explains the rest; of a bias of all rays but some, the sectors on either side do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations, permutations
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects.places import in_sector
+
+Model = tuple[Amendment, ...]
+MAX_GAP = 0.2
+"""[m] between two parts of a wall that may be one: the rays there meet both."""
+
+
+def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]:
+    """Yield models with fewer effects, or simpler ones, that may stand for this one; what is new comes last."""
+    for i, j in permutations(range(len(model)), 2):
+        if (whole := _whole_part(model[i], model[j])) is not None:
+            yield (*_others(model, i, j), whole)
+    for i, j in combinations(range(len(model)), 2):
+        if (both := _all_but_the_rest(model[i], model[j], data)) is not None:
+            common, rest = both
+            others = _others(model, i, j)
+            known = sum(a["b"] for a in others if a.name == common.name)
+            others = tuple(a for a in others if a.name != common.name)
+            yield (*others, common.moved_to({"b": common["b"] + known}), rest)
+
+
+def _others(model: Sequence[Amendment], i: int, j: int) -> Model:
+    return tuple(a for k, a in enumerate(model) if k not in (i, j))
+
+
+def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
+    """Return the first effect on its own part of a wall and on the other's, too; None where they do not touch."""
+    ends = ("a", "b")
+    if one.effect.place != "wall" or one.place != other.place:
+        return None
+    if not all(end in a.parameters for a in (one, other) for end in ends):
+        return None
+    gap = max(one["a"], other["a"]) - min(one["b"], other["b"])
+    if gap > MAX_GAP:
+        return None
+    return one.moved_to({"a": min(one["a"], other["a"]), "b": max(one["b"], other["b"])})
+
+
+def _all_but_the_rest(one: Amendment, other: Amendment, data: ScanData) -> tuple[Amendment, Amendment] | None:
+    """Return a bias of all rays, and a sector that takes it back, for two sectors with biases of one sign; None: no sectors."""
+    if one.name != "sector_bias" or other.name != "sector_bias" or one["b"] * other["b"] <= 0:
+        return None
+    bearings = data.sensor.bearings
+    between = [(one["theta2"], other["theta1"]), (other["theta2"], one["theta1"])]
+    first, last = max(between, key=lambda ends: int(in_sector(bearings, *ends).sum()))
+    mean = float(np.mean([one["b"], other["b"]]))
+    return EFFECTS["range_bias"](b=mean), one.moved_to({"theta1": first, "theta2": last, "b": -mean})
