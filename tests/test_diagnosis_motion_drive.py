@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,26 @@ def test_planted_effect_is_named_with_its_size(
     assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
 
 
-@pytest.mark.parametrize(("period", "named"), [(0.04, ["dead_time"]), (0.058, []), (0.08, [])])
-def test_a_base_that_keeps_step_with_commands_may_wait_half_a_period_more(
-    period: float, named: list[str]
+@pytest.mark.parametrize(
+    ("period", "told", "named"),
+    [
+        (0.02, 0.0, ["dead_time"]),
+        (0.04, 0.0, []),
+        (0.04, 0.02, ["dead_time"]),
+        (0.058, 0.03, []),
+        (0.08, 0.04, []),
+    ],
+)
+def test_a_base_that_keeps_step_with_commands_may_make_them_wait(
+    period: float, told: float, named: list[str]
 ) -> None:
-    """Or a millisecond beyond that, which its standard error allows."""
-    robot = replace(ROBOT, tolerances=replace(ROBOT.tolerances, control_period=period))
-    result = diagnose_drive(make_run(3, dead=0.03), robot)
+    """Up to a period, or half of one more than a delay that holds the mean wait; a millisecond beyond is error."""
+    robot = replace(
+        ROBOT,
+        tolerances=replace(ROBOT.tolerances, control_period=period),
+        actuators=replace(ROBOT.actuators, delay=told),
+    )
+    result = diagnose_drive(make_run(3, dead=told + 0.03), robot)
     assert [a.name for a in result.effects] == named and result.unknown is None
     assert [a.name for a in (*result.effects, *result.within_tolerance)] == ["dead_time"]
 
@@ -108,10 +122,10 @@ def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
     assert result.unknown.size["speed_m_s"] == pytest.approx(0.03 / np.sqrt(2), rel=0.4)
 
 
-def ringing(run: Run) -> Floats:
-    """Return the rates (n, 2) of a badly tuned base: 1.2 Hz, damped by a fifth."""
+def ringing(run: Run, hz: float = 1.2, damping: float = 0.2) -> Floats:
+    """Return the rates (n, 2) of a badly tuned base."""
     fine = np.arange(0.0, run.odom_stamps[-1], 0.005)
-    w, damping, out = 2 * np.pi * 1.2, 0.2, np.zeros((len(fine), 2))
+    w, out = 2 * np.pi * hz, np.zeros((len(fine), 2))
     told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
     rate = np.zeros(2)
     for k in range(1, len(fine)):
@@ -152,11 +166,13 @@ def coasting(run: Run) -> Floats:
     ("rates", "said"),
     [
         (ringing, "rings"),
+        (partial(ringing, hz=3.0, damping=0.3), "rings"),  # the likeliest lag is 0.28 s below what is told
+        (partial(ringing, hz=1.7, damping=0.5), "rings"),
         (coasting, "another one while the base speeds up"),
         (sharing_power, "a speed that depends on how fast it turns"),
         (slow_to_gain_speed, "the base accelerates at about"),
     ],
-    ids=["rings", "coasts", "shares", "ramps"],
+    ids=["rings", "rings fast", "overshoots", "coasts", "shares", "ramps"],
 )
 def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Floats], said: str) -> None:
     run = make_run(6)

@@ -55,7 +55,7 @@ class Actuators:
     tau: float = 0.10
     """[s] time constant of v and omega after a step of the command."""
     delay: float = 0.0
-    """[s] between a command and its first effect."""
+    """[s] between a command and its first effect. From half of `control_period` on, it may hold the mean wait for a tick."""
 
 
 @dataclass(frozen=True, kw_only=True)

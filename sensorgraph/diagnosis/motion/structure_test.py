@@ -91,16 +91,16 @@ class StructureTest:
 
     def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
         """Return the family that explains most beside the model's own columns (n_kinds n, k), and its evidence [nats]."""
-        here = self._evidence(own)
+        here = self.evidence(own)
         screened = self._screened(own, candidates)
         k = int(np.argmax(screened))
-        found = self._evidence(own, candidates[k])
-        here = max(here, self._evidence(own))  # under the noise that the family has brought to light
+        found = self.evidence(own, candidates[k])
+        here = max(here, self.evidence(own))  # under the noise that the family has brought to light
         return candidates[k], max(found - here, screened[k])
 
     def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
         """Return the likeliest family of each kind, the likeliest first; those that explain nothing are left out."""
-        self._evidence(own)
+        self.evidence(own)
         screened = dict(zip(candidates, self._screened(own, candidates), strict=True))
         found: dict[str, StructureFamily] = {}
         for family in sorted(candidates, key=lambda family: -screened[family]):
@@ -113,7 +113,7 @@ class StructureTest:
 
         All rows weigh alike: what is off in a few rows by much is an outlier to evidence, and all the more to a user.
         """
-        self._evidence(own, families[0])
+        self.evidence(own, families[0])
         self.whitener = Whitener.plain(self.whitener.filters, self.valid)
         columns = np.concatenate([family.columns for family in families], axis=1)
         sigma = np.concatenate([np.full(family.columns.shape[1], family.sigma) for family in families])
@@ -138,15 +138,15 @@ class StructureTest:
 
     def gain(self, own: Floats, family: StructureFamily) -> float:
         """Return the evidence of one family beside columns (n_kinds n, k) [nats]."""
-        return self._evidence(own, family) - self._evidence(own)
+        return self.evidence(own, family) - self.evidence(own)
 
     def lead(self, own: Floats, family: StructureFamily, more: Floats) -> float:
         """Return how much likelier [nats] the rows are with a family beside columns `own` than with `more` columns."""
-        self._evidence(own, family)  # so that both are judged under the noises of both
-        other = self._evidence(more)
-        return self._evidence(own, family) - other
+        self.evidence(own, family)  # so that both are judged under the noises of both
+        other = self.evidence(more)
+        return self.evidence(own, family) - other
 
-    def _evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
+    def evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
         """Fit columns and noise in turn; return the evidence, without constants [nats].
 
         Where that ends hangs on where it begins: on a noise that takes structure for noise, the structure is never

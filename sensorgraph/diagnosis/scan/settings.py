@@ -437,7 +437,7 @@ class ConstancySettings:
 
     n_parts: int = 16
     """Parts of the run, in time, between which it may change."""
-    min_scans: int = 8
+    min_scans: int = 4
     """Scans of a part, below which the run is too short to tell."""
     max_refitted: int = 2
     """Numbers that are fitted with two values: those that gain most to first order."""

@@ -10,6 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Robot
 
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
@@ -25,3 +26,13 @@ def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
 def delay_sigma(control_period: float, transport_jitter: float) -> float:
     """Return the standard deviation of a command's delay [s]: uniform over one tick of the base, and the transport's."""
     return float(np.hypot(control_period / np.sqrt(12), transport_jitter))
+
+
+def longest_wait(robot: Robot) -> float:
+    """Return by how much [s] all commands may act later than robot.yaml says, if the base's loop keeps step with them.
+
+    They wait for its tick up to a period. That is half a period more than the mean wait, if `delay` holds that, and it
+    cannot where it is shorter.
+    """
+    period = robot.tolerances.control_period
+    return period / 2 if robot.actuators.delay >= period / 2 else period

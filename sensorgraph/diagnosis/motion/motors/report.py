@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import ANSWER, LAG_BY_SENSE, RAMP, WHAT_CHANGES, jump_of
+from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait
+from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
+from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -17,7 +18,6 @@ from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import Amendment, Effect
-from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
@@ -64,11 +64,9 @@ def drive_result(
     kind = "" if structure is None else structure.family.kind
     is_change = kind in map(jump_of, WHAT_CHANGES)
     steady = [a for a, term in found if not (is_change and jump_of(term.column))]
-    if structure is not None and kind in (ANSWER, LAG_BY_SENSE, RAMP):
-        # a lag takes most of a ramp and of two lags, and much of the other
+    if structure is not None and kind in OTHER_MOTORS:
         least = np.inf if kind != ANSWER else DRIVE.structure.lead_over_answer * structure.evidence
-        timing = (ACTUATOR_LAG, DEAD_TIME)
-        steady = [a for a in steady if a.effect not in timing or (a.evidence or 0.0) > least]
+        steady = [a for a in steady if a.effect not in TIMING or (a.evidence or 0.0) > least]
     return ChannelResult(
         channel="drive",
         effects=tuple(a for a in steady if _is_material(model, a)),
@@ -120,11 +118,7 @@ def _late_clock(evidence: float) -> Rival:
 def _is_material(model: DriveModel, a: Amendment) -> bool:
     if a.effect is SPEED_SATURATION:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
-    # a base whose loop keeps step with the commands lets all of them wait by up to half its period more than in the mean
-    if (
-        a.effect is DEAD_TIME
-        and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < model.robot.tolerances.control_period / 2
-    ):
+    if a.effect is DEAD_TIME and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < longest_wait(model.robot):
         return False
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 

@@ -10,12 +10,17 @@ import numpy as np
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
-from sensorgraph.diagnosis.motion.motors.structure import DELAYS, drive_families
+from sensorgraph.diagnosis.motion.motors.structure import DELAYS, OTHER_MOTORS, drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
+
+TIMING = (ACTUATOR_LAG, DEAD_TIME)
+"""Effects that say when motors answer a command."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,15 +88,50 @@ def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFi
     return out
 
 
-def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
-    """Let structure that no effect makes stand beside the effects, or in their stead."""
-    terms, here = list(selected.terms), selected.fit
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Leftover:
+    """What some effects of the motors leave, to be asked for structure."""
+
+    terms: list[MotorTerm]
+    fit: DriveFit
+    own: Floats
+    """(2 n, k) columns of the model itself."""
+    test: StructureTest
+    families: list[StructureFamily]
+
+
+def _left_by(model: DriveModel, terms: Sequence[MotorTerm], here: DriveFit) -> _Leftover:
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
     own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
     left = model.rows.masked(model.rows.y - here.simulated)
     test = StructureTest(model.rows.valid, left, model.fitted_noise, drive_nuisances(model, here))
-    families = drive_families(model, here)
-    family, gain = test.best(own, families)
+    return _Leftover(terms=list(terms), fit=here, own=own, test=test, families=drive_families(model, here))
+
+
+def _without_timing(model: DriveModel, beside: _Leftover, family: StructureFamily) -> _Leftover | None:
+    """Return what is left without lag and dead time, where motors of another kind alone are likelier than motors with these.
+
+    A lag that is shorter and a dead time that is longer take part of what a base does that rings.
+    """
+    others = [term for term in beside.terms if term.effect not in TIMING]
+    if family.kind not in OTHER_MOTORS or len(others) == len(beside.terms):
+        return None
+    plain = _left_by(model, others, model.fit(others))
+    alone = max(plain.test.evidence(plain.own, one) for one in plain.families if one.kind == family.kind)
+    with_timing = beside.test.evidence(beside.own)
+    return plain if alone > with_timing + EVIDENCE.threshold else None
+
+
+def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
+    """Let structure that no effect makes stand beside the effects, or in their stead."""
+    beside, stands_for_material = _left_by(model, selected.terms, selected.fit), False
+    family, gain = beside.test.best(beside.own, beside.families)
+    if gain >= EVIDENCE.threshold and (plain := _without_timing(model, beside, family)) is not None:
+        gone = [term for term in beside.terms if term not in plain.terms]
+        stands_for_material = any(_is_large(model, term, beside.fit) for term in gone)
+        beside = plain
+        family, gain = beside.test.best(beside.own, beside.families)
+    terms, here, own, test, families = beside.terms, beside.fit, beside.own, beside.test, beside.families
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
     needed = max(EVIDENCE.threshold, DRIVE.structure.share * strongest)
     if gain < needed:
@@ -101,14 +141,14 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     found = _all_significant(test, own, family, families, needed)
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
-    is_material = size.is_material(model.robot.limits.v, gain)
+    is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
     changed = _coefficients(test, own, family)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
-    # a command waits up to a period for the base's loop: where the two beat, delays of two stretches differ by half of it
-    waiting = model.robot.tolerances.control_period / 2
-    if family.kind in DELAYS and sure_change < waiting:
+    # a command waits up to a period for the base's loop: where the two beat slowly, delays of two stretches differ by that
+    period = model.robot.tolerances.control_period
+    if family.kind in DELAYS and sure_change < period:
         return selected
-    if not is_material and sure_change < max(family.materiality, waiting):
+    if not is_material and sure_change < max(family.materiality, period / 2):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
     if np.isfinite(family.materiality):
@@ -129,6 +169,11 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
             rivals=rivals[:2],
         ),
     )
+
+
+def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:
+    size = term.size(fit.motors, model.nominal, fit.solution.theta[term.column])
+    return bool(abs(size) >= max(term.effect.sizes.values()))
 
 
 def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> Floats:

@@ -25,6 +25,9 @@ RAMP = "ramp"
 LAG_BY_SENSE = "lag by sense"
 """Kind of the family of motors that speed up with another lag than they slow down with."""
 
+OTHER_MOTORS = (ANSWER, LAG_BY_SENSE, RAMP)
+"""Kinds of the families of motors that answer otherwise than by one lag: a lag takes most of them, or much."""
+
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
 
