@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
-from sensorgraph.diagnosis.motion.motors.structure import DELAYS, OTHER_MOTORS, drive_families
+from sensorgraph.diagnosis.motion.motors.structure import OTHER_MOTORS, TIMING_OF_STRETCHES, drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import both_kinds
@@ -144,9 +144,10 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
     changed = _coefficients(test, own, family)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
-    # a command waits up to a period for the base's loop: where the two beat slowly, delays of two stretches differ by that
+    # a command waits up to a period for the base's loop: where the two beat, halves of the run differ by half of it, and
+    # shorter stretches by all of it
     period = model.robot.tolerances.control_period
-    if family.kind in DELAYS and sure_change < period:
+    if family.kind == TIMING_OF_STRETCHES and sure_change < period:
         return selected
     if not is_material and sure_change < max(family.materiality, period / 2):
         return selected

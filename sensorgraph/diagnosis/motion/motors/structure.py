@@ -37,8 +37,8 @@ def jump_of(column: int) -> str:
     return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
 
 
-DELAYS = ("timing", jump_of(Column.DELAY))
-"""Kinds of the families of delays that change, which a base's own loop makes, too."""
+TIMING_OF_STRETCHES = "timing"
+"""Kind of the family of a delay that changes during the run, as a base's own loop makes it change, too."""
 
 
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
@@ -67,7 +67,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             [omega < 0],
         ),
         StructureFamily(
-            kind=DELAYS[0],
+            kind=TIMING_OF_STRETCHES,
             columns=timing,
             labels=[],
             sigma=DRIVE.structure.delay_sigma,
