@@ -65,7 +65,7 @@ MIRROR = Effect(
     title="mirror",
     channel="scan",
     stage="surface",
-    physics="A part of a wall reflects the ray, and the path to what it meets next is added.",
+    physics="A part of a wall reflects the ray, and the path to what it meets next in the map is added.",
     equation="z = r + r mirrored, from a to b along the wall",
     source="Yang and Wang (2011), on solving mirror reflection in lidar sensing",
     varies="one part of one wall, long readings, the geometry of a ghost room",

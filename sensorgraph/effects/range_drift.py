@@ -43,7 +43,7 @@ RANGE_DRIFT = Effect(
     title="drift of the range over time",
     channel="scan",
     stage="range",
-    physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up.",
+    physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up; t counts from the first scan, T is the time to the last.",
     equation="z = r + b₁ t / T, or b₁ (1 − exp(−t / τ)) where τ > 0",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner: warm-up",
     varies="time",

@@ -30,7 +30,7 @@ SCAN_SKEW = Effect(
         Parameter(
             name="T",
             unit="s",
-            doc="from the first ray to the last",
+            doc="of a sweep of N rays",
             materiality=0.01,
             step=1e-4,
             jump=300.0,

@@ -23,7 +23,7 @@ WHEEL_RADIUS = Effect(
     title="wheel radius",
     channel="odometry",
     stage="wheels",
-    physics="Both wheels are (1 + s) times smaller than assumed, so that way and turn are overstated alike.",
+    physics="Both wheels are smaller than the odometry takes them to be, which reads (1 + s) times the way and the turn.",
     equation="odometry (v, ω) = (1 + s) × true (v, ω)",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors",
     varies="odometry against pose: way and turn in proportion",

@@ -60,7 +60,7 @@ class Actuators:
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """What a careful set-up holds; a smaller difference is nuisance, not an effect."""
+    """What a careful set-up holds, as standard deviations; less than 2.5 times that is nuisance, not an effect."""
 
     map: float = 0.0045
     """[m] vertices of the map."""

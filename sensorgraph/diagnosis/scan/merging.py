@@ -12,8 +12,10 @@ from itertools import combinations, permutations
 import numpy as np
 
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import in_sector
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.sector_bias import SECTOR_BIAS
 
 Model = tuple[Amendment, ...]
 MAX_GAP = 0.2
@@ -29,8 +31,8 @@ def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]
         if (both := _all_but_the_rest(model[i], model[j], data)) is not None:
             common, rest = both
             others = _others(model, i, j)
-            known = sum(a["b"] for a in others if a.name == common.name)
-            others = tuple(a for a in others if a.name != common.name)
+            known = sum(a["b"] for a in others if a.effect is RANGE_BIAS)
+            others = tuple(a for a in others if a.effect is not RANGE_BIAS)
             yield (*others, common.moved_to({"b": common["b"] + known}), rest)
 
 
@@ -53,10 +55,10 @@ def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
 
 def _all_but_the_rest(one: Amendment, other: Amendment, data: ScanData) -> tuple[Amendment, Amendment] | None:
     """Return a bias of all rays, and a sector that takes it back, for two sectors with biases of one sign; None: no sectors."""
-    if one.name != "sector_bias" or other.name != "sector_bias" or one["b"] * other["b"] <= 0:
+    if one.effect is not SECTOR_BIAS or other.effect is not SECTOR_BIAS or one["b"] * other["b"] <= 0:
         return None
     bearings = data.sensor.bearings
     between = [(one["theta2"], other["theta1"]), (other["theta2"], one["theta1"])]
     first, last = max(between, key=lambda ends: int(in_sector(bearings, *ends).sum()))
     mean = float(np.mean([one["b"], other["b"]]))
-    return EFFECTS["range_bias"](b=mean), one.moved_to({"theta1": first, "theta2": last, "b": -mean})
+    return RANGE_BIAS(b=mean), one.moved_to({"theta1": first, "theta2": last, "b": -mean})
