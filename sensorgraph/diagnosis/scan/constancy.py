@@ -142,7 +142,7 @@ def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChang
     inverse = inverse_of_whole(parts, solver, fitted.solution)
     matrices = np.array([matrix for matrix, _ in parts])
     scores = np.array([right - matrix @ x for matrix, right in parts])
-    trimmed = max(1, round(SCAN.constancy.trimmed_share * len(parts)))
+    trimmed = int(np.ceil(SCAN.constancy.trimmed_share * len(parts)))
     tried = list[tuple[float, int, Floats, Floats]]()
     for part in range(trimmed, len(parts) - trimmed + 1):
         column = matrices[part:].sum(axis=0)[:, chosen]

@@ -443,8 +443,8 @@ class ConstancySettings:
     """Numbers that are fitted with two values: those that gain most to first order."""
     rounds: int = 8
     """Of these fits."""
-    trimmed_share: float = 0.1
-    """Of the run, before and after which no change is looked for."""
+    trimmed_share: float = 0.15
+    """Of the run, at its begin and its end, within which no change is looked for (Andrews 1993, section 4)."""
     confidence: float = 0.99
     """Of the quantile over all times that the scatter of the parts is judged by."""
     min_share: float = 0.5
