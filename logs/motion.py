@@ -15,6 +15,9 @@ from logs.types import Floats, Ints
 MIN_ODOMETRY = 2
 """Odometry poses between two references, from which on the odometry says how the robot moved between them."""
 
+MIN_JUDGED = 8
+"""References by which odometry is held against interpolation; with fewer it is believed."""
+
 SAME_STAMP = 1e-6
 """[s] Stamps nearer than this are one: rounding, between which there is no velocity."""
 
@@ -66,7 +69,9 @@ def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
     """Return the motion by the reference poses, and by the odometry between references that are slow.
 
     Where `MIN_ODOMETRY` odometry poses or more lie between two references, the robot moved as they say; the
-    difference to the second reference is spread evenly over the time between. Poses that are not finite are left out.
+    difference to the second reference is spread evenly over the time between. That is so where odometry tells every other
+    reference better than its neighbours do: coarse encoders tell less than a fast camera. Poses that are not finite are left
+    out.
 
     Raises
     ------
@@ -139,11 +144,44 @@ def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | Non
     inside &= (when < stamps[right]) & (stamps[left] >= when[0]) & (stamps[right] <= when[-1])
     count = np.bincount(left[inside], minlength=len(stamps))
     inside &= count[left] >= MIN_ODOMETRY
-    if not inside.any():
+    if not inside.any() or not _odometry_tells_more(stamps, poses, there):
         return None
     left, right, when, odometry = left[inside], right[inside], when[inside], odometry[inside]
-    so_far = compose(poses[left], compose(invert(there[left]), odometry))
-    miss = poses[right] - compose(poses[left], compose(invert(there[left]), there[right]))
-    miss[:, 2] = wrap(miss[:, 2])
     share = (when - stamps[left]) / (stamps[right] - stamps[left])
-    return Motion(stamps=when, poses=so_far + share[:, None] * miss)
+    found = _spread(poses[left], poses[right], there[left], odometry, there[right], share)
+    return Motion(stamps=when, poses=found)
+
+
+def _spread(first: Floats, last: Floats, begin: Floats, now: Floats, end: Floats, share: Floats) -> Floats:
+    """Return poses (n, 3) between two references, by odometry, the difference to the second spread evenly over the time.
+
+    Parameters
+    ----------
+    first, last : (n, 3) references in map
+    begin, now, end : (n, 3) odometry at the first, between, and at the last
+    share : (n,) of the time between them
+    """
+    miss = last - compose(first, compose(invert(begin), end))
+    miss[:, 2] = wrap(miss[:, 2])
+    return np.asarray(compose(first, compose(invert(begin), now)) + share[:, None] * miss)
+
+
+def _odometry_tells_more(stamps: Floats, poses: Floats, odometry: Floats) -> bool:
+    """Tell whether odometry (n, 3) at the references says better than their neighbours where every other reference is.
+
+    Judged by the root mean square, a radian counting as a metre: as a reading of a metre sees it.
+    """
+    first, middle, last = (slice(k, len(stamps) - 2 + k, 2) for k in range(3))
+    if len(stamps[middle]) < MIN_JUDGED:
+        return True
+    share = (stamps[middle] - stamps[first]) / np.maximum(stamps[last] - stamps[first], SAME_STAMP)
+    by_odometry = _spread(poses[first], poses[last], odometry[first], odometry[middle], odometry[last], share)
+    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    by_neighbours = Motion(stamps=stamps[::2], poses=unwrapped[::2]).at(stamps[middle])
+
+    def error(told: Floats) -> float:
+        off = told - poses[middle]
+        off[:, 2] = wrap(off[:, 2])
+        return float(np.square(off).sum())
+
+    return error(by_odometry) < error(by_neighbours)
