@@ -45,22 +45,24 @@ def test_planted_effect_is_named_with_its_size(
 
 
 @pytest.mark.parametrize(
-    ("period", "told", "named"),
+    ("period", "is_stated", "told", "named"),
     [
-        (0.02, 0.0, ["dead_time"]),
-        (0.04, 0.0, []),
-        (0.04, 0.02, ["dead_time"]),
-        (0.058, 0.03, []),
-        (0.08, 0.04, []),
+        (0.02, True, 0.0, ["dead_time"]),
+        (0.04, True, 0.0, []),
+        (0.04, True, 0.02, ["dead_time"]),
+        (0.04, False, 0.0, ["dead_time"]),
+        (0.058, True, 0.03, []),
+        (0.08, False, 0.0, []),
     ],
 )
 def test_a_base_that_keeps_step_with_commands_may_make_them_wait(
-    period: float, told: float, named: list[str]
+    period: float, is_stated: bool, told: float, named: list[str]
 ) -> None:
     """Up to a period, or half of one more than a delay that holds the mean wait; a millisecond beyond is error."""
     robot = replace(
         ROBOT,
         tolerances=replace(ROBOT.tolerances, control_period=period),
+        stated_tolerances=frozenset({"control_period"} if is_stated else ()),
         actuators=replace(ROBOT.actuators, delay=told),
     )
     result = diagnose_drive(make_run(3, dead=told + 0.03), robot)

@@ -31,8 +31,9 @@ def delay_sigma(control_period: float, transport_jitter: float) -> float:
 def longest_wait(robot: Robot) -> float:
     """Return by how much [s] all commands may act later than robot.yaml says, if the base's loop keeps step with them.
 
-    They wait for its tick up to a period. That is half a period more than the mean wait, if `delay` holds that, and it
-    cannot where it is shorter.
+    They wait for its tick up to a period. That is half a period more than the mean wait, if `delay` holds that; where the
+    period is stated beside a delay that is too short to hold it, it does not.
     """
     period = robot.tolerances.control_period
-    return period / 2 if robot.actuators.delay >= period / 2 else period
+    is_beside = "control_period" in robot.stated_tolerances and robot.actuators.delay < period / 2
+    return period if is_beside else period / 2
