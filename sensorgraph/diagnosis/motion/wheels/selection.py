@@ -31,6 +31,7 @@ from sensorgraph.diagnosis.motion.wheels.structure import (
     nearer_jumps,
     odometry_families,
 )
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
@@ -140,23 +141,42 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
     explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
     size = _size(model, test.explained(beside, explained), candidate.family)
+    rivals = [family.statement for family in likely]
+    accepted = AcceptedStructure(
+        family=candidate.family,
+        evidence=candidate.evidence,
+        threshold=needed,
+        size=size,
+        rivals=[text for text in rivals if text != candidate.family.statement][:2],
+    )
     is_material = size.is_material(model.robot.limits.v, candidate.evidence)
     if not candidate.replaces_patches and not is_material:
-        return
+        is_material = _stands_for_clock(model, terms, accepted)
+        if not is_material:
+            return
     if candidate.replaces_patches:
         model.patches = []
         terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
     if is_material:
-        rivals = [family.statement for family in likely]
-        model.structure = AcceptedStructure(
-            family=candidate.family,
-            evidence=candidate.evidence,
-            threshold=needed,
-            size=size,
-            rivals=[text for text in rivals if text != candidate.family.statement][:2],
-        )
+        model.structure = accepted
     model.fit_noise()
     _take_back(model, terms)
+
+
+def _stands_for_clock(model: WheelModel, terms: Sequence[WheelTerm], structure: AcceptedStructure) -> bool:
+    """Tell whether a clock offset that would have a name is none where structure stands: play comes late, too."""
+    clock = next((term for term in terms if term.effect is POSE_CLOCK_OFFSET), None)
+    if clock is None:
+        return False
+    offset = model.rows.clock + model.regression.solve(model.prior(terms)).theta[clock.column]
+    if abs(offset) < max(clock.effect.sizes.values()):
+        return False
+    model.structure = structure
+    model.fit_noise()
+    is_gone = model.evidence(terms, clock) < EVIDENCE.threshold
+    model.structure = None
+    model.fit_noise()
+    return bool(is_gone)
 
 
 def _best_structure(
