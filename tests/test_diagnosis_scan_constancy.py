@@ -91,3 +91,15 @@ def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
     )
     site = replace(broken, baseline_intervals={"mount_xy": usual}, memo={})
     assert bool(changes(fitted(site))) == is_told
+
+
+def test_a_sector_that_is_not_seen_for_half_of_the_run_does_not_end_it(quiet: ScanData) -> None:
+    """Where none of its rays is judged nothing tells a change: its matrix is singular."""
+    low, high = -0.3, 0.4
+    inside = (quiet.sensor.bearings > low) & (quiet.sensor.bearings < high)
+    late = np.arange(quiet.n_scans) > 0.5 * quiet.n_scans
+    hidden = late[:, None] & inside
+    ranges = np.where(inside, quiet.ranges + 0.05, quiet.ranges)
+    partly = replace(quiet, ranges=np.where(hidden, np.nan, ranges), memo={})
+    model = fitted(partly, EFFECTS["sector_bias"](theta1=low, theta2=high, b=0.05))
+    assert changes(model) == []

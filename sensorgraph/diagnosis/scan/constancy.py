@@ -34,6 +34,9 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
 
+LEAST_INFORMATION = 1e-9
+"""Share of a number's information that must be left beside all else, above round-off."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorNumber:
@@ -105,7 +108,7 @@ def _candidates(fitted: Fitted) -> list[NumberChange]:
         return []
     parts = equations_of_parts(fitted.solver, fitted.solution, rows)
     screened = [_screened(parts, fitted, number) for number in _numbers(fitted)]
-    return sorted((c for c in screened if _is_likely(c)), key=lambda c: -c.gain)
+    return sorted((c for c in screened if c is not None and _is_likely(c)), key=lambda c: -c.gain)
 
 
 def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
@@ -135,8 +138,8 @@ def _numbers(fitted: Fitted) -> list[SensorNumber]:
     return out
 
 
-def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChange:
-    """Return the likeliest change of a number, to first order."""
+def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChange | None:
+    """Return the likeliest change of a number, to first order; None where no part of the run tells one from what else gives way."""
     solver, chosen = fitted.solver, number.unknowns
     x = np.concatenate([fitted.state.g, fitted.solution.p])
     inverse = inverse_of_whole(parts, solver, fitted.solution)
@@ -148,8 +151,13 @@ def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChang
         column = matrices[part:].sum(axis=0)[:, chosen]
         beside = inverse @ column  # how the other unknowns give way, per unit of the jump
         score = scores[part:].sum(axis=0)[chosen]
-        jump = np.linalg.solve(column[chosen] - column.T @ beside, score)
+        information = column[chosen] - column.T @ beside
+        if np.linalg.eigvalsh(information)[0] <= LEAST_INFORMATION * float(np.trace(column[chosen])):
+            continue
+        jump = np.linalg.solve(information, score)
         tried.append((0.5 * float(score @ jump), part, -(beside @ jump)[chosen], jump))
+    if not tried:
+        return None
     gain, part, moved, jump = max(tried, key=lambda one: one[0])
     first = _moved(number.amendment, moved)
     return NumberChange(number=number, part=part, first=first, second=_moved(first, jump), gain=gain)
