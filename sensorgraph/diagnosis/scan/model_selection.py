@@ -41,6 +41,8 @@ class Step:
 
     tried: tuple[tuple[Amendment, float], ...]
     chosen: str
+    became: tuple[Amendment, ...] = ()
+    """The model, where the one chosen and an earlier one became one, or something simpler."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +118,10 @@ def explain(
             rival, nats = max(others, key=lambda t: t[1])
             rivals[_key(mine)] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
-        current = _merged(data, _pruned(data, best, noise_bounds, threshold, struck), noise_bounds)
+        pruned = _pruned(data, best, noise_bounds, threshold, struck)
+        current = _merged(data, pruned, noise_bounds)
+        if current is not pruned:
+            steps[-1] = replace(steps[-1], became=current.model)
         is_same = {_key(a) for a in current.model} == {_key(a) for a in before.model}
         if is_same and current.j < before.j + threshold:
             break

@@ -9,6 +9,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.quantities import (
     place_text,
 )
+from sensorgraph.diagnosis.scan.model_selection import Step
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures.style import (
@@ -28,9 +29,8 @@ MAX_ROUNDS, MAX_CANDIDATES = 5, 5
 def ranking_picture(finding: Finding, path: Path) -> None:
     """Draw the evidence of what was tried, round by round."""
     assert finding.explained is not None
-    rounds = [(step.chosen, _distinct(step.tried)) for step in finding.explained.steps if step.tried][
-        :MAX_ROUNDS
-    ]
+    steps = [step for step in finding.explained.steps if step.tried][:MAX_ROUNDS]
+    rounds = [(step, _distinct(step.tried)) for step in steps]
     lines = sum(len(tried) for _, tried in rounds) + 0.9 * len(rounds)
     height = max(0.27 * lines + 0.5, 1.5)
     figure = new_figure(10.0, height, layout=None)
@@ -41,13 +41,11 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     labels: list[str] = []
     best = max(gain for _, tried in rounds for _, gain in tried)
     top = max(best, 2 * SCAN.selection.threshold)
-    for k, (chosen, tried) in enumerate(rounds, start=1):
-        none = "nothing more is accepted" if k > 1 else "nothing is accepted"
-        outcome = "the first is accepted" if chosen else none
+    for k, (step, tried) in enumerate(rounds, start=1):
         axes.text(
             0.008 * top,
             y + 0.05,
-            f"round {k}: {outcome}",
+            f"round {k}: {_outcome(step, k)}",
             fontsize=8,
             color=SOFT,
             va="center",
@@ -56,7 +54,7 @@ def ranking_picture(finding: Finding, path: Path) -> None:
         y -= 0.9
         lead = tried[0][1]
         for i, (a, gain) in enumerate(tried):
-            taken = bool(chosen) and i == 0
+            taken = bool(step.chosen) and i == 0
             axes.barh(y, max(gain, 0.0), color=TEAL if taken else "#b9c0cc", height=0.7)
             behind = "" if i == 0 else f"   ({gain - lead:+,.0f} to the first)"
             axes.text(
@@ -82,6 +80,16 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     save_figure(figure, path)
+
+
+def _outcome(step: Step, number: int) -> str:
+    """Say how a round ended."""
+    if not step.chosen:
+        return "nothing more is accepted" if number > 1 else "nothing is accepted"
+    if not step.became:
+        return "the first is accepted"
+    model = ", ".join(a.effect.title for a in step.became)
+    return f"the first is accepted, and together they are explained as well by: {model}"
 
 
 def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
