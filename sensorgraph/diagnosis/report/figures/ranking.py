@@ -89,7 +89,7 @@ def _outcome(step: Step, number: int) -> str:
     if not step.became:
         return "the first is accepted"
     model = ", ".join(a.effect.title for a in step.became)
-    return f"the first is accepted, and together they are explained as well by: {model}"
+    return f"the first is accepted; the model becomes {model}"
 
 
 def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
