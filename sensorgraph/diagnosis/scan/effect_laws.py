@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.fit import bare_cast, log_p_at
+from sensorgraph.diagnosis.scan.fit import bare_cast, cast, log_p_at
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.people_law import (
     STANDING_CAUSES,
@@ -26,6 +26,8 @@ from sensorgraph.effects.places import part_of_wall
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools, Floats, Ints
 
+LEAST_CHANGE = 1e-4
+"""[m] by which an effect changes a reading at least, where it does."""
 WALL_CAUSES: tuple[str, ...] = (
     "furniture that leans at the wall, a door that stands open, a radiator",
     "a reflector, which seems wider than it is",
@@ -148,10 +150,24 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
                 statistic=gains[index],
                 threshold=SCAN.selection.threshold,
                 failed=frozenset([index]),
+                size=_size_of(view, index),
                 causes=WALL_CAUSES,
             )
         )
     return out
+
+
+def _size_of(view: FitResiduals, index: int) -> ScanError:
+    """Return by how much readings are off that are simulated without one effect of the model."""
+    fitted = view.fitted
+    rest = (*fitted.model[:index], *fitted.model[index + 1 :])
+    with np.errstate(invalid="ignore"):
+        off = np.abs(cast(fitted.solver.data, rest).expected.reading - fitted.cast.expected.reading)
+    some = view.returned & (off > LEAST_CHANGE)
+    return ScanError(
+        offset=float(np.sqrt(np.square(off[some & np.isfinite(off)]).mean())) if some.any() else 0.0,
+        affected=float(some.mean()),
+    )
 
 
 def _nearest_wall(walls: Floats, point: Floats) -> int:

@@ -104,11 +104,13 @@ def check(
     parts = partitions(view)
     found = deviations(view, parts)
     laws = broken_laws(view, gains, gained)
-    # a fringe of another effect's readings is no doubt, and no name
+    at_walls = in_walls(view, gains)
+    # a fringe of another effect's readings is no doubt, and no name; nor has a bulge of a wall one, be it small
     fringes = frozenset(i for d in laws for i in d.failed if fitted.model[i].effect.diagnostics.explains)
+    fringes |= frozenset(i for d in at_walls for i in d.failed)
     doubts = [
         *laws,
-        *in_walls(view, gains),
+        *at_walls,
         *lost_by_direction(view, gains),
         *_stretched(view, nominal),
         *absences(view),
