@@ -89,7 +89,7 @@ SCAN_CASES = (
     Hidden(suite="none", index=2),
     Hidden(suite="singles", effect="range_bias"),
     Hidden(suite="singles", effect="unmapped_obstacle"),
-    Hidden(suite="foreign", effect="bias_jump"),
+    Hidden(suite="foreign", effect="bias_jump", duration=70.0),  # it jumps at 42 s
     Hidden(suite="foreign", effect="crosstalk_rotating"),
 )
 MOTION_CASES = (
