@@ -38,7 +38,9 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.world.robot import parse_robot
 
 FACTORS = (0.5, 2.0)
-SHARE = re.compile("share|quantile|probability|chance|correlation|confidence|matching|cosine|dropout|absorber")
+SHARE = re.compile(
+    "share|quantile|probability|chance|correlation|confidence|matching|cosine|dropout|absorber"
+)
 """Names of numbers that are below 1 by their nature."""
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
