@@ -86,7 +86,7 @@ def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
         order = np.argsort(np.concatenate([stamps, between.stamps]), kind="stable")
         stamps = np.concatenate([stamps, between.stamps])[order]
         poses = np.concatenate([poses, between.poses])[order]
-    return Motion(stamps=stamps, poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+    return Motion(stamps=stamps, poses=_unwrapped(poses))
 
 
 def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None = None) -> Floats:
@@ -127,6 +127,11 @@ def to_ray_starts(poses: Floats, sensor: RangeSensor, frame: PoseFrame) -> Float
     return np.stack([*moved, np.broadcast_to(poses[..., 2], moved[0].shape)], axis=-1)
 
 
+def _unwrapped(poses: Floats) -> Floats:
+    """Return poses (n, 3) whose headings [rad] follow each other without a jump."""
+    return np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+
+
 def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | None:
     """Return the odometry poses between slow references, moved into map; None where there are none."""
     known = np.isfinite(run.odometry).all(axis=1)
@@ -135,7 +140,7 @@ def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | Non
         return None
     if run.pose_frame == "laser":
         odometry = compose(odometry, run.sensor.mount)
-    odometry = np.column_stack([odometry[:, :2], np.unwrap(odometry[:, 2])])
+    odometry = _unwrapped(odometry)
     there = Motion(stamps=when, poses=odometry).at(stamps)  # odometry at the references
     right = np.searchsorted(stamps, when, side="left")
     left = right - 1
@@ -176,8 +181,7 @@ def _odometry_tells_more(stamps: Floats, poses: Floats, odometry: Floats) -> boo
         return True
     share = (stamps[middle] - stamps[first]) / np.maximum(stamps[last] - stamps[first], SAME_STAMP)
     by_odometry = _spread(poses[first], poses[last], odometry[first], odometry[middle], odometry[last], share)
-    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
-    by_neighbours = Motion(stamps=stamps[::2], poses=unwrapped[::2]).at(stamps[middle])
+    by_neighbours = Motion(stamps=stamps[::2], poses=_unwrapped(poses)[::2]).at(stamps[middle])
 
     def error(told: Floats) -> float:
         off = told - poses[middle]

@@ -331,6 +331,11 @@ class Amendment:
         return size_ratio(self.effect, self.parameters)
 
 
+def without(model: Sequence[Amendment], *indices: int) -> tuple[Amendment, ...]:
+    """Return the other effects of a model."""
+    return tuple(a for k, a in enumerate(model) if k not in indices)
+
+
 def size_ratio(effect: Effect, values: Mapping[str, float]) -> float:
     """Return how many times its materiality an effect is (several sizes add as a vector)."""
     sizes = {k: m for k, m in effect.sizes.items() if k in values}

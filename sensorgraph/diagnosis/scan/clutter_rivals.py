@@ -14,6 +14,7 @@ from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import without
 
 
 def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | None:
@@ -28,10 +29,10 @@ def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | 
     data, model = fitted.solver.data, fitted.model
     if model[index].name not in data.baseline_intervals:
         return None
-    rest = (*model[:index], *model[index + 1 :])
-    without = fit(data, rest, fitted.state, bounds, outer=2, inner=4)
+    rest = without(model, index)
+    others = fit(data, rest, fitted.state, bounds, outer=2, inner=4)
     best: dict[str, Candidate] = {}
-    for c in sorted(shortlist(data, without, set(), 0.0), key=lambda c: -c.gain):
+    for c in sorted(shortlist(data, others, set(), 0.0), key=lambda c: -c.gain):
         if c.amendment.effect.place is not None and clutter_floor(c.amendment, data) > 0:
             best.setdefault(c.amendment.name, c)
     for candidate in best.values():

@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.scan.people_law import (
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS
-from sensorgraph.effects.effect import Telltale
+from sensorgraph.effects.effect import Telltale, without
 from sensorgraph.effects.places import part_of_wall
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools, Floats, Ints
@@ -160,7 +160,7 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
 def _size_of(view: FitResiduals, index: int) -> ScanError:
     """Return by how much readings are off that are simulated without one effect of the model."""
     fitted = view.fitted
-    rest = (*fitted.model[:index], *fitted.model[index + 1 :])
+    rest = without(fitted.model, index)
     with np.errstate(invalid="ignore"):
         off = np.abs(cast(fitted.solver.data, rest).expected.reading - fitted.cast.expected.reading)
     some = view.returned & (off > LEAST_CHANGE)
@@ -185,7 +185,7 @@ def absences(view: FitResiduals) -> list[Doubt]:
     for index, a in enumerate(fitted.model):
         if a.effect.place not in ("wall", "obstacle", "spot"):
             continue
-        rest = (*fitted.model[:index], *fitted.model[index + 1 :])
+        rest = without(fitted.model, index)
         bare = log_p_at(data, rest, fitted.state)
         off_edge = fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
         better = np.where(off_edge, bare - view.log_p, 0.0)

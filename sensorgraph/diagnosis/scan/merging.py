@@ -13,6 +13,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import without
 from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.effects.sector_bias import SECTOR_BIAS
@@ -26,26 +27,19 @@ def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]
     """Yield models with fewer effects, or simpler ones, that may stand for this one; what is new comes last."""
     for i, j in permutations(range(len(model)), 2):
         if (whole := _whole_part(model[i], model[j])) is not None:
-            yield (*_others(model, i, j), whole)
+            yield (*without(model, i, j), whole)
     for i, j in combinations(range(len(model)), 2):
         if (both := _all_but_the_rest(model[i], model[j], data)) is not None:
             common, rest = both
-            others = _others(model, i, j)
+            others = without(model, i, j)
             known = sum(a["b"] for a in others if a.effect is RANGE_BIAS)
             others = tuple(a for a in others if a.effect is not RANGE_BIAS)
             yield (*others, common.moved_to({"b": common["b"] + known}), rest)
 
 
-def _others(model: Sequence[Amendment], i: int, j: int) -> Model:
-    return tuple(a for k, a in enumerate(model) if k not in (i, j))
-
-
 def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
     """Return the first effect on its own part of a wall and on the other's, too; None where they do not touch."""
-    ends = ("a", "b")
-    if one.effect.place != "wall" or one.place != other.place:
-        return None
-    if not all(end in a.parameters for a in (one, other) for end in ends):
+    if one.place != other.place or not (one.effect.on_part_of_wall and other.effect.on_part_of_wall):
         return None
     gap = max(one["a"], other["a"]) - min(one["b"], other["b"])
     if gap > MAX_GAP:

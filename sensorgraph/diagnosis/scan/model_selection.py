@@ -29,6 +29,7 @@ from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import without
 from sensorgraph.types import Progress, ProgressBars, no_progress
 from sensorgraph.world.sensor_parts import sensor_of_rays
 
@@ -133,7 +134,7 @@ def explain(
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
             tick(index, n + 1)
-            rest = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
+            rest = fit(data, without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
             one = current.model[index]
             gains[index] = evidence(data, one, current, rest) - price(one, data)
         tick(n, n + 1)
@@ -151,7 +152,7 @@ def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -
     """
     for index in range(len(current.model) - 1, -1, -1):
         if len(current.model) > 1 and is_within_baseline(current, current.model[index]):
-            current = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
+            current = fit(data, without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
     return current
 
 
@@ -172,10 +173,6 @@ def _least(model: Sequence[Amendment], candidate: Amendment, gained: float) -> f
     known = [a.effect.diagnostics for a in model]
     shares = [max(d.leftover_share, d.leftovers.get(candidate.name, 0.0)) for d in known]
     return max(shares, default=0.0) * gained
-
-
-def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
-    return (*model[:index], *model[index + 1 :])
 
 
 def _try(
@@ -345,7 +342,7 @@ def _pruned(
     """Take back earlier effects that the model can do without."""
     index = 0
     while len(best.model) > 1 and index < len(best.model) - 1:
-        rest = fit(data, _without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
+        rest = fit(data, without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
         one = best.model[index]
         if evidence(data, one, best, rest) - price(one, data) < threshold:
             struck.add((best.model[index].name, best.model[index].place))

@@ -257,6 +257,10 @@ class DriveModel:
         least, below_commands = FIT.v_max_start
         return float(np.clip(fastest, least, max(self.top_speed - below_commands, least)))
 
+    def size_of(self, term: MotorTerm, fit: DriveFit) -> float:
+        """Return the parameter of an effect in a fit."""
+        return float(term.size(fit.motors, self.nominal, fit.solution.theta[term.column]))
+
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it from now on."""
         first, second = (

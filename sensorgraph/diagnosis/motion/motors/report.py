@@ -89,7 +89,7 @@ def drive_result(
 def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> Amendment:
     """Return an effect with its size, and its standard error."""
     key = term.effect.parameters[0].name
-    value = float(term.size(fit.motors, model.nominal, fit.solution.theta[term.column]))
+    value = model.size_of(term, fit)
     return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, term.blur))})
 
 

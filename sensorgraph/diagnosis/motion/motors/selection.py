@@ -142,7 +142,8 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
-    changed = _coefficients(test, own, family)
+    is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
+    changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
     # a command waits up to a period for the base's loop: where the two beat, halves of the run differ by half of it, and
     # shorter stretches by all of it
@@ -173,8 +174,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
 
 
 def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:
-    size = term.size(fit.motors, model.nominal, fit.solution.theta[term.column])
-    return bool(abs(size) >= max(term.effect.sizes.values()))
+    return abs(model.size_of(term, fit)) >= max(term.effect.sizes.values())
 
 
 def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> Floats:
