@@ -62,6 +62,24 @@ def ghosts(rng: np.random.Generator) -> Floats:
     return out
 
 
+def own_light(rng: np.random.Generator) -> Floats:
+    """Three rays side by side read the robot's own light, reflected: at one range, all the time."""
+    out = np.full(ANGLE.shape, np.inf)
+    for k in range(len(T)):
+        ray = rng.integers(0, SENSOR.n_rays - 3)
+        out[k, ray : ray + 3] = 0.57
+    return out
+
+
+def passes_once(seconds: float) -> Floats:
+    """Somebody goes round the robot once, 0.7 m away, and is gone."""
+    there = (T > 12.0) & (T < 12.0 + seconds)
+    around = POSES[:, 2] + 1.2 * (T - 12.0) - 0.5 * 1.2 * seconds
+    d = np.where(there, 0.7, np.inf)
+    with np.errstate(invalid="ignore"):
+        return disc(POSES[:, 0] + d * np.cos(around), POSES[:, 1] + d * np.sin(around), 0.13)
+
+
 def floor() -> Floats:
     """Half of the rays meet the floor ahead, while the robot is on a ramp."""
     on_ramp = (np.arange(len(T)) % 100 < 25)[:, None]
@@ -109,9 +127,18 @@ def test_somebody_who_walks_up_and_down_may_be_people() -> None:
     assert why_not_people(view, short) == ("", ())
 
 
+def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
+    view, short = short_readings(passes_once(2.0))
+    z = view.z[short]
+    assert short.sum() > 50
+    assert np.median(np.abs(z - np.median(z))) < 0.04  # one range, as what is reflected has
+    assert why_not_people(view, short) == ("", ())
+
+
 @pytest.mark.parametrize(
     ("before", "words"),
     [
+        (own_light(np.random.default_rng(2)), "most of them at 0.57 m"),
         (stuck(ANGLE), "repeat the scan before"),
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
         (floor(), "too wide for a person"),
@@ -119,7 +146,7 @@ def test_somebody_who_walks_up_and_down_may_be_people() -> None:
         (chairs(), "does not walk"),
         (wrapped(), "most of them by 1.5"),
     ],
-    ids=["rays that stick", "ghosts", "floor", "pushed there half-way", "thin legs", "wrapped"],
+    ids=["the robot's own light", "rays that stick", "ghosts", "floor", "pushed there half-way", "thin legs", "wrapped"],
 )
 def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: str) -> None:
     reason, causes = why_not_people(*short_readings(before))

@@ -60,14 +60,12 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     if clustered(view, short) < least_clustered(view, short):
         return f"{short_ones}, one by one: too scattered for people", STRAY_CAUSES
     z = view.z[short]
-    width = settings.range_bin
-    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + width, width))
-    if counts.max() > settings.max_bin_share * len(z):
-        return f"{short_ones}, most of them at {width * (counts.argmax() + 0.5):.2f} m", STRAY_CAUSES
+    if at_one_range := _at_one_range(view, short):
+        return f"{short_ones}, most of them at {at_one_range:.2f} m", STRAY_CAUSES
     lacking = view.mu[short] - z  # of what the map has in the direction of the ray
     lacking = lacking[np.isfinite(lacking)]
     usual = float(np.median(lacking)) if len(lacking) else 0.0
-    alike = np.abs(lacking - usual) < max(width, 3 * view.data.sensor.sigma)
+    alike = np.abs(lacking - usual) < max(settings.range_bin, 3 * view.data.sensor.sigma)
     if alike.sum() > settings.min_wrapped_share * len(z) and usual > settings.min_wrap:
         return f"{short_ones}, most of them by {usual:.2f} m", WRAPPED_CAUSES
     repeated = repeated_share(view, short)
@@ -89,6 +87,19 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
     if standing := where_things_stand(view, short):
         return f"{short_ones}, {standing}: what stands there does not walk", STANDING_CAUSES
     return "", ()
+
+
+def _at_one_range(view: FitResiduals, short: Bools) -> float:
+    """Return the range at which most short readings lie again and again [m]; 0: there is none."""
+    settings = SCAN.goodness_of_fit
+    bins = (view.z[short] // settings.range_bin).astype(np.intp)
+    counts = np.bincount(bins)
+    fullest = int(counts.argmax())
+    when = view.data.stamps[np.nonzero(short)[0]][bins == fullest]
+    seconds = len(np.unique(np.floor(when - view.data.stamps[0])))
+    if counts[fullest] <= settings.max_bin_share * len(bins) or seconds < settings.min_bin_seconds:
+        return 0.0
+    return settings.range_bin * (fullest + 0.5)
 
 
 def where_things_stand(view: FitResiduals, some: Bools) -> str:

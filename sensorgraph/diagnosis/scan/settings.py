@@ -381,6 +381,8 @@ class GoodnessOfFitSettings:
     """[m] of a histogram of short readings."""
     max_bin_share: float = 0.4
     """Share of short readings in one bin, above which they are no people."""
+    min_bin_seconds: int = 5
+    """Seconds of the run in which readings must lie in that bin: somebody who passes is at one range for less."""
     min_wrap: float = 1.0
     """[m] that short readings lack, from where ranges may have begun anew."""
     min_wrapped_share: float = 0.8
