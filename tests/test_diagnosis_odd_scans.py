@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 from scan_samples import drive, hall_arena
 
+from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.odd_scans import LateScans, ScansElsewhere, odd_scan_doubts, odd_scans
+from sensorgraph.diagnosis.scan.odd_scans import (
+    LateScans,
+    ScansElsewhere,
+    ScansWithOffsets,
+    odd_scan_doubts,
+    odd_scans,
+)
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
@@ -26,6 +33,10 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
     return fit(data, effects, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
 
 
+def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
+    return odd_scan_doubts(got, null, rng=np.random.default_rng(0))
+
+
 @pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])
 def test_a_share_of_late_scans_is_found_with_its_size(late: float, share: float) -> None:
     got = fitted(late, share)
@@ -33,14 +44,14 @@ def test_a_share_of_late_scans_is_found_with_its_size(late: float, share: float)
     assert isinstance(found, LateScans)
     assert found.delay == pytest.approx(late, rel=0.12)
     assert found.share == pytest.approx(share, abs=0.06)
-    (doubt,) = odd_scan_doubts(got)
+    (doubt,) = doubts_of(got)
     assert ("late" if late > 0 else "early") in doubt.statement
     assert doubt.size is not None and doubt.size.is_material(got.solver.data.sensor.sigma)
 
 
 def test_one_delay_of_all_scans_is_no_mixture_and_keeps_its_name() -> None:
-    assert odd_scan_doubts(fitted(0.0, 0.0)) == []
-    assert odd_scan_doubts(fitted(0.0, 0.0, EFFECTS["latency"](tau=0.04))) == []
+    assert doubts_of(fitted(0.0, 0.0)) == []
+    assert doubts_of(fitted(0.0, 0.0, EFFECTS["latency"](tau=0.04))) == []
 
 
 def test_a_latency_that_is_the_mean_of_two_loses_its_name() -> None:
@@ -53,7 +64,7 @@ def test_a_latency_that_is_the_mean_of_two_loses_its_name() -> None:
     mean = fit(
         data, (EFFECTS["latency"](tau=0.03),), start_state(data, SCAN.noise), SCAN.noise, outer=3, inner=5
     )
-    (doubt,) = odd_scan_doubts(mean, null)
+    (doubt,) = doubts_of(mean, null)
     assert doubt.failed == {0}
 
 
@@ -72,5 +83,19 @@ def test_scans_of_a_reference_that_jumps_are_elsewhere_and_not_late() -> None:
     assert isinstance(found, ScansElsewhere)
     assert found.share == pytest.approx(jumps.mean(), abs=0.04)
     assert found.distance == pytest.approx(0.15, rel=0.25)
-    (doubt,) = odd_scan_doubts(null)
+    (doubt,) = doubts_of(null)
     assert "elsewhere than the reference says" in doubt.statement and not doubt.failed
+
+
+@pytest.mark.parametrize(("own", "told"), [(0.0, False), (0.06, True)])
+def test_rays_that_are_rounded_alike_are_no_offset_of_the_scan(own: float, told: bool) -> None:
+    """Steps of 10 cm: the rays to one wall are rounded alike, and a scan's mean is off by a centimetre or two."""
+    hall, steps = hall_arena(), EFFECTS["quantisation"](q=0.1)
+    run = drive(hall)
+    offsets = own * np.random.default_rng(6).normal(size=(run.n_scans, 1))
+    rounded = np.round((run.ranges + offsets) / 0.1) * 0.1
+    data, _ = prepare_scans(replace(run, ranges=rounded), hall, parse_robot("sensor: {n_rays: 61}"))
+    got = fit(data, (steps,), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    assert bool(doubts_of(got)) == told
+    if told:
+        assert isinstance(odd_scans(got), ScansWithOffsets)

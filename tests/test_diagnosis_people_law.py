@@ -146,7 +146,15 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         (chairs(), "does not walk"),
         (wrapped(), "most of them by 1.5"),
     ],
-    ids=["the robot's own light", "rays that stick", "ghosts", "floor", "pushed there half-way", "thin legs", "wrapped"],
+    ids=[
+        "the robot's own light",
+        "rays that stick",
+        "ghosts",
+        "floor",
+        "pushed there half-way",
+        "thin legs",
+        "wrapped",
+    ],
 )
 def test_what_shortens_readings_otherwise_is_no_people(before: Floats, words: str) -> None:
     reason, causes = why_not_people(*short_readings(before))

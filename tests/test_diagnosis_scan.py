@@ -15,11 +15,12 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.naming import is_material
 from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, polish, solver_for, start_state
-from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
+from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
+from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
@@ -340,6 +341,19 @@ def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
         stderr={"x": 0.002, "y": 0.002, "r": 0.002},
     )
     assert is_material(null, disc) == is_named
+
+
+@pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])
+def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
+    hall: Arena, lost: float, is_named: bool
+) -> None:
+    run = drive(hall)
+    farthest = float(np.quantile(run.ranges, 1 - lost))
+    cut = replace(run, ranges=np.where(run.ranges > farthest, np.inf, run.ranges))
+    data, _ = prepare_scans(cut, hall, parse_robot("sensor: {n_rays: 61}"))
+    limit = EFFECTS["max_range"](R=farthest)
+    got = fit(data, (limit,), start_state(data, NoiseBounds()), NoiseBounds())
+    assert is_material(got, limit) == is_named
 
 
 @pytest.mark.parametrize("start", [1.5, 0.45])

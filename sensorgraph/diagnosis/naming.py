@@ -12,7 +12,7 @@ from sensorgraph.diagnosis.motion.wheels.structure import CLOCK
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
-from sensorgraph.diagnosis.scan.materiality import is_map_error, required_ratio
+from sensorgraph.diagnosis.scan.materiality import changes_too_few, is_map_error, required_ratio
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.ranking import n_parameters
@@ -157,6 +157,7 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         or is_within_baseline(fitted, amendment)
         or not is_measured(amendment)
         or is_map_error(fitted, amendment)
+        or changes_too_few(fitted, amendment)
     ) and (
         material_probability(amendment, amendment.stderr, required_ratio(fitted))
         >= SCAN.naming.min_material_probability

@@ -24,11 +24,9 @@ from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, larges
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls, lost_by_direction
 from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
 from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, fit
-from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
-from sensorgraph.diagnosis.scan.likelihood import e_step, sample
-from sensorgraph.diagnosis.scan.nuisance import pose_prior
 from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts
 from sensorgraph.diagnosis.scan.partitions import Partition, partitions
+from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -117,7 +115,7 @@ def check(
         *_dispersed(view, found),
     ]
     doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
-    whole = [*changes(fitted, null), *profile_doubts(fitted, null), *odd_scan_doubts(fitted, null)]
+    whole = [*changes(fitted, null), *profile_doubts(fitted, null), *odd_scan_doubts(fitted, null, rng=rng)]
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > share * gained]
@@ -302,43 +300,3 @@ def _largest_z_of_replicates(
         for family, z in largest_z(found).items():
             out[family].append(z)
     return out
-
-
-def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
-    """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
-    solution, expected, jacobian = fitted.solution, fitted.cast.expected, fitted.cast.jacobian
-    state = solution.state.copy()
-    prior = pose_prior(data, state.pose_scale)
-    state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
-    mu = expected.reading + fitted.solver.shift(state, solution.p)
-    z = sample(data, expected, mu, state.noise, rng)
-    drawn = replace(data, ranges=z)
-    corners = fitted.solver.corners
-    solver = Solver(
-        drawn,
-        expected,
-        jacobian,
-        fitted.cast.scene.walls,
-        fitted.solver.effects,
-        corners,
-        fitted.solver.locked,
-    )
-    state = solution.state.copy()
-    state.delta[:] = 0.0
-    p, optimum = solution.p, None
-    for _ in range(2):
-        responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
-        system = solver.assemble(responsibilities.weight, state.pose_scale)
-        optimum = solver.maximise(system, state, optimum)
-        state.g, p = optimum.x[: solver.n_g], optimum.x[solver.n_g :]
-        state.delta = system.poses_at(optimum.x)
-    responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
-    refit = Solution(
-        state=state,
-        p=p,
-        j=0.0,
-        responsibilities=responsibilities,
-        system=system,
-        covariance=solution.covariance,
-    )
-    return drawn, Fitted(model=fitted.model, solution=refit, cast=fitted.cast, solver=solver)

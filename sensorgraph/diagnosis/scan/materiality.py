@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, log_p_at
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
+
+CLEARLY_BETTER = 1.0
+"""[nats] by which an effect must make a reading likelier to explain it."""
 
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
@@ -96,6 +99,16 @@ def _passed_share(data: ScanData, place: str) -> float:
     aimed = (wall >= 0) & own[wall] & ~np.isnan(data.ranges)
     passed = aimed & (data.ranges > expected + 4 * data.grain)
     return float(passed.sum() / max(aimed.sum(), 1))
+
+
+def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an effect without a size explains fewer readings than a user would mind: a cut-off next to the stated one."""
+    if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
+        return False
+    data = fitted.solver.data
+    rest = tuple(a for a in fitted.model if a != amendment)
+    better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
+    return float((better > CLEARLY_BETTER).mean()) < SCAN.goodness_of_fit.min_wrong_share
 
 
 def required_ratio(fitted: Fitted) -> float:

@@ -19,6 +19,7 @@ from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
+from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
@@ -160,14 +161,17 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
     return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere)
 
 
-def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Doubt scans of which a share is late, or elsewhere.
+def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.random.Generator) -> list[Doubt]:
+    """Doubt scans of which a share is late, or elsewhere, by more than scans drawn from the fit are.
 
     Parameters
     ----------
     null : the fit without effects: where two kinds of scan alone explain more than all effects, they stand for them
+    rng : of the drawn scans
     """
     found, failed = _sure(fitted), frozenset[int]()
+    if found is not None and not _is_beyond_replicates(found, fitted, rng):
+        found = None
     if isinstance(found, LateScans):  # a delay of all scans that is the mean of two has no one size
         is_delay = [Nuisance.DELAY in a.effect.nuisances for a in fitted.model]
         failed = frozenset(np.flatnonzero(is_delay).tolist())
@@ -200,6 +204,16 @@ def least_gain() -> float:
 def _sure(fitted: Fitted) -> OddScans | None:
     found = odd_scans(fitted)
     return found if found is not None and found.gain > least_gain() else None
+
+
+def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Generator) -> bool:
+    """Tell whether scans differ more than those of replicates: rays to one wall are rounded alike, for instance."""
+    for _ in range(SCAN.odd_scans.n_replicates):
+        _, drawn = replicate(fitted.solver.data, fitted, rng)
+        usual = odd_scans(drawn)
+        if usual is not None and found.gain < SCAN.goodness_of_fit.replicate_factor * usual.gain:
+            return False
+    return True
 
 
 def _each_scan(fitted: Fitted) -> _EachScan:

@@ -481,6 +481,8 @@ class OddScanSettings:
     """Times that the reference of the second kind is worse than its tolerance."""
     offsets: tuple[float, ...] = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
     """[m] standard deviations of an offset of each scan."""
+    n_replicates: int = 4
+    """Replicates drawn from the model, than all of which scans must differ more."""
     min_roughness: float = 1.2
     """Ratio of von Neumann from which on offsets belong to single scans, and not to the place."""
     clear_lead: float = 2.0

@@ -1,0 +1,53 @@
+"""Runs drawn from a fitted model, to see what it leaves unexplained by chance alone (Efron and Tibshirani 1993, chapter 6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
+from sensorgraph.diagnosis.scan.likelihood import e_step, sample
+from sensorgraph.diagnosis.scan.nuisance import pose_prior
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+
+
+def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
+    """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
+    solution, expected, jacobian = fitted.solution, fitted.cast.expected, fitted.cast.jacobian
+    state = solution.state.copy()
+    prior = pose_prior(data, state.pose_scale)
+    state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
+    mu = expected.reading + fitted.solver.shift(state, solution.p)
+    z = sample(data, expected, mu, state.noise, rng)
+    drawn = replace(data, ranges=z)
+    corners = fitted.solver.corners
+    solver = Solver(
+        drawn,
+        expected,
+        jacobian,
+        fitted.cast.scene.walls,
+        fitted.solver.effects,
+        corners,
+        fitted.solver.locked,
+    )
+    state = solution.state.copy()
+    state.delta[:] = 0.0
+    p, optimum = solution.p, None
+    for _ in range(2):
+        responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
+        system = solver.assemble(responsibilities.weight, state.pose_scale)
+        optimum = solver.maximise(system, state, optimum)
+        state.g, p = optimum.x[: solver.n_g], optimum.x[solver.n_g :]
+        state.delta = system.poses_at(optimum.x)
+    responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
+    refit = Solution(
+        state=state,
+        p=p,
+        j=0.0,
+        responsibilities=responsibilities,
+        system=system,
+        covariance=solution.covariance,
+    )
+    return drawn, Fitted(model=fitted.model, solution=refit, cast=fitted.cast, solver=solver)
