@@ -97,18 +97,13 @@ class RobotSpec:
         return 1 / COMMAND_PERIOD if self.base_loop is None else self.base_loop.odom_rate
 
     def yaml(self) -> str:
-        """Return robot.yaml; tolerances stay at their defaults, but those of a base loop, which its maker states."""
+        """Return robot.yaml; tolerances stay at their defaults, but those of the base's loop, which its maker states."""
         loop = self.base_loop
         # one wheel's travel between two readings of an encoder is off by the difference of two uniform errors
         rim = 0.0 if loop is None else loop.tick / math.sqrt(6) * loop.odom_rate
         sigma_v = math.hypot(self.sigma_v, rim / math.sqrt(2))
         sigma_omega = math.hypot(self.sigma_omega, rim * math.sqrt(2) / self.base)
-        more = {}
-        if loop is not None:
-            more["tolerances"] = {
-                "control_period": loop.period,
-                "transport_jitter": round(loop.transport / 2, 4),
-            }
+        period, jitter = (0.0, 0.0) if loop is None else (loop.period, round(loop.transport / 2, 4))
         return yaml.safe_dump(
             {
                 "name": "radix",
@@ -142,7 +137,7 @@ class RobotSpec:
                     "rate": self.odom_rate,
                 },
                 "actuators": {"tau": self.tau, "delay": 0.0 if loop is None else round(loop.mean_delay, 4)},
-                **more,
+                "tolerances": {"control_period": period, "transport_jitter": jitter},
             },
             sort_keys=False,
         )
