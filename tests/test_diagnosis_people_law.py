@@ -73,9 +73,9 @@ def own_light(rng: np.random.Generator) -> Floats:
 
 def passes_once(seconds: float) -> Floats:
     """Somebody goes round the robot once, 0.7 m away, and is gone."""
-    there = (T > 12.0) & (T < 12.0 + seconds)
-    around = POSES[:, 2] + 1.2 * (T - 12.0) - 0.5 * 1.2 * seconds
-    d = np.where(there, 0.7, np.inf)
+    since = T - 12.0
+    around = POSES[:, 2] + 1.2 * (since - 0.5 * seconds)
+    d = np.where((since > 0) & (since < seconds), 0.7, np.inf)
     with np.errstate(invalid="ignore"):
         return disc(POSES[:, 0] + d * np.cos(around), POSES[:, 1] + d * np.sin(around), 0.13)
 

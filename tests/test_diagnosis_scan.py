@@ -343,6 +343,23 @@ def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
     assert is_material(null, disc) == is_named
 
 
+@pytest.mark.parametrize(
+    ("stated", "moved", "is_named"),
+    [(None, 0.02, True), (0.008, 0.02, False), (0.008, 0.028, True)],
+)
+def test_what_moves_by_what_the_map_is_stated_to_be_off_has_not_moved(
+    hall: Arena, stated: float | None, moved: float, is_named: bool
+) -> None:
+    tolerances = "" if stated is None else f"\ntolerances: {{map: {stated}}}"
+    robot = parse_robot("sensor: {n_rays: 61}" + tolerances)
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    pillar = hall.names[-1].split("/")[0]
+    there = EFFECTS["moved_obstacle"](dx=0.6 * moved, dy=-0.8 * moved).at(pillar)
+    shifted = replace(there, stderr={"dx": 0.001, "dy": 0.001})
+    assert is_material(null, shifted) == is_named
+
+
 @pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])
 def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
     hall: Arena, lost: float, is_named: bool

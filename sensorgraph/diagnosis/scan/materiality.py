@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, log_p_at
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -18,11 +19,13 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
 
     An obstacle stands out of a mapped one by so little, or is a wall: a disc that is as large as discs may be has been fitted
     to something flat. In a map of pixels, something moves by less than a cell, a part of a wall is short, what is said to be
-    gone stops most rays.
+    gone stops most rays. A wall or an obstacle has moved by no more than the map is stated to be off.
     """
     data, values = fitted.solver.data, amendment.parameters
     if amendment.effect.place != "spot":
-        return data.grain > 0 and _is_within_pixels(data, amendment)
+        return _is_within_statement(data, amendment) or (
+            data.grain > 0 and _is_within_pixels(data, amendment)
+        )
     if values["r"] > amendment.effect.parameter("r").high - amendment.effect.sizes["r"]:
         return True
     spot = np.array([[values["x"], values["y"]]])
@@ -32,6 +35,16 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     if data.arena.contains(spot)[0]:
         return False
     return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
+
+
+def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
+    """Tell whether a move is as far as the stated tolerance of the map allows, with the chance that it allows a number."""
+    effect = amendment.effect
+    if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
+        return False
+    chance = chi2.sf(SCAN.nuisance.max_tolerances**2, 1)
+    moved = np.hypot.reduce([amendment[name] for name in effect.steps])
+    return bool(moved < data.stated_map * np.sqrt(chi2.isf(chance, len(effect.steps))))
 
 
 def _bulge(data: ScanData) -> float:

@@ -84,6 +84,8 @@ class ScanData:
     None: not at all."""
     grain: float = 0.0
     """[m] by which a surface may leave its straight wall from place to place: half a pixel of the map; 0 of a drawn one."""
+    stated_map: float = 0.0
+    """[m] tolerance of the map where robot.yaml states it: what has moved by no more than that is none; 0: it does not."""
     known: tuple[Amendment, ...] = ()
     """Effects that are part of the simulator already."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
@@ -291,6 +293,7 @@ def prepare_scans(
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
         wobble=_wobble(run, sensor, robot.tolerances),
+        stated_map=robot.tolerances.map if "map" in robot.stated_tolerances else 0.0,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
