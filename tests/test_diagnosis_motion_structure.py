@@ -112,9 +112,23 @@ def spinning(run: Run) -> Run:
     return replace(run, poses=poses)
 
 
+def turning_at_rest(run: Run) -> Run:
+    """Return the run of an odometry that turns by a gyro, whose bias grows to 0.6°/s."""
+    v, omega = run.odom_twists.T
+    return reported(run, v, omega + 0.01 * (1 - np.exp(-run.odom_stamps / 30)))
+
+
+def sliding_at_speed(run: Run) -> Run:
+    """Return the run as wheels report it that turn the body a quarter less at 0.4 m/s than in place."""
+    v, omega = run.odom_twists.T
+    return reported(run, v, omega * (1 + 2.0 * v**2))
+
+
 @pytest.mark.parametrize(
     ("distort", "said"),
     [
+        (turning_at_rest, "goes on at rest"),
+        (sliding_at_speed, "depends on speed"),
         (spinning, "they spin"),
         (out_of_round, "once in every turn of a wheel"),
         (turned_by_place, "yaw of the reference"),
@@ -126,6 +140,8 @@ def spinning(run: Run) -> Run:
         (slewed, "clock offset that changes"),
     ],
     ids=[
+        "turns at rest",
+        "slides at speed",
         "wheels that spin",
         "out of round",
         "turned by place",

@@ -99,3 +99,17 @@ def test_rays_that_are_rounded_alike_are_no_offset_of_the_scan(own: float, told:
     assert bool(doubts_of(got)) == told
     if told:
         assert isinstance(odd_scans(got), ScansWithOffsets)
+
+
+def test_one_facet_of_four_shows_though_a_long_run_is_thinned_to_one_scan_in_four() -> None:
+    hall, sensor = hall_arena(), parse_robot("sensor: {n_rays: 61}").sensor
+    run = drive(hall, n=400)
+    n_rays = -(-4 * SCAN.intake.max_readings // run.n_scans)  # as many as thin it so
+    many = replace(sensor, bearings=np.linspace(sensor.bearings[0], sensor.bearings[-1], n_rays))
+    ranges = np.stack([np.interp(many.bearings, sensor.bearings, z) for z in run.ranges])
+    data, _ = prepare_scans(
+        replace(run, sensor=many, ranges=ranges), hall, parse_robot(f"sensor: {{n_rays: {n_rays}}}")
+    )
+    facet = np.rint((data.stamps - run.stamps[0]) / 0.2).astype(int) % 4
+    assert data.n_scans == run.n_scans // 4
+    assert np.bincount(facet, minlength=4).min() > 0.2 * data.n_scans

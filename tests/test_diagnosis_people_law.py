@@ -80,6 +80,13 @@ def passes_once(seconds: float) -> Floats:
         return disc(POSES[:, 0] + d * np.cos(around), POSES[:, 1] + d * np.sin(around), 0.13)
 
 
+def steam(rng: np.random.Generator) -> Floats:
+    """A cloud comes up at one place for two seconds in six, and rays end somewhere within it."""
+    cloud = disc(np.full(len(T), 1.2), np.full(len(T), 3.2), 0.35)
+    blows = (T % 6 < 2)[:, None]
+    return np.where(blows, cloud + rng.uniform(0.0, 0.4, size=cloud.shape), np.inf)
+
+
 def floor() -> Floats:
     """Half of the rays meet the floor ahead, while the robot is on a ramp."""
     on_ramp = (np.arange(len(T)) % 100 < 25)[:, None]
@@ -141,6 +148,7 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         (own_light(np.random.default_rng(2)), "most of them at 0.57 m"),
         (stuck(ANGLE), "repeat the scan before"),
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
+        (steam(np.random.default_rng(4)), "m of (1.2, 3."),
         (floor(), "too wide for a person"),
         (pushed(), "does not walk"),
         (chairs(), "does not walk"),
@@ -150,6 +158,7 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         "the robot's own light",
         "rays that stick",
         "ghosts",
+        "steam",
         "floor",
         "pushed there half-way",
         "thin legs",

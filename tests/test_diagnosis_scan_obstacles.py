@@ -75,6 +75,19 @@ def test_a_small_move_across_the_view_is_proposed_where_it_went(hall: Arena, dy:
     assert found.gain > 20
 
 
+def test_a_move_along_the_one_side_that_was_seen_is_proposed() -> None:
+    """A wedge of which the long slanted side alone was met: its readings stay, rays pass where its corner was."""
+    room = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)]
+    wedge = [(4.0, 1.6), (4.9, 2.5), (4.4, 3.3)]
+    names = tuple(f"{f}/edge_{i}" for f, n in (("room", 4), ("wedge", 3)) for i in range(n))
+    arena = replace(polygon_arena(room, wedge), names=names)
+    side = np.array([0.4, 1.7]) / np.hypot(0.4, 1.7)
+    step = -0.035 * side
+    there = EFFECTS["moved_obstacle"](dx=step[0], dy=step[1]).at("wedge", np.array([4.4, 2.5]))
+    (found,) = moved_obstacle.nudged(FitResiduals(*bare(arena, to_and_fro(arena, (there,)))))
+    assert np.hypot(found.values["dx"] - step[0], found.values["dy"] - step[1]) < 0.012
+
+
 def test_of_a_box_that_stands_where_the_map_has_it_nothing_is_proposed(hall: Arena) -> None:
     assert moved_obstacle.nudged(FitResiduals(*bare(hall, to_and_fro(hall)))) == []
 

@@ -159,7 +159,7 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         or is_map_error(fitted, amendment)
         or changes_too_few(fitted, amendment)
     ) and (
-        material_probability(amendment, amendment.stderr, required_ratio(fitted))
+        material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment))
         >= SCAN.naming.min_material_probability
     )
 
@@ -198,7 +198,7 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
     if fit.is_doubted and not fit.is_of_building:
         p *= naming.doubted_factor
     amendment = fitted.model[index]
-    return float(p * material_probability(amendment, amendment.stderr, required_ratio(fitted)))
+    return float(p * material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
 
 
 def _unknown(fit: GoodnessOfFit) -> Unknown | None:

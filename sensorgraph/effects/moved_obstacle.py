@@ -88,11 +88,12 @@ def nudged(residuals: Residuals) -> list[Proposal]:
     """
     if residuals.strange.sum() < PROPOSAL.min_rays:
         return []
-    ends = residuals.ends(residuals.strange)
+    ends, aimed_at = residuals.ends(residuals.strange), residuals.beams.wall[residuals.strange]
     found = []
     for name in strangest_obstacles(residuals):
         members = named_walls(residuals.arena, name)
-        if (_beside(ends, residuals.walls[members]) < NUDGE_DISTANCE).sum() >= PROPOSAL.min_rays:
+        stopped, passed = _beside(ends, residuals.walls[members]) < NUDGE_DISTANCE, np.isin(aimed_at, members)
+        if (stopped | passed).sum() >= PROPOSAL.min_rays:
             proposal = _nudge(residuals, name, members)
             if proposal is not None:
                 found.append(proposal)
@@ -123,10 +124,14 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
         reading = np.minimum(there, behind) + usual
         return float(residuals.likely(reading, some).sum())
 
+    # along a side that was met head-on, only what shows of its ends may change
+    along = walls[members, 1] - walls[members, 0]
+    along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    ways = np.concatenate([DIRECTIONS, along, -along])
     best, at = (here := log_p(np.zeros(2))), np.zeros(2)
     for step in NUDGE_STEPS:
         middle = at
-        for way in DIRECTIONS:
+        for way in ways:
             shift = middle + step * way
             if (got := log_p(shift)) > best:
                 best, at = got, shift

@@ -161,6 +161,8 @@ class OdometryStructureSettings:
     """[m or rad] a priori, of each jump of the reference."""
     scale_sigma: float = 0.1
     """A priori, of each coefficient that is a scale; in seconds, of a clock offset."""
+    rest_sigma: float = 0.01
+    """[rad/s] a priori, of a turn that goes on at rest."""
     yaw_sigma: float = 0.02
     """[rad] a priori, of each wave of a distorted yaw."""
     position_sigma: float = 0.2
@@ -291,7 +293,7 @@ class DriveStructureSettings:
     """[s] after a command has acted, at which it may act again."""
     answer_sigma: float = 0.3
     """A priori, of how much it acts again."""
-    ramps: tuple[float, ...] = (0.15, 0.25, 0.35, 0.5, 0.7)
+    ramps: tuple[float, ...] = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
     """Shares of the robot's acceleration that a base may really have."""
     lead_over_answer: float = 10.0
     """Times the evidence of such an answer, or ramp, that a lag or a dead time must bring beside it for a name."""

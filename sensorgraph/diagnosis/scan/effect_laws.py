@@ -240,8 +240,8 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
 
         (on_part, n_on), (elsewhere, n_elsewhere) = share(on), share(is_near_enough & ~on)
         both = (n_on >= settings.min_rays) & (n_elsewhere >= settings.min_rays)
-        dark, light = both & (on_part > 0.5), both & (on_part < 0.5)
-        least = settings.min_light_share
+        least = settings.min_light_share  # where the light begins, a direction is neither
+        dark, light = both & (on_part > 0.5), both & (on_part < least / 2)
         if dark.any() and (elsewhere[dark] > least).all() and (elsewhere[light] < least).all():
             out.append(
                 Doubt(

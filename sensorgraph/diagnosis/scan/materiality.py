@@ -6,9 +6,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, log_p_at
+from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
+from sensorgraph.world.robot import Tolerances
 
 CLEARLY_BETTER = 1.0
 """[nats] by which an effect must make a reading likelier to explain it."""
@@ -34,7 +36,7 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
         return True
     if data.arena.contains(spot)[0]:
         return False
-    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
+    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted, amendment)
 
 
 def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
@@ -124,8 +126,10 @@ def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
     return float((better > CLEARLY_BETTER).mean()) < SCAN.goodness_of_fit.min_wrong_share
 
 
-def required_ratio(fitted: Fitted) -> float:
-    """Return how many materialities an effect must have: more, where the tolerances proved too tight."""
+def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
+    """Return how many materialities an effect must have: more, where tolerances are stated wider, or proved too tight."""
     scale = max(fitted.state.map_scale, fitted.state.pose_scale)
     is_stretched = scale > SCAN.nuisance.stretched_scale
-    return SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)
+    proved = SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)
+    usual, told = prior_widths(Tolerances()), prior_widths(fitted.solver.data.tolerances)
+    return proved * float((told / usual)[list(amendment.effect.nuisances)].max(initial=1.0))

@@ -33,6 +33,10 @@ WRAPPED_CAUSES: tuple[str, ...] = (
     "a laser that measures a phase, whose ranges begin anew beyond a distance",
     "an echo of the pulse before",
 )
+PLACE_CAUSES: tuple[str, ...] = (
+    "steam, dust or spray that comes up there at times",
+    "a curtain, a plant or a machine that moves there",
+)
 WIDE_CAUSES: tuple[str, ...] = (
     "a ramp, a kerb or a tilt of the robot, so that the laser sees the floor",
     "furniture, vehicles or walls that the map lacks",
@@ -86,6 +90,8 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
             )
     if standing := where_things_stand(view, short):
         return f"{short_ones}, {standing}: what stands there does not walk", STANDING_CAUSES
+    if again := _again_at_one_place(view, short):
+        return f"{short_ones}, {again}", PLACE_CAUSES
     return "", ()
 
 
@@ -100,6 +106,35 @@ def _at_one_range(view: FitResiduals, short: Bools) -> float:
     if counts[fullest] <= settings.max_bin_share * len(bins) or seconds < settings.min_bin_seconds:
         return 0.0
     return settings.range_bin * (fullest + 0.5)
+
+
+def _again_at_one_place(view: FitResiduals, short: Bools) -> str:
+    """Say that short readings end at one place again and again, as in a cloud, and where; empty: they do not.
+
+    What is seen at one moment fills the place. Somebody who walks up and down there is narrow, and elsewhere each time.
+    """
+    settings = SCAN.goodness_of_fit
+    ends, scan = view.ends(short), np.nonzero(short)[0]
+    middle = np.median(ends, axis=0)
+
+    def is_near(points: Floats) -> Bools:
+        return np.asarray(np.hypot(*(points - middle).T) < settings.one_place)
+
+    near, least = is_near(ends), settings.min_place_share
+    if near.mean() < least or is_near(view.ends(view.returned)).mean() > 1 - least:
+        return ""
+    _, at, count = np.unique(scan[near], return_inverse=True, return_counts=True)
+    centres = np.stack([np.bincount(at, column) / count for column in ends[near].T], axis=1)[at]
+    within = float(np.square(ends[near] - centres).sum(axis=1).mean())
+    between = float(np.square(centres - middle).sum(axis=1).mean())
+    times = 1 + int((np.diff(view.data.stamps[np.unique(scan[near])]) > settings.standing_time).sum())
+    if within < between or times < settings.min_place_times:
+        return ""
+    x, y = middle
+    return (
+        f"{100 * near.mean():.0f} % of these within {settings.one_place:g} m of ({x:.1f}, {y:.1f}) m, {times} times in the run, "
+        "as in a cloud"
+    )
 
 
 def where_things_stand(view: FitResiduals, some: Bools) -> str:

@@ -28,6 +28,7 @@ from sensorgraph.world.scene import Scene
 
 LAID = b"laid"
 """In `ScanData.memo`: the data with the walls where they were laid last."""
+GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal."""
 
@@ -325,13 +326,18 @@ def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:
 
 
 def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
-    """Keep every n-th of the usable scans of a long run; say how many that leaves out."""
+    """Keep one in n of the usable scans of a long run; say how many that leaves out.
+
+    Each n have one at another place, by the golden ratio (Weyl 1916): every n-th would always be of the same facet of a
+    mirror.
+    """
     count = int(kept.sum())
     step = -(-count * n_rays // SCAN.intake.max_readings)
     if step <= 1:
         return kept, {}
-    some = np.zeros_like(kept)
-    some[np.flatnonzero(kept)[step // 2 :: step]] = True
+    some, group = np.zeros_like(kept), np.arange(count // step)
+    within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
+    some[np.flatnonzero(kept)[step * group + within]] = True
     return some, {f"beyond one in {step}, which say enough": count - int(some.sum())}
 
 

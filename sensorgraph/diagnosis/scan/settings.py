@@ -405,6 +405,12 @@ class GoodnessOfFitSettings:
     """Directions of the room in which rays may be lost by light."""
     min_light_share: float = 0.3
     """Of rays to other walls, that must be lost in the directions in which a part of a wall seems to swallow them."""
+    one_place: float = 1.5
+    """[m] about the middle of short readings, within which they lie at one place."""
+    min_place_share: float = 0.8
+    """Of short readings, that must lie there; and of all returns, that must lie elsewhere."""
+    min_place_times: int = 3
+    """Times of the run, with pauses, at which something must be there: somebody who passes comes once or twice."""
     standing_time: float = 3.0
     """[s] after and before a short reading that are left out: a person walks some 3 m meanwhile."""
     standing_window: float = 20.0

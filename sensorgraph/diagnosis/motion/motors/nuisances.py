@@ -37,3 +37,12 @@ def longest_wait(robot: Robot) -> float:
     period = robot.tolerances.control_period
     is_beside = "control_period" in robot.stated_tolerances and robot.actuators.delay < period / 2
     return period if is_beside else period / 2
+
+
+def stated_smear(robot: Robot) -> float:
+    """Return the lag [s] that answers to many commands have in the mean, each of which waits for a tick of the stated loop.
+
+    Waits that are spread evenly over a period smear a step as a lag of their standard deviation does. 0: no period is stated.
+    """
+    is_stated = "control_period" in robot.stated_tolerances
+    return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait
+from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
 from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
 from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, jump_of
 from sensorgraph.diagnosis.motion.regression import Regression
@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
@@ -119,6 +120,8 @@ def _is_material(model: DriveModel, a: Amendment) -> bool:
     if a.effect is SPEED_SATURATION:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
     if a.effect is DEAD_TIME and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < longest_wait(model.robot):
+        return False
+    if a.effect is ACTUATOR_LAG and 0 < a["tau"] < stated_smear(model.robot) + 2 * a.stderr.get("tau", 0.0):
         return False
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 

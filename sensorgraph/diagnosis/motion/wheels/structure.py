@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.motion.wheels.each_wheel import (
 )
 from sensorgraph.diagnosis.motion.wheels.reference_structure import distorted_reference
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Wheels
 
 Part = Literal["way", "turn", "way and turn", "left wheel", "right wheel"]
@@ -46,6 +46,7 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     families = [
         _scales(rows, wheels, base, "time", "by a scale that changes in time", _pieces(wheels)),
         _steadily(rows, wheels, base),
+        _at_rest(rows, wheels),
         *_jumps(rows, wheels, base),
         *_for_a_while(rows, wheels, base),
         _scales(rows, wheels, base, "speed", "by a scale that depends on speed or turn rate", _speeds(rates)),
@@ -133,12 +134,32 @@ def _steadily(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struc
     )
 
 
-def _pieces(wheels: WheelIncrements) -> list[Scale]:
+def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
+    """Return the family of a turn that goes on whether the robot moves or not, at a rate that may change in time."""
+    time = wheels.end - wheels.start
+    piece = _piece(wheels)
+    n = ODOMETRY.structure.n_pieces
+    turns = np.stack([time, *(time * (piece == k) for k in range(n))], axis=1)
+    return StructureFamily(
+        kind="at rest",
+        columns=rows.of_wheels(np.zeros_like(turns), turns),
+        labels=["turn at rest", *(f"{span}, turn at rest" for span in _spans(wheels, n))],
+        sigma=ODOMETRY.structure.rest_sigma,
+        statement="by a turn that goes on at rest: the bias of a gyro in the odometry, or a reference that turns away",
+    )
+
+
+def _piece(wheels: WheelIncrements) -> Ints:
+    """Return in which of `n_pieces` equal pieces of the run each increment lies (n,)."""
     n = ODOMETRY.structure.n_pieces
     span = wheels.end[-1] - wheels.start[0]
-    piece = np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1)
-    labels = _spans(wheels, n)
-    return [(labels[k], part, piece == k) for k in range(n) for part in PARTS]
+    return np.asarray(np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1))
+
+
+def _pieces(wheels: WheelIncrements) -> list[Scale]:
+    piece = _piece(wheels)
+    labels = _spans(wheels, ODOMETRY.structure.n_pieces)
+    return [(label, part, piece == k) for k, label in enumerate(labels) for part in PARTS]
 
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
@@ -214,7 +235,8 @@ def _speeds(rates: Floats) -> list[Scale]:
     fastest = float(np.quantile(v, 0.98)) / ODOMETRY.structure.reference_speed
     cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
     rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
-    out: list[Scale] = [(f"|v| above {c:.2f} m/s", "way", v > c) for c in cuts]
+    parts: tuple[Part, ...] = ("way", "turn")  # a car that goes fast turns less than its wheels are steered
+    out: list[Scale] = [(f"|v| above {c:.2f} m/s", part, v > c) for part in parts for c in cuts]
     return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
 
 
