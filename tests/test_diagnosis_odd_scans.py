@@ -12,6 +12,7 @@ from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.odd_scans import (
     LateScans,
+    LateStretches,
     ScansElsewhere,
     ScansWithOffsets,
     odd_scan_doubts,
@@ -41,12 +42,26 @@ def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
 def test_a_share_of_late_scans_is_found_with_its_size(late: float, share: float) -> None:
     got = fitted(late, share)
     found = odd_scans(got)
-    assert isinstance(found, LateScans)
+    assert isinstance(found, LateScans) and not isinstance(found, LateStretches)
     assert found.delay == pytest.approx(late, rel=0.12)
     assert found.share == pytest.approx(share, abs=0.06)
     (doubt,) = doubts_of(got)
     assert ("late" if late > 0 else "early") in doubt.statement
     assert doubt.size is not None and doubt.size.is_material(got.solver.data.sensor.sigma)
+
+
+def test_scans_that_are_late_in_one_stretch_are_told_as_a_delay_that_changes() -> None:
+    hall = hall_arena()
+    run = drive(hall, n=300)
+    grows = 0.08 * (np.arange(run.n_scans) > 180)
+    data, _ = prepare_scans(
+        replace(run, stamps=run.stamps + grows), hall, parse_robot("sensor: {n_rays: 61}")
+    )
+    got = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    found = odd_scans(got)
+    assert isinstance(found, LateStretches)
+    assert found.delay == pytest.approx(0.08, rel=0.12)
+    assert "changes during the run" in found.sentence()
 
 
 def test_one_delay_of_all_scans_is_no_mixture_and_keeps_its_name() -> None:

@@ -28,6 +28,10 @@ LATE_CAUSES = (
     "scans that wait in a queue at times, and are stamped when they leave it",
     "two clocks of which now one and now the other stamps the scan",
 )
+STRETCH_CAUSES = (
+    "two clocks that run apart, and are set again",
+    "a queue that fills during the run",
+)
 OFFSET_CAUSES = (
     "mirror facets, or receivers, that take turns and differ",
     "a laser that finds its zero anew from scan to scan",
@@ -68,6 +72,21 @@ class LateScans(OddScans):
         """Say it in words."""
         late = "late" if self.delay > 0 else "early"
         return f"{100 * self.share:.0f} % of the scans are stamped {1e3 * abs(self.delay):.0f} ms too {late}, beside the others"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateStretches(LateScans):
+    """Two delays of which each has stretches of the run: the delay changes."""
+
+    causes = STRETCH_CAUSES
+
+    def sentence(self) -> str:
+        """Say it in words."""
+        late = "late" if self.delay > 0 else "early"
+        return (
+            f"the delay of the scans changes during the run: in {100 * self.share:.0f} % of it they are stamped "
+            f"{1e3 * abs(self.delay):.0f} ms too {late}, beside the rest"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,7 +326,9 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
     used = solver.jacobian.valid & solver.data.returned & is_late[:, None]
     delay = float(got.values[0])
     then = _each_scan(replace(fitted, solution=got.solution, solver=solver.with_columns(columns)))
-    found = LateScans(
+    changes, by_chance = np.count_nonzero(np.diff(is_late)), 2 * share * (1 - share) * len(is_late)
+    kind = LateStretches if changes < SCAN.odd_scans.max_changes_share * by_chance else LateScans
+    found = kind(
         share=share,
         gain=got.gain - len(is_late) * _entropy(share),
         offset=abs(delay) * float(np.sqrt(np.square(column[used]).mean())) if used.any() else 0.0,

@@ -491,6 +491,8 @@ class OddScanSettings:
     """Replicates drawn from the model, than all of which scans must differ more."""
     min_roughness: float = 1.2
     """Ratio of von Neumann from which on offsets belong to single scans, and not to the place."""
+    max_changes_share: float = 0.3
+    """Of the changes from late scans to others that chance makes, below which the two delays have stretches of the run."""
     clear_lead: float = 2.0
     """Times as likely as late or wrong poses (in nats), that offsets must be."""
     left_share: float = 0.5
