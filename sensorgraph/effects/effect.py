@@ -89,7 +89,7 @@ class Diagnostics:
     propose: Callable[[Residuals], Sequence[Proposal]] | None = None
     """Look for the effect in the residuals of a fit."""
     sweep: Callable[[Residuals], Sequence[Sequence[Mapping[str, float]]]] | None = None
-    """Return groups of start values; the best of each group, by casting them, is proposed."""
+    """Return groups of start values, in each the weakest first; the best of each group, by casting them, is proposed."""
     corner_shifts: Callable[[Arena, Floats, Ints], Sequence[CornerShift]] | None = None
     """Express the effect at each of its places as a shift of the map's corners, of which every fit has the columns.
 

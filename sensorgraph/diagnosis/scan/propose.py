@@ -58,7 +58,8 @@ def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candi
 def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     """Return the best of each group of values that effects ask to be cast; of all groups, the best few.
 
-    Values are cast on a part of the scans, nuisances frozen.
+    Values are cast on a part of the scans, nuisances frozen; no stronger ones where a value is hopeless and worse than the
+    one before.
     """
     groups = [
         (effect, group)
@@ -91,6 +92,9 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
             amendment = effect(**values)
             gain = (log_likelihood(few, (*fitted.model, amendment), state) - base) * every
             tried.append(Candidate(amendment=amendment, gain=gain))
+            is_falling = len(tried) > 1 and gain < tried[-2].gain
+            if is_falling and gain < SCAN.selection.hopeless_gain:
+                break
         found.append(max(tried, key=lambda c: c.gain))
     best = sorted(found, key=lambda c: -c.gain)[: settings.max_candidates]
     if state is nominal:
