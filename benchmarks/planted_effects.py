@@ -31,6 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import existing
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, OTHERS, Plant
 from benchmarks.planted_site import (
     SCANS_IN_GRAPH,
@@ -169,13 +170,13 @@ def arguments_given() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("log", nargs="?", type=Path, default=LOG)
+    parser.add_argument("log", nargs="?", type=existing, default=LOG)
     parser.add_argument("--effects", default="", help="labels, comma-separated; default: all")
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
     parser.add_argument(
         "--graph", type=Path, help="of the first half of a located log, built if it is not there"
     )
-    parser.add_argument("--pixels", type=Path, help="map.yaml of the building of a located log")
+    parser.add_argument("--pixels", type=existing, help="map.yaml of the building of a located log")
     parser.add_argument(
         "--another-day", action="store_true", help="the graph is of another log of the building"
     )

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.arguments import existing
 from logs import pair, read
 
 Floats = NDArray[np.float64]
@@ -80,7 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("log", type=Path)
+    parser.add_argument("log", type=existing)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--first-half", action="store_true", help="of the log alone")
     parser.add_argument("--cell", type=float, default=0.05, help="[m]")

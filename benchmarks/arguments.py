@@ -1,0 +1,14 @@
+"""Types of command-line arguments that benchmarks share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def existing(text: str) -> Path:
+    """Return the path of a file that is there."""
+    path = Path(text)
+    if not path.is_file():
+        raise argparse.ArgumentTypeError(f"{text}: there is no such file")
+    return path
