@@ -1,6 +1,6 @@
 """Plant effects in a real log, and see whether the diagnosis names them against a commissioning stretch of the same site.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planted_effects [LOG] [--effects bias,yaw] [--windows 0,3] [--half]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planted_effects [LOG] [--effects bias,yaw] [--windows 0,3] [--only full]
 
 The log's poses come from the scans themselves (SLAM), and nobody drew a map. So the even scans of each unbroken
 stretch of the log make a map of short surfaces, and the odd scans, some 90 rays of each, are the measurement, in two

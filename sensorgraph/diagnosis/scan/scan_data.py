@@ -17,6 +17,7 @@ from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.thinning import thinned_out
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
@@ -28,7 +29,6 @@ from sensorgraph.world.scene import Scene
 
 LAID = b"laid"
 """In `ScanData.memo`: the data with the walls where they were laid last."""
-GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal."""
 
@@ -255,7 +255,7 @@ def prepare_scans(
     pairing = pair(run)
     paired = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
     broken = int((pairing.paired & ~paired).sum())
-    kept, thinned = _thinned(paired, run.sensor.n_rays)
+    kept, thinned = thinned_out(paired, run.sensor.n_rays)
     notes: dict[str, object] = {
         "scans": run.n_scans,
         "used": int(kept.sum()),
@@ -323,22 +323,6 @@ def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:
     """Return poses (n, 3) whose headings are whole turns away, so that they follow phi (n,) [rad]."""
     turns = np.rint((phi - poses[:, 2]) / (2 * np.pi))
     return np.column_stack([poses[:, :2], poses[:, 2] + 2 * np.pi * turns])
-
-
-def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
-    """Keep one in n of the usable scans of a long run; say how many that leaves out.
-
-    Each n have one at another place, by the golden ratio (Weyl 1916): every n-th would always be of the same facet of a
-    mirror.
-    """
-    count = int(kept.sum())
-    step = -(-count * n_rays // SCAN.intake.max_readings)
-    if step <= 1:
-        return kept, {}
-    some, group = np.zeros_like(kept), np.arange(count // step)
-    within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
-    some[np.flatnonzero(kept)[step * group + within]] = True
-    return some, {f"beyond one in {step}, which say enough": count - int(some.sum())}
 
 
 def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:

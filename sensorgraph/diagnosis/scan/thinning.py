@@ -1,0 +1,26 @@
+"""Which scans of a long run are used."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Bools
+
+GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
+
+
+def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
+    """Keep one in n of the usable scans of a long run; say how many that leaves out.
+
+    Each n have one at another place, by the golden ratio (Weyl 1916): every n-th would always be of the same facet of a
+    mirror.
+    """
+    count = int(kept.sum())
+    step = -(-count * n_rays // SCAN.intake.max_readings)
+    if step <= 1:
+        return kept, {}
+    some, group = np.zeros_like(kept), np.arange(count // step)
+    within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
+    some[np.flatnonzero(kept)[step * group + within]] = True
+    return some, {f"beyond one in {step}, which say enough": count - int(some.sum())}
