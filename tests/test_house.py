@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
+import subprocess
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -43,6 +45,10 @@ OWNERS = {
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }
+TOP_LEVEL = {
+    "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff", ".gitignore", ".ci",
+    "benchmarks", "docs", "tests", *PACKAGES,
+}  # fmt: skip
 LIGHT = {"sensorgraph/cli"}  # start-up counts: no heavy import at module level
 HEAVY = {
     "ompl",
@@ -218,3 +224,13 @@ def test_no_two_public_classes_share_a_name() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(name_of(path))
     assert not {name: places for name, places in homes.items() if len(places) > 1}
+
+
+def test_nothing_else_lies_at_the_top_level() -> None:
+    """Two wheels of another project, 54 MB, once were committed there."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("what is tracked is known of a checkout alone")
+    tracked = subprocess.run(
+        ["git", "-C", ROOT, "ls-files"], capture_output=True, text=True, check=True
+    ).stdout
+    assert {name.split("/")[0] for name in tracked.splitlines()} == TOP_LEVEL
