@@ -7,8 +7,8 @@ from pathlib import Path
 
 
 def existing(text: str) -> Path:
-    """Return the path of a file that is there."""
+    """Return the path of a file, or of a folder such as a bag, that is there."""
     path = Path(text)
-    if not path.is_file():
-        raise argparse.ArgumentTypeError(f"{text}: there is no such file")
+    if not path.exists():
+        raise argparse.ArgumentTypeError(f"{text}: there is no such file or folder")
     return path

@@ -170,7 +170,7 @@ def arguments_given() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("log", nargs="?", type=existing, default=LOG)
+    parser.add_argument("log", nargs="?", type=existing, default=str(LOG))
     parser.add_argument("--effects", default="", help="labels, comma-separated; default: all")
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
     parser.add_argument(

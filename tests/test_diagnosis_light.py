@@ -41,6 +41,14 @@ def test_light_from_one_side_is_no_black_part_of_the_wall_there(half_width: floa
     assert doubt.failed == {0} and doubt.size is not None and doubt.size.wrong > 0.02
 
 
+def test_where_rays_are_lost_in_every_direction_no_side_is_told() -> None:
+    model = (black(1.0, 4.0),)
+    data = data_of(hall_arena(), model, n=400)
+    lost = np.random.default_rng(2).random(data.ranges.shape) < 0.5
+    poor = replace(data, ranges=np.where(lost, np.inf, data.ranges), memo={})
+    assert lost_by_direction(view_of(poor, model), {0: 900.0}) == []
+
+
 def test_a_black_part_of_a_wall_keeps_its_name() -> None:
     model = (black(1.0, 4.0),)
     data = data_of(hall_arena(), model, n=400)

@@ -45,6 +45,21 @@ def test_planted_effect_is_named_with_its_size(
 
 
 @pytest.mark.parametrize(
+    ("lag", "period", "named"),
+    [(0.025, 0.1, []), (0.06, 0.1, ["actuator_lag"]), (0.025, None, ["actuator_lag"])],
+)
+def test_a_lag_that_waits_for_the_stated_loop_make_has_no_name(
+    lag: float, period: float | None, named: list[str]
+) -> None:
+    """Waits spread evenly over 0.1 s smear a step as a lag of 0.029 s does."""
+    tolerances = ROBOT.tolerances if period is None else replace(ROBOT.tolerances, control_period=period)
+    stated = frozenset[str]() if period is None else frozenset({"control_period"})
+    robot = replace(ROBOT, tolerances=tolerances, stated_tolerances=stated)
+    result = diagnose_drive(make_run(3, lag=lag), robot)
+    assert [a.name for a in result.effects] == named
+
+
+@pytest.mark.parametrize(
     ("period", "is_stated", "told", "named"),
     [
         (0.02, True, 0.0, ["dead_time"]),
@@ -142,14 +157,14 @@ def sharing_power(run: Run) -> Floats:
     return np.column_stack([v * (1 - 0.4 * np.minimum(1.0, np.abs(omega) / 0.9)), omega])
 
 
-def slow_to_gain_speed(run: Run) -> Floats:
-    """Return the rates (n, 2) of a base that brings commands to its motors at 0.15 m/s² and 0.6 rad/s²."""
+def slow_to_gain_speed(run: Run, most: tuple[float, float] = (0.15, 0.6)) -> Floats:
+    """Return the rates (n, 2) of a base that brings commands to its motors at 0.15 m/s² and 0.6 rad/s², or other ramps."""
     fine = np.arange(0.0, run.odom_stamps[-1], 0.005)
     told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
     out = np.zeros((len(fine), 2))
     for k in range(1, len(fine)):
-        most = 0.005 * np.array([0.15, 0.6])
-        out[k] = out[k - 1] + np.clip((told[k] - out[k - 1]) * 0.05, -most, most)
+        step = 0.005 * np.array(most)
+        out[k] = out[k - 1] + np.clip((told[k] - out[k - 1]) * 0.05, -step, step)
     return np.stack([np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T], axis=1)
 
 
@@ -173,8 +188,9 @@ def coasting(run: Run) -> Floats:
         (coasting, "another one while the base speeds up"),
         (sharing_power, "a speed that depends on how fast it turns"),
         (slow_to_gain_speed, "the base accelerates at about"),
+        (partial(slow_to_gain_speed, most=(0.05, 0.2)), "the base accelerates at about 9%"),
     ],
-    ids=["rings", "rings fast", "overshoots", "coasts", "shares", "ramps"],
+    ids=["rings", "rings fast", "overshoots", "coasts", "shares", "ramps", "ramps slowly"],
 )
 def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Floats], said: str) -> None:
     run = make_run(6)

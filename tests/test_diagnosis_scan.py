@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.effects import EFFECTS
+from sensorgraph.effects import EFFECTS, sonar_cone
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import parse_robot
 
@@ -360,6 +361,28 @@ def test_what_moves_by_what_the_map_is_stated_to_be_off_has_not_moved(
     assert is_material(null, shifted) == is_named
 
 
+@pytest.mark.parametrize(("stated", "is_named"), [(0.0006, True), (0.003, False)])
+def test_a_mount_that_is_stated_to_be_coarse_takes_more_for_a_name(
+    hall: Arena, stated: float, is_named: bool
+) -> None:
+    robot = parse_robot(f"sensor: {{n_rays: 61}}\ntolerances: {{mount_yaw: {stated}}}")
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    turned = replace(EFFECTS["mount_yaw"](delta=0.005), stderr={"delta": 0.0003})
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    assert is_material(null, turned) == is_named
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(2.2, False), (2.9, True)])
+def test_a_wall_has_moved_from_two_and_a_half_times_the_stated_tolerance_on(
+    hall: Arena, share: float, is_named: bool
+) -> None:
+    robot = parse_robot("sensor: {n_rays: 61}\ntolerances: {map: 0.008}")
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    moved = replace(EFFECTS["moved_wall"](d=0.008 * share).at(hall.names[0]), stderr={"d": 0.001})
+    assert is_material(null, moved) == is_named
+
+
 @pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])
 def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
     hall: Arena, lost: float, is_named: bool
@@ -371,6 +394,17 @@ def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
     limit = EFFECTS["max_range"](R=farthest)
     got = fit(data, (limit,), start_state(data, NoiseBounds()), NoiseBounds())
     assert is_material(got, limit) == is_named
+
+
+def test_the_groups_of_a_sweep_begin_with_the_weakest_value() -> None:
+    view = SimpleNamespace(
+        short=np.full((3, 61), 1.0),
+        lost=np.full((3, 61), 0.0),
+        sensor=parse_robot("sensor: {n_rays: 61}").sensor,
+    )
+    for group in sonar_cone.sweep(view):  # type: ignore[arg-type]
+        values = [value["gamma"] for value in group]
+        assert values == sorted(values)
 
 
 @pytest.mark.parametrize("start", [1.5, 0.45])

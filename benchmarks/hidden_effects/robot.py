@@ -97,7 +97,7 @@ class RobotSpec:
         return 1 / COMMAND_PERIOD if self.base_loop is None else self.base_loop.odom_rate
 
     def yaml(self) -> str:
-        """Return robot.yaml; tolerances stay at their defaults, but those of the base's loop, which its maker states."""
+        """Return robot.yaml; tolerances stay at their defaults, except those of the base's loop, which its maker states."""
         loop = self.base_loop
         # one wheel's travel between two readings of an encoder is off by the difference of two uniform errors
         rim = 0.0 if loop is None else loop.tick / math.sqrt(6) * loop.odom_rate

@@ -20,7 +20,9 @@ NUDGE_DISTANCE = 0.12
 NUDGE_STEPS = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
 """... steps [m] in which that is looked for, ..."""
 DIRECTIONS = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
-"""... in these directions."""
+"""... in these directions, ..."""
+MAX_SIDES = 4
+"""... and along so many of the longest sides."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -92,8 +94,8 @@ def nudged(residuals: Residuals) -> list[Proposal]:
     found = []
     for name in strangest_obstacles(residuals):
         members = named_walls(residuals.arena, name)
-        stopped, passed = _beside(ends, residuals.walls[members]) < NUDGE_DISTANCE, np.isin(aimed_at, members)
-        if (stopped | passed).sum() >= PROPOSAL.min_rays:
+        stopped, aimed = _beside(ends, residuals.walls[members]) < NUDGE_DISTANCE, np.isin(aimed_at, members)
+        if (stopped | aimed).sum() >= PROPOSAL.min_rays:
             proposal = _nudge(residuals, name, members)
             if proposal is not None:
                 found.append(proposal)
@@ -124,9 +126,11 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
         reading = np.minimum(there, behind) + usual
         return float(residuals.likely(reading, some).sum())
 
-    # along a side that was met head-on, only what shows of its ends may change
+    # a move along a side leaves the readings on that side as they are, so the search has to try its very direction
     along = walls[members, 1] - walls[members, 0]
-    along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    size = np.hypot(*along.T)
+    longest = np.argsort(-size)[:MAX_SIDES]
+    along = along[longest] / np.maximum(size[longest], 1e-9)[:, None]
     ways = np.concatenate([DIRECTIONS, along, -along])
     best, at = (here := log_p(np.zeros(2))), np.zeros(2)
     for step in NUDGE_STEPS:

@@ -191,7 +191,10 @@ def absences(view: FitResiduals) -> list[Doubt]:
         better = np.where(off_edge, bare - view.log_p, 0.0)
         first, last, gain = best_run(better.sum(axis=1)[None])
         some = better[first[0] : last[0] + 1]
-        if gain[0] > settings.min_absence_gain and (some > 1.0).sum() > settings.min_absence_rays:
+        if (
+            gain[0] > settings.min_absence_gain
+            and (some > settings.clearly_better).sum() > settings.min_absence_rays
+        ):
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(
@@ -201,7 +204,9 @@ def absences(view: FitResiduals) -> list[Doubt]:
                     statistic=float(gain[0]),
                     threshold=settings.min_absence_gain,
                     failed=frozenset([index]),
-                    size=ScanError(wrong=float((some > 1.0).mean() * some.size / view.log_p.size)),
+                    size=ScanError(
+                        wrong=float((some > settings.clearly_better).mean() * some.size / view.log_p.size)
+                    ),
                     causes=("a door, a vehicle or a person that came or left during the run",),
                 )
             )
@@ -240,9 +245,15 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
 
         (on_part, n_on), (elsewhere, n_elsewhere) = share(on), share(is_near_enough & ~on)
         both = (n_on >= settings.min_rays) & (n_elsewhere >= settings.min_rays)
-        least = settings.min_light_share  # where the light begins, a direction is neither
-        dark, light = both & (on_part > 0.5), both & (on_part < least / 2)
-        if dark.any() and (elsewhere[dark] > least).all() and (elsewhere[light] < least).all():
+        # where the light begins, a direction is neither dark nor light
+        least = settings.min_light_share
+        dark, light = both & (on_part > 0.5), both & (on_part < settings.max_light_share)
+        if (
+            dark.any()
+            and light.any()
+            and (elsewhere[dark] > least).all()
+            and (elsewhere[light] < least).all()
+        ):
             out.append(
                 Doubt(
                     statement=f"rays are lost towards one side of the room ({np.degrees(_middle(dark)):.0f}° in the map), whichever "

@@ -12,9 +12,6 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.world.robot import Tolerances
 
-CLEARLY_BETTER = 1.0
-"""[nats] by which an effect must make a reading likelier to explain it."""
-
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether a change of the building is no more than the map may be wrong there.
@@ -40,7 +37,7 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
 
 
 def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a move is as far as the stated tolerance of the map allows, with the chance that it allows a number."""
+    """Tell whether a move is within the stated tolerance of the map, at the confidence at which one number is bounded."""
     effect = amendment.effect
     if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
         return False
@@ -123,7 +120,8 @@ def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
     data = fitted.solver.data
     rest = tuple(a for a in fitted.model if a != amendment)
     better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
-    return float((better > CLEARLY_BETTER).mean()) < SCAN.goodness_of_fit.min_wrong_share
+    settings = SCAN.goodness_of_fit
+    return float((better > settings.clearly_better).mean()) < settings.min_wrong_share
 
 
 def required_ratio(fitted: Fitted, amendment: Amendment) -> float:

@@ -68,10 +68,15 @@ class LateScans(OddScans):
     delay: float
     """[s] by which the stamps of the rarer kind are later, after the beam was measured, than those of the others."""
 
+    @property
+    def words(self) -> str:
+        """How they are stamped."""
+        late = "late" if self.delay > 0 else "early"
+        return f"stamped {1e3 * abs(self.delay):.0f} ms too {late}"
+
     def sentence(self) -> str:
         """Say it in words."""
-        late = "late" if self.delay > 0 else "early"
-        return f"{100 * self.share:.0f} % of the scans are stamped {1e3 * abs(self.delay):.0f} ms too {late}, beside the others"
+        return f"{100 * self.share:.0f} % of the scans are {self.words}, beside the others"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +87,9 @@ class LateStretches(LateScans):
 
     def sentence(self) -> str:
         """Say it in words."""
-        late = "late" if self.delay > 0 else "early"
         return (
-            f"the delay of the scans changes during the run: in {100 * self.share:.0f} % of it they are stamped "
-            f"{1e3 * abs(self.delay):.0f} ms too {late}, beside the rest"
+            f"the delay of the scans changes during the run: in {100 * self.share:.0f} % of it they are {self.words}, "
+            "beside the rest"
         )
 
 
@@ -189,6 +193,7 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.rando
     rng : of the drawn scans
     """
     found, failed = _sure(fitted), frozenset[int]()
+    beside = 0.0 if found is None else found.gain
     if found is not None and not _is_beyond_replicates(found, fitted, rng):
         found = None
     if isinstance(found, LateScans):  # a delay of all scans that is the mean of two has no one size
@@ -196,8 +201,8 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.rando
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
         alone = _sure(null)
-        beside = 0.0 if found is None else found.gain
-        if alone is not None and is_better_alone(alone.gain, null, beside, fitted):
+        stands_alone = alone is not None and is_better_alone(alone.gain, null, beside, fitted)
+        if alone is not None and stands_alone and _is_beyond_replicates(alone, null, rng):
             found, failed = alone, frozenset(range(len(fitted.model)))
     if found is None:
         return []

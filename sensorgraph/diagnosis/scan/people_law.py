@@ -98,12 +98,13 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
 def _at_one_range(view: FitResiduals, short: Bools) -> float:
     """Return the range at which most short readings lie again and again [m]; 0: there is none."""
     settings = SCAN.goodness_of_fit
-    bins = (view.z[short] // settings.range_bin).astype(np.intp)
+    bins = (np.maximum(view.z[short], 0.0) // settings.range_bin).astype(np.intp)
     counts = np.bincount(bins)
     fullest = int(counts.argmax())
     when = view.data.stamps[np.nonzero(short)[0]][bins == fullest]
-    seconds = len(np.unique(np.floor(when - view.data.stamps[0])))
-    if counts[fullest] <= settings.max_bin_share * len(bins) or seconds < settings.min_bin_seconds:
+    seconds, least = len(np.unique(np.floor(when - view.data.stamps[0]))), settings.min_bin_seconds
+    least = min(least, int(np.ptp(view.data.stamps)))
+    if counts[fullest] <= settings.max_bin_share * len(bins) or seconds < least:
         return 0.0
     return settings.range_bin * (fullest + 0.5)
 

@@ -411,6 +411,10 @@ class GoodnessOfFitSettings:
     """Of short readings, that must lie there; and of all returns, that must lie elsewhere."""
     min_place_times: int = 3
     """Times of the run, with pauses, at which something must be there: somebody who passes comes once or twice."""
+    max_light_share: float = 0.15
+    """Of the rays to that part, that may be lost in a direction from which no light comes."""
+    clearly_better: float = 1.0
+    """[nats] by which a model must make a reading likelier than another to explain it."""
     standing_time: float = 3.0
     """[s] after and before a short reading that are left out: a person walks some 3 m meanwhile."""
     standing_window: float = 20.0
@@ -488,11 +492,12 @@ class OddScanSettings:
     offsets: tuple[float, ...] = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
     """[m] standard deviations of an offset of each scan."""
     n_replicates: int = 4
-    """Replicates drawn from the model, than all of which scans must differ more."""
+    """Replicates drawn from the model; scans must differ more than in each of them."""
     min_roughness: float = 1.2
     """Ratio of von Neumann from which on offsets belong to single scans, and not to the place."""
     max_changes_share: float = 0.3
-    """Of the changes from late scans to others that chance makes, below which the two delays have stretches of the run."""
+    """Of the changes from late scans to others that chance makes, below which the two delays have stretches of the run: a
+    delay that grows makes one or two, scans that are late one by one all of them."""
     clear_lead: float = 2.0
     """Times as likely as late or wrong poses (in nats), that offsets must be."""
     left_share: float = 0.5

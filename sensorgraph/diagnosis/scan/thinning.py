@@ -13,11 +13,11 @@ GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
     """Keep one in n of the usable scans of a long run; say how many that leaves out.
 
-    Each n have one at another place, by the golden ratio (Weyl 1916): every n-th would always be of the same facet of a
-    mirror.
+    Of each n successive scans one is kept, at a place that changes by the golden ratio (Weyl 1916): every n-th scan may
+    always be of the same facet of a mirror.
     """
     count = int(kept.sum())
-    step = -(-count * n_rays // SCAN.intake.max_readings)
+    step = min(-(-count * n_rays // SCAN.intake.max_readings), count // SCAN.intake.min_scans)
     if step <= 1:
         return kept, {}
     some, group = np.zeros_like(kept), np.arange(count // step)

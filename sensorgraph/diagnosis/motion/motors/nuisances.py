@@ -40,7 +40,7 @@ def longest_wait(robot: Robot) -> float:
 
 
 def stated_smear(robot: Robot) -> float:
-    """Return the lag [s] that answers to many commands have in the mean, each of which waits for a tick of the stated loop.
+    """Return the lag [s] that commands seem to have because each waits for the next tick of the stated loop.
 
     Waits that are spread evenly over a period smear a step as a lag of their standard deviation does. 0: no period is stated.
     """

@@ -121,7 +121,8 @@ def _is_material(model: DriveModel, a: Amendment) -> bool:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
     if a.effect is DEAD_TIME and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < longest_wait(model.robot):
         return False
-    if a.effect is ACTUATOR_LAG and 0 < a["tau"] < stated_smear(model.robot) + 2 * a.stderr.get("tau", 0.0):
+    smear = stated_smear(model.robot)
+    if a.effect is ACTUATOR_LAG and smear and 0 < a["tau"] < smear + 2 * a.stderr.get("tau", 0.0):
         return False
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 
