@@ -16,8 +16,10 @@ from planners.arena import Arena
 from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.effect_laws import broken_laws
 from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -157,6 +159,23 @@ def test_somebody_who_walks_by_and_rays_that_do_not_return_are_no_change_of_the_
     ranges[ranges > 2.2] = np.inf
     data, _ = prepare_scans(replace(run, ranges=ranges), raster.arena, ROBOT)
     assert not raster.judged(data)[1]["changes"]
+
+
+@pytest.mark.parametrize("coarse", [True, False])
+def test_strays_that_are_not_uniform_are_of_what_pixels_lack(pixels: Arena, coarse: bool) -> None:
+    """Readings that end before the walls, scattered about 1.2 m: of a map of lines they doubt all that is named."""
+    raster = RasterMap.of(pixels)
+    run, rng = scanned(polygon_arena(ROOM)), np.random.default_rng(5)
+    odd = rng.random(run.ranges.shape) < 0.06
+    ranges = np.where(odd, 1.2 + 0.1 * rng.normal(size=run.ranges.shape), run.ranges)
+    ranges += 0.01 * rng.normal(size=ranges.shape)
+    data, _ = prepare_scans(replace(run, ranges=ranges), raster.arena, raster.widened(ROBOT))
+    data = replace(raster.judged(data)[0], grain=PIXEL / 2 if coarse else 0.0, memo={})
+    strays = (EFFECTS["random_outliers"](p=0.06),)
+    got = fit(data, strays, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5)
+    (doubt,) = broken_laws(FitResiduals(data, got), {0: 500.0}, 500.0)
+    assert "not uniform" in doubt.statement and doubt.failed == {0}
+    assert doubt.is_of_building == coarse
 
 
 def test_walls_laid_on_readings_count_their_errors_from_the_map(pixels: Arena) -> None:

@@ -76,11 +76,11 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words, causes, odd_share = "", STRAY_CAUSES, 0.0
+        words, causes, odd_share, of_strays = "", STRAY_CAUSES, 0.0, False
         if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
             (words, causes), odd_share = why_not_people(view, short), float(short.mean())
         elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
-            (words, causes), odd_share = _why_not_random(view, odd), float(odd.mean())
+            (words, causes), odd_share, of_strays = _why_not_random(view, odd), float(odd.mean()), True
         if words:
             # a fringe of a strong effect's own rays is no doubt
             worth = settings.failed_law_share * max(gains[index], absorbed)
@@ -93,7 +93,8 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     failed=frozenset([index]),
                     size=ScanError(wrong=odd_share),
                     causes=causes,
-                    is_of_building=causes == STANDING_CAUSES,
+                    # a map of pixels lacks what moves and what is thin: such strays are not uniform
+                    is_of_building=causes == STANDING_CAUSES or (of_strays and view.data.grain > 0),
                 )
             )
     for telltale in _telltales():
