@@ -76,11 +76,12 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words, causes, odd_share, of_strays = "", STRAY_CAUSES, 0.0, False
-        if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
+        words, causes, odd_share = "", STRAY_CAUSES, 0.0
+        explains = a.effect.diagnostics.explains
+        if explains == "short readings" and short.sum() > settings.min_absorbed_rays:
             (words, causes), odd_share = why_not_people(view, short), float(short.mean())
-        elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
-            (words, causes), odd_share, of_strays = _why_not_random(view, odd), float(odd.mean()), True
+        elif explains == "strays" and odd.sum() > settings.min_absorbed_rays:
+            (words, causes), odd_share = _why_not_random(view, odd), float(odd.mean())
         if words:
             # a fringe of a strong effect's own rays is no doubt
             worth = settings.failed_law_share * max(gains[index], absorbed)
@@ -94,7 +95,8 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     size=ScanError(wrong=odd_share),
                     causes=causes,
                     # a map of pixels lacks what moves and what is thin: such strays are not uniform
-                    is_of_building=causes == STANDING_CAUSES or (of_strays and view.data.grain > 0),
+                    is_of_building=causes == STANDING_CAUSES
+                    or (explains == "strays" and view.data.grain > 0),
                 )
             )
     for telltale in _telltales():
@@ -191,11 +193,8 @@ def absences(view: FitResiduals) -> list[Doubt]:
         off_edge = fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
         better = np.where(off_edge, bare - view.log_p, 0.0)
         first, last, gain = best_run(better.sum(axis=1)[None])
-        some = better[first[0] : last[0] + 1]
-        if (
-            gain[0] > settings.min_absence_gain
-            and (some > settings.clearly_better).sum() > settings.min_absence_rays
-        ):
+        n_better = int((better[first[0] : last[0] + 1] > settings.clearly_better).sum())
+        if gain[0] > settings.min_absence_gain and n_better > settings.min_absence_rays:
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(
@@ -205,9 +204,7 @@ def absences(view: FitResiduals) -> list[Doubt]:
                     statistic=float(gain[0]),
                     threshold=settings.min_absence_gain,
                     failed=frozenset([index]),
-                    size=ScanError(
-                        wrong=float((some > settings.clearly_better).mean() * some.size / view.log_p.size)
-                    ),
+                    size=ScanError(wrong=n_better / view.log_p.size),
                     causes=("a door, a vehicle or a person that came or left during the run",),
                 )
             )

@@ -102,8 +102,8 @@ def _at_one_range(view: FitResiduals, short: Bools) -> float:
     counts = np.bincount(bins)
     fullest = int(counts.argmax())
     when = view.data.stamps[np.nonzero(short)[0]][bins == fullest]
-    seconds, least = len(np.unique(np.floor(when - view.data.stamps[0]))), settings.min_bin_seconds
-    least = min(least, int(np.ptp(view.data.stamps)))
+    seconds = len(np.unique(np.floor(when - view.data.stamps[0])))
+    least = min(settings.min_bin_seconds, int(np.ptp(view.data.stamps)))
     if counts[fullest] <= settings.max_bin_share * len(bins) or seconds < least:
         return 0.0
     return settings.range_bin * (fullest + 0.5)

@@ -1,0 +1,94 @@
+"""From which size on an effect gets a name: beyond the map's errors, the stated tolerances, and what a user would not mind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scan_samples import data_of, drive, hall_arena
+
+from planners.arena import Arena
+from sensorgraph.diagnosis.naming import is_material
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.effects import EFFECTS
+from sensorgraph.world.robot import parse_robot
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    return hall_arena()
+
+
+@pytest.fixture(scope="module")
+def null(hall: Arena) -> Fitted:
+    """Return the fit without effects of a run that has none."""
+    quiet = data_of(hall)
+    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
+
+
+@pytest.mark.parametrize(("sticks_out", "is_named"), [(0.008, False), (0.08, True)])
+def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
+    null: Fitted, sticks_out: float, is_named: bool
+) -> None:
+    """A disc over the face x = 2.6 of a pillar, within what the map may be wrong there, or not."""
+    r = 0.05
+    disc = replace(
+        EFFECTS["unmapped_obstacle"](x=2.6 + sticks_out - r, y=3.25, r=r),
+        stderr={"x": 0.002, "y": 0.002, "r": 0.002},
+    )
+    assert is_material(null, disc) == is_named
+
+
+@pytest.mark.parametrize(
+    ("stated", "moved", "is_named"),
+    [(None, 0.02, True), (0.008, 0.02, False), (0.008, 0.028, True)],
+)
+def test_what_moves_by_what_the_map_is_stated_to_be_off_has_not_moved(
+    hall: Arena, stated: float | None, moved: float, is_named: bool
+) -> None:
+    tolerances = "" if stated is None else f"\ntolerances: {{map: {stated}}}"
+    robot = parse_robot("sensor: {n_rays: 61}" + tolerances)
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    pillar = hall.names[-1].split("/")[0]
+    there = EFFECTS["moved_obstacle"](dx=0.6 * moved, dy=-0.8 * moved).at(pillar)
+    shifted = replace(there, stderr={"dx": 0.001, "dy": 0.001})
+    assert is_material(null, shifted) == is_named
+
+
+@pytest.mark.parametrize(("stated", "is_named"), [(0.0006, True), (0.003, False)])
+def test_a_mount_that_is_stated_to_be_coarse_takes_more_for_a_name(
+    hall: Arena, stated: float, is_named: bool
+) -> None:
+    robot = parse_robot(f"sensor: {{n_rays: 61}}\ntolerances: {{mount_yaw: {stated}}}")
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    turned = replace(EFFECTS["mount_yaw"](delta=0.005), stderr={"delta": 0.0003})
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    assert is_material(null, turned) == is_named
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(2.2, False), (2.9, True)])
+def test_a_wall_has_moved_from_two_and_a_half_times_the_stated_tolerance_on(
+    hall: Arena, share: float, is_named: bool
+) -> None:
+    robot = parse_robot("sensor: {n_rays: 61}\ntolerances: {map: 0.008}")
+    data, _ = prepare_scans(drive(hall), hall, robot)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    moved = replace(EFFECTS["moved_wall"](d=0.008 * share).at(hall.names[0]), stderr={"d": 0.001})
+    assert is_material(null, moved) == is_named
+
+
+@pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])
+def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
+    hall: Arena, lost: float, is_named: bool
+) -> None:
+    run = drive(hall)
+    farthest = float(np.quantile(run.ranges, 1 - lost))
+    cut = replace(run, ranges=np.where(run.ranges > farthest, np.inf, run.ranges))
+    data, _ = prepare_scans(cut, hall, parse_robot("sensor: {n_rays: 61}"))
+    limit = EFFECTS["max_range"](R=farthest)
+    got = fit(data, (limit,), start_state(data, NoiseBounds()), NoiseBounds())
+    assert is_material(got, limit) == is_named
