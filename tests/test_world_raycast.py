@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.world.ray_intersection import nearest_walls, nearest_walls_plain
+from sensorgraph.world.ray_intersection import nearest_after_moves, nearest_walls, nearest_walls_plain
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
 from sensorgraph.world.wall_grid import WallGrid, nearest_in_grid
 
@@ -211,3 +211,22 @@ def test_a_grid_without_walls_stops_no_ray() -> None:
 def test_where_no_wall_is_no_ray_ends() -> None:
     ranges, wall = nearest_walls(np.zeros((0, 2, 2)), np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
     assert np.isinf(ranges).all() and (wall == -1).all()
+
+
+@given(st.integers(0, 10_000), st.sampled_from([0, 1, 4, 30]))
+@settings(max_examples=25, deadline=None)
+def test_walls_that_have_moved_are_met_where_they_stand_now(seed: int, n_moved: int) -> None:
+    """To the last bit: also of rays that had stopped at one of them, and where one was taken away."""
+    rng = np.random.default_rng(seed)
+    walls = clutter(15, rng).walls
+    moved = rng.choice(len(walls), n_moved, replace=False)
+    now = walls.copy()
+    now[moved] += rng.normal(0, 0.5, (n_moved, 1, 2))
+    now[moved[:1]] = 1e9
+    n = 500
+    ox, oy, phi = rng.uniform(0, 15, n), rng.uniform(0, 15, n), rng.uniform(-np.pi, np.pi, n)
+    ux, uy = np.cos(phi), np.sin(phi)
+    before = nearest_walls(walls, ox, oy, ux, uy)
+    found = nearest_after_moves(now, moved, ox, oy, ux, uy, *before)
+    for got, there in zip(found, nearest_walls(now, ox, oy, ux, uy), strict=True):
+        np.testing.assert_array_equal(got, there)

@@ -58,6 +58,32 @@ def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: F
     return found, np.where(np.isfinite(found), wall, -1)
 
 
+def nearest_after_moves(
+    walls: Floats, moved: Ints, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints
+) -> tuple[Floats, Ints]:
+    """Return what `nearest_from_each` does, from a cast of the same rays before some walls have moved.
+
+    Parameters
+    ----------
+    moved : (k,) indices of the walls that stood elsewhere
+    ranges, wall : like `ux`, [m] and index of the wall, as they were
+    """
+    shape = ux.shape
+    has_moved = np.zeros(len(walls) + 1, dtype=np.bool_)
+    has_moved[moved] = True
+    new, at = nearest_from_each(walls[moved], ox, oy, ux, uy)
+    at = np.append(moved, -1)[at]  # the last: -1, nothing
+    nearer = (new < ranges) | ((new == ranges) & (at >= 0) & (at < wall))
+    ranges, wall = np.where(nearer, new, ranges), np.where(nearer, at, wall)
+    again = has_moved[wall] & ~nearer
+    if again.any():
+        x, y = (np.broadcast_to(o, shape)[again][None] for o in (ox, oy))
+        ranges[again], wall[again] = (
+            a[0] for a in nearest_from_each(walls, x, y, ux[again][None], uy[again][None])
+        )
+    return ranges, wall
+
+
 def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
     """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
     x, y = (

@@ -20,13 +20,13 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.beams import Beams
+from sensorgraph.world.cast_memory import CastMemory, RayPaths
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_starts
 from sensorgraph.world.sensor_parts import check_parts, part_names, part_of, sensor_of_rays
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 MAX_DISTANCE = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
-MAX_CACHED_CASTS = 12  # casts in the memory of a scene
 CONE_STEP = np.radians(1.05)  # [rad] between the rays that fill a cone, at most
 RIGHT_ANGLE = 1.5707963  # [rad] an effect that begins at this incidence begins nowhere
 DISC_WALL = -2  # `wall` of a hit on a disc; a mover's is one less
@@ -68,7 +68,7 @@ class Scene:
     """[s] length of the whole run; drifts are told relative to it."""
     begin: float = 0.0
     """[s] when the run starts."""
-    memo: dict[bytes, object] | None = None
+    casts: CastMemory | None = None
     """Casts are kept here and taken from here, where given."""
     seed: int | None = None
     """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
@@ -112,46 +112,63 @@ class Scene:
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
         is_cone = self.sensor.cones.any()
-        if self.memo is None or (
+        if self.casts is None or (
             is_cone and self.surfaces
         ):  # surfaces act on each ray of a cone, not on its nearest
             return self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
-        numbers = np.array([offset, *self.dip], np.float64)
-        parts = (self.walls, self.mount, self.delay, self.discs, self.movers, numbers)
-        key = b"|".join(part.tobytes() for part in parts)
-        kept = self.memo.get(key)
-        if not isinstance(kept, Beams):
-            surfaces, self.surfaces = self.surfaces, []
-            kept = self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
-            self.surfaces = surfaces
-            if len(self.memo) >= MAX_CACHED_CASTS:
-                self.memo.pop(next(iter(self.memo)))
-            self.memo[key] = kept
+        surfaces, self.surfaces = self.surfaces, []
+        key = self._key_of_rays(offset) + b"".join(p.tobytes() for p in (self.walls, self.discs, self.movers))
+        kept = self.casts.beams(
+            key,
+            lambda: self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings),
+        )
+        self.surfaces = surfaces
         beams = copy(kept)
         for act in self.surfaces:
             act(self, beams)
         return beams
 
+    def _key_of_rays(self, offset: float | Floats) -> bytes:
+        """Return what the sensor's rays hang on, scans and motion being the same."""
+        parts = (self.mount, self.delay, np.array(self.dip), np.asarray(offset, np.float64))
+        return b"|".join(part.tobytes() for part in parts) + b"|"
+
     def _shoot_rays(self, offset: float | Floats, bearings: Floats) -> Beams:
         """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
+        if self.casts is None or bearings is not self.bearings:
+            rays = self._rays(offset, bearings)
+            ranges, wall = self._hit(rays, bearings, offset)
+        else:
+            key = self._key_of_rays(offset)
+            rays = self.casts.rays(key, lambda: self._rays(offset, bearings))
+            hits = self.casts.hits(key, rays, self.walls, lambda: self._hit(rays, bearings, offset))
+            ranges, wall = hits.ranges, hits.wall
+        ranges = self._recast(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
+        return self._met(
+            _beams(self.walls, rays.ox, rays.oy, rays.ux, rays.uy, ranges, wall, self.sensor.sigma)
+        )
+
+    def _rays(self, offset: float | Floats, bearings: Floats) -> RayPaths:
+        """Return where rays of these bearings (n,) begin and go."""
         bearings = self.levelled(bearings + offset)
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
         spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
         if np.ptp(delay) == 0.0 and not spread:
             lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
             ux, uy = directions(lasers[:, 2], bearings)
-            ox, oy = lasers[:, :1], lasers[:, 1:2]
-            ranges, wall = cast_laser(self.walls, lasers, bearings, MAX_DISTANCE)
-        else:
-            poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
-            lasers = laser_poses(poses, self.mount)
-            if spread:
-                lasers = ray_starts(lasers, self.sensor)
-            ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
-            ux, uy = np.cos(phi), np.sin(phi)
-            ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
-        ranges = self._recast(ranges, ox, oy, ux, uy)
-        return self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+            return RayPaths(ox=lasers[:, :1], oy=lasers[:, 1:2], ux=ux, uy=uy, lasers=lasers)
+        poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
+        lasers = laser_poses(poses, self.mount)
+        if spread:
+            lasers = ray_starts(lasers, self.sensor)
+        phi = lasers[..., 2] + bearings
+        return RayPaths(ox=lasers[..., 0], oy=lasers[..., 1], ux=np.cos(phi), uy=np.sin(phi))
+
+    def _hit(self, rays: RayPaths, bearings: Floats, offset: float | Floats) -> tuple[Floats, Ints]:
+        """Return how far the rays go, and to which wall."""
+        if rays.lasers is not None:
+            return cast_laser(self.walls, rays.lasers, self.levelled(bearings + offset), MAX_DISTANCE)
+        return nearest_from_each(self.walls, rays.ox, rays.oy, rays.ux, rays.uy)
 
     def levelled(self, bearings: Floats) -> Floats:
         """Return the bearings [rad] under which rays of a laser that dips are seen from above."""

@@ -30,7 +30,11 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.beams import Beams
+from sensorgraph.world.cast_memory import Recent
 from sensorgraph.world.scene import Scene
+
+MAX_EDGES = 12
+"""So many casts' edges are kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,7 +103,7 @@ def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Boo
     steepness = np.zeros(which.shape)
     for axis, step in enumerate(SCAN.fit.pose_steps):
         scene = few.scene()
-        scene.memo = None
+        scene.casts = None
         scene.motion = _nudged(few, axis, step)
         moved = scene.run((*data.known, *model)).reading
         with np.errstate(invalid="ignore"):
@@ -121,13 +125,9 @@ def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats
 def _edges(data: ScanData, scene: Scene) -> Edges | None:
     """Find the edges of the bare cast; kept as long as geometry and timing stay."""
     parts = (scene.walls, scene.mount, scene.delay, scene.discs, np.array(scene.dip))
-    key = b"edges|" + b"|".join(part.tobytes() for part in parts)
-    if key not in data.memo:
-        bare = bare_cast(scene)
-        data.memo[key] = find_edges(data, bare, scene.walls)
-    kept = data.memo[key]
-    assert kept is None or isinstance(kept, Edges)
-    return kept
+    key = b"|".join(part.tobytes() for part in parts)
+    edges: Recent[Edges | None] = data.kept(b"edges", lambda: Recent(MAX_EDGES))
+    return edges.get(key, lambda: find_edges(data, bare_cast(scene), scene.walls))
 
 
 def bare_cast(scene: Scene) -> Beams:
@@ -388,8 +388,10 @@ def _peaked(
 
 
 def thin(data: ScanData, every: int) -> ScanData:
-    """Return every n-th scan."""
-    return data.subset(np.arange(0, data.n_scans, every))
+    """Return every n-th scan; the same data each time, with its casts."""
+    if every == 1:
+        return data
+    return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
 
 
 def thin_state(state: State, every: int) -> State:

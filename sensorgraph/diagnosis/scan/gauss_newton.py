@@ -83,8 +83,10 @@ class Solver:
         self.n_effects = effects.shape[1]
         self.shape = expected.reading.shape
         self.laid = np.zeros(self.shape)
-        met, wall = np.unique(jacobian.wall, return_inverse=True)  # of a building one run meets a part
-        self.wall = wall.reshape(self.shape)
+        is_met = np.zeros(len(walls) + 1, dtype=np.bool_)  # of a building one run meets a part
+        is_met[jacobian.wall] = True
+        met = np.flatnonzero(is_met)
+        self.wall = (np.cumsum(is_met) - 1)[jacobian.wall]
         if corners.count:
             self.corner_ends = corners.ends[met]  # (n_walls, 2)
             d = np.diff(walls[met], axis=1)[:, 0]

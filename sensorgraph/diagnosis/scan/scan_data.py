@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,13 @@ from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
+from sensorgraph.world.cast_memory import CastMemory
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
+
+T = TypeVar("T")
 
 LAID = b"laid"
 """In `ScanData.memo`: the data with the walls where they were laid last."""
@@ -123,7 +127,7 @@ class ScanData:
     def motion(self, times: Floats) -> Floats:
         """Interpolate the reference (..., 3) at times (...) [s]."""
         stamps, poses = self.track
-        return Motion(stamps=stamps, poses=poses).at(times)
+        return self.kept(b"motion", lambda: Motion(stamps=stamps, poses=poses)).at(times)
 
     def scene(self, seed: int | None = None) -> Scene:
         """Set up the simulator for these scans."""
@@ -135,16 +139,19 @@ class ScanData:
             span=self.span,
             seed=seed,
             begin=self.begin,
-            memo=self.memo,
+            casts=self.kept(b"casts", CastMemory),
         )
 
     @property
     def barriers(self) -> Barriers:
         """What stands, and what nobody has looked into."""
-        kept = self.memo.get(b"barriers") or Barriers(self.arena)
-        assert isinstance(kept, Barriers)
-        self.memo[b"barriers"] = kept
-        return kept
+        return self.kept(b"barriers", lambda: Barriers(self.arena))
+
+    def kept(self, key: bytes, make: Callable[[], T]) -> T:
+        """Return what the memo has under a key, always of one kind; made where there is nothing."""
+        if key not in self.memo:
+            self.memo[key] = make()
+        return cast(T, self.memo[key])
 
     def laid_by(self, shifts: Floats) -> ScanData:
         """Return the data with the corners (2 n_corners,) of a map of pixels moved by [m], within the cells.

@@ -69,9 +69,4 @@ def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bo
 
 def _beams(data: ScanData) -> Beams:
     """Return the rays in the bare map."""
-    key = b"bare map"
-    if key not in data.memo:
-        data.memo[key] = data.scene().shoot()
-    kept = data.memo[key]
-    assert isinstance(kept, Beams)
-    return kept
+    return data.kept(b"bare map", lambda: data.scene().shoot())

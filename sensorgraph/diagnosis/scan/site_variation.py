@@ -36,13 +36,8 @@ def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
 
 def cached_jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     """Return `jackknife`, computed once per fit."""
-    memo = fitted.solver.data.memo
     key = f"jackknife|{amendment.name}|{fitted.model!r}".encode()
-    if key not in memo:
-        memo[key] = jackknife(fitted, amendment)
-    kept = memo[key]
-    assert isinstance(kept, dict)
-    return kept
+    return fitted.solver.data.kept(key, lambda: jackknife(fitted, amendment))
 
 
 def jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
