@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
-    ScanNames,
     name_motion_effects,
     without_echoes_of_doubted_wheels,
 )
@@ -28,7 +28,7 @@ from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan_channel import diagnose_scans
+from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, diagnose_scans, shows_straight_reference
 from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.stages import StageClock
@@ -98,9 +98,9 @@ def diagnose(
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
         train, unseen = laid.data.subset(~held), laid.data.subset(held)
         run, second = _without_scans(run), None  # from here on a long log's scans would only take memory
-    # first, as both this and the scans need much memory in a long run
-    with clock.stage("odometry and drive"):
-        odometry, drive = diagnose_motion(run, laid.robot, known, seed, progress)
+    motion = partial(diagnose_motion, run, laid.robot, known, seed, progress)
+    with clock.stage("odometry and drive"):  # first: both this and the scans need much memory in a long run
+        odometry, drive = motion()
     scans = diagnose_scans(
         train,
         unseen,
@@ -113,10 +113,9 @@ def diagnose(
         rng=rng,
         clock=clock,
     )
-    plan = None
-    if plan_next:
-        with clock.stage("next run"):
-            plan = plan_next_run(scans.result, scans.names, laid.arena, laid.robot, seed)
+    if shows_straight_reference(scans, odometry):
+        with clock.stage("odometry and drive"):
+            odometry, drive = motion(is_reference_straight=True)
     return Finding(
         channels={one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)},
         intake={**laid.notes, "cannot_tell_apart": scans.cannot_tell_apart},
@@ -125,7 +124,7 @@ def diagnose(
         goodness_of_fit=scans.goodness_of_fit,
         second_gap=scans.second_gap,
         shared=(*scans.shared, *shared_with(odometry, simulated), *shared_with(drive, simulated)),
-        next_run=plan,
+        next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )
 
@@ -215,14 +214,22 @@ def diagnose_motion(
     known: Sequence[Amendment],
     seed: int,
     progress: ProgressBars = no_progress,
+    *,
+    is_reference_straight: bool = False,
 ) -> tuple[ChannelResult, ChannelResult]:
-    """Return what the odometry channel and the drive channel show."""
+    """Return what the odometry channel and the drive channel show.
+
+    Parameters
+    ----------
+    is_reference_straight : the scans have shown that the reference is not bent over the place
+    """
     model = motion_model(robot, known)
     with progress("comparing wheels with poses", ""):
-        odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
+        found = diagnose_odometry(run, model, seed=seed, is_reference_straight=is_reference_straight)
+        odometry = name_motion_effects(found, known)
     with progress("comparing commands with wheels", ""):
-        found = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
-        drive = name_motion_effects(without_echoes_of_doubted_wheels(found, odometry), known)
+        driven = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
+        drive = name_motion_effects(without_echoes_of_doubted_wheels(driven, odometry), known)
     return odometry, drive
 
 
@@ -247,12 +254,12 @@ def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:
     )
 
 
-def plan_next_run(
-    scan: ChannelResult, names: ScanNames, arena: Arena, robot: Robot, seed: int
-) -> NextRun | None:
+def _planned(scans: ScanDiagnosis, laid: _Laid, seed: int, clock: StageClock) -> NextRun | None:
     """Plan the next run; None where the room or the robot does not allow one."""
-    try:
-        return next_run(open_questions(scan, names.accepted, names.rivals), arena, robot, seed=seed)
-    except PlanError as exc:
-        logger.info("no next run: %s", exc)
-        return None
+    with clock.stage("next run"):
+        try:
+            questions = open_questions(scans.result, scans.names.accepted, scans.names.rivals)
+            return next_run(questions, laid.arena, laid.robot, seed=seed)
+        except PlanError as exc:
+            logger.info("no next run: %s", exc)
+            return None

@@ -162,3 +162,16 @@ def given(
         gains={new: explained.gains[k] for new, k in enumerate(kept)},
         rivals={new: explained.rivals[k] for new, k in enumerate(kept) if k in explained.rivals},
     )
+
+
+def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:
+    """Tell whether scans fit the arena with poses that are far better than what the odometry takes the reference for.
+
+    Wheels whose slip adds up over a minute may look as a reference that is bent over the place. Scans see its poses one by
+    one: where they leave no doubt and no tolerance has stretched, it is not.
+    """
+    state, told = scans.explained.final.state, scans.explained.final.solver.data.tolerances
+    size = {} if odometry.unknown is None else odometry.unknown.size
+    claimed = (size.get("reference_m", 0.0) / told.pose_xy, size.get("reference_rad", 0.0) / told.pose_yaw)
+    is_sure = scans.result.unknown is None and state.stretch <= SCAN.nuisance.stretched_scale
+    return is_sure and max(claimed) > SCAN.goodness_of_fit.bent_reference * state.pose_scale

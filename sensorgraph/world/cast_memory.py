@@ -1,6 +1,6 @@
 """What is kept between casts of the same scans: their rays, and what these met.
 
-A fit casts the same scans again and again with one obstacle moved, or one disc more. RayPaths whose mount and times are
+A fit casts the same scans again and again with one obstacle moved, or one disc more. Rays whose mount and times are
 the same are the same rays; where few walls have moved, only these are met anew, and only the rays that had stopped at
 one of them look for another.
 """

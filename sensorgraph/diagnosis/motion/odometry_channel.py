@@ -23,10 +23,16 @@ from sensorgraph.localization.locate import is_located
 from sensorgraph.world.robot import Robot
 
 
-def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult:
+def diagnose_odometry(
+    run: Run, robot: Robot, *, seed: int = 0, is_reference_straight: bool = False
+) -> ChannelResult:
     """Name what makes odometry and reference pose differ.
 
     A run without odometry or without a reference of its own is skipped; `ChannelResult.skipped` says why.
+
+    Parameters
+    ----------
+    is_reference_straight : the scans have shown that the reference is not bent over the place
     """
     try:
         signals = motion_signals(run)
@@ -40,7 +46,7 @@ def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult
     if moved is not None:
         model = WheelModel(moved, signals.wheels, robot)
     deviations = deviations_before_naming(model)
-    terms = select(model, rng)
+    terms = select(model, rng, is_reference_straight=is_reference_straight)
     own_heading = run.pose_frame == "base_link" and not is_located(run)
     aside = sideways_structure(model, heading_is_of_base=own_heading)
     return odometry_result(model, terms, aside, deviations, signals.notes, rng)

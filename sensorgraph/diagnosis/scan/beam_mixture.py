@@ -14,7 +14,7 @@ from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats
 
 SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
-# The next six are settings of the mixture that stand here, not in `settings`: numba keeps their values with the kernel.
+# The next seven are settings of the mixture that stand here, not in `settings`: numba keeps their values with the kernel.
 EDGE_WIDTH = 2.0
 """Standard deviation at the far side of an edge over that of the core."""
 EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
@@ -27,6 +27,9 @@ LATTICE_SLACK = 0.51
 """Resolutions by which a reading may be off its lattice."""
 OFF_LATTICE = 1e-9
 """Chance of a reading farther off."""
+CUT = 2.5
+"""Standard deviations from a limit of the sensor, within which a residual has no weight: of readings around the limit only
+those on one side of it come back, so that their mean tells nothing."""
 
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
@@ -44,6 +47,7 @@ def mixture(
     sigma: Floats,
     p_return: Floats,
     alternative: Floats,
+    spread: Floats,
     p_alternative: Floats,
     limits: tuple[float, float, float],
     noise: tuple[float, float, float, float],
@@ -62,7 +66,8 @@ def mixture(
     mu : (n,) [m] expected; inf where nothing can be seen
     sigma : (n,) [m] of the core
     p_return : (n,) chance that the ray returns at all
-    alternative, p_alternative : (n,) [m] on the other side of an edge, nan for none, and the chance of being there
+    alternative, spread, p_alternative : (n,) [m] on the other side of an edge, nan for none, its standard deviation without
+    the noise of a reading, and the chance of being there
     limits : [m] least and largest range, cell of a reading
     noise : share of the tail, of lost, of stray readings, and stray ones that an effect adds
     chances : of a short reading and of one that is lost beside an edge
@@ -88,10 +93,14 @@ def mixture(
             continue
         inside = _normal_cdf((farthest - expected) / s) if aimed else 0.0
         p_core = p_tail = 0.0
-        edge = p_alternative[k] > 0
+        edge, there = p_alternative[k] > 0, alternative[k]
+        inside_there, s_there = 0.0, 1.0
+        if edge and math.isfinite(there):
+            s_there = math.hypot(EDGE_WIDTH * s, spread[k])
+            inside_there = _normal_cdf((farthest - there) / s_there)
         if returned:
             p = 0.0
-            p_back = p_return[k] * (1 - loss) * inside
+            p_back = p_return[k] * (1 - loss)  # the density holds that it is within the limits
             if aimed:
                 e = reading - expected
                 out[RESIDUAL, k] = e
@@ -111,10 +120,9 @@ def mixture(
                     tail = math.exp(-0.5 * u * u) / (SQRT_TAU * s * tail_width)
                 p_core, p_tail = own * (1 - share) * core, own * share * tail
                 p = p_core + p_tail
-            there = alternative[k]
             if edge and math.isfinite(there):
-                u = (reading - there) / (EDGE_WIDTH * s)
-                near = math.exp(-0.5 * u * u) / (EDGE_WIDTH * SQRT_TAU * s)
+                u = (reading - there) / s_there
+                near = math.exp(-0.5 * u * u) / (SQRT_TAU * s_there)
                 low, high = min(there, expected), max(there, expected)
                 flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
                 p += rest * p_back * p_alternative[k] * (EDGE_NEAR * near + EDGE_BETWEEN * flat)
@@ -124,9 +132,11 @@ def mixture(
                     p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)
             total = p + p_stray + unexplained / farthest
             out[CORE, k], out[TAIL, k], out[STRAY, k] = p_core / total, p_tail / total, p_stray / total
-            out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (tail_width * tail_width)) / (s * s)
+            if aimed and nearest + CUT * s <= expected <= farthest - CUT * s:
+                out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (tail_width * tail_width)) / (s * s)
         else:
-            seen = p_return[k] * inside if aimed else 0.0
+            seen = (1 - p_alternative[k]) * inside + p_alternative[k] * inside_there
+            seen *= p_return[k]
             gone = rest * (1 - seen)
             if reading > 0:
                 p_lost = (1 - stray) * seen * loss
@@ -134,7 +144,9 @@ def mixture(
                 total = p_gone * (1 - short) + unexplained
                 out[LOST, k] = p_lost / total
             else:
-                too_near = _normal_cdf((nearest - expected) / s) if aimed else 0.0
+                too_near = (1 - p_alternative[k]) * _normal_cdf((nearest - expected) / s) if aimed else 0.0
+                if inside_there > 0.0:
+                    too_near += p_alternative[k] * _normal_cdf((nearest - there) / s_there)
                 total = rest * too_near + 0.5 * gone + unexplained
         out[LOG_P, k] = math.log(total)
     return out

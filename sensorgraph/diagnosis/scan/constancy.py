@@ -29,10 +29,11 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import Amendment
+from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.robot import Tolerances
 
 LEAST_INFORMATION = 1e-9
 """Share of a number's information that must be left beside all else, above round-off."""
@@ -114,7 +115,8 @@ def _candidates(fitted: Fitted) -> list[NumberChange]:
 def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
     """Return the likeliest of the first candidates that is sure and large; None where every number holds."""
     found = [_refitted(fitted, c, parts_of_run(fitted)) for c in candidates[: SCAN.constancy.max_refitted]]
-    sure = [c for c in found if _is_likely(c) and _is_sure(c) and _is_large(c, fitted)]
+    n_asked = len(_numbers(fitted))
+    sure = [c for c in found if _is_likely(c) and _is_sure(c, n_asked) and _is_large(c, fitted)]
     return max(sure, key=lambda c: c.gain, default=None)
 
 
@@ -197,22 +199,34 @@ def _is_likely(change: NumberChange) -> bool:
     return change.gain - price > SCAN.selection.threshold
 
 
-def _is_sure(change: NumberChange) -> bool:
-    """Tell whether the scatter of the parts speaks for it, too, at the best of so many times."""
+def _is_sure(change: NumberChange, n_asked: int) -> bool:
+    """Tell whether the scatter of the parts speaks for it, too, at the best of so many times and of so many numbers."""
     settings, k = SCAN.constancy, len(change.number.unknowns)
-    chance = (1 - settings.confidence) / settings.n_parts
+    chance = (1 - settings.confidence) / (settings.n_parts * n_asked)
     return change.wald > float(fdtri(k, settings.n_parts - 1 - k, 1 - chance))
 
 
 def _is_large(change: NumberChange, fitted: Fitted) -> bool:
-    """Tell whether a change is material, a good part of the value over the whole run, and more than good runs differ."""
+    """Tell whether a change is material, a good part of the value over the whole run, and more than good runs differ.
+
+    A laser that sits elsewhere from a time on is as well a reference that wanders: the more that may, the larger must it be.
+    """
     a, scale = change.number.amendment, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     baseline = fitted.solver.data.baseline_intervals.get(a.name)
     if baseline is not None and set(baseline.mean) == set(change.jump):
         as_window = a.effect(**{k: baseline.mean[k] + v for k, v in change.jump.items()})
         if baseline.contains(as_window, baseline.stderr):
             return False
-    return size_ratio(a.effect, change.jump) >= max(scale, SCAN.constancy.min_share * a.ratio)
+    least = scale * _wandering(fitted.solver.data.tolerances, a.effect)
+    return size_ratio(a.effect, change.jump) >= max(least, SCAN.constancy.min_share * a.ratio)
+
+
+def _wandering(told: Tolerances, effect: Effect) -> float:
+    """Return how much more a reference may wander than usual, for an effect that moves readings as that does; else 1."""
+    usual = Tolerances()
+    shift, turn = told.pose_xy / usual.pose_xy, told.pose_yaw / usual.pose_yaw
+    by = {Nuisance.MOUNT_X: shift, Nuisance.MOUNT_Y: shift, Nuisance.MOUNT_YAW: turn}
+    return max(1.0, *(by.get(nuisance, 1.0) for nuisance in effect.nuisances), 1.0)
 
 
 def _sentence(first: Amendment, second: Amendment, when: float) -> str:

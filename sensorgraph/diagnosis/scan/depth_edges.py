@@ -7,17 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.silhouettes import silhouettes
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.beams import Beams
-from sensorgraph.world.ray_order import neighbouring_rays
+from sensorgraph.world.ray_order import is_full_turn, neighbouring_rays
+from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.likelihood
 MIN_END_RANGE = 0.05
 """[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
-GRAZING = -0.02
-"""Cosine against the normal, above which a ray does not meet the extension of a wall."""
+GRAZING = 0.02
+"""Cosine against the normal, below which a ray does not meet the extension of a wall."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,41 +31,217 @@ class Edges:
     """Indices (scan, ray) of k rays."""
     other: Floats
     """(k,) [m] what they would read on the other side."""
+    spread: Floats
+    """(k,) [m] standard deviation of that, where the other side is met at a slant; the noise of a reading aside."""
     chance: Floats
     """(k,) of being there."""
 
 
+Rows = tuple[Ints, Ints, Floats, Floats, Floats]
+"""Of k rays: scan, ray, what it would read on the other side [m], the spread of that [m], the chance of being there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Other:
+    """What is met on the other side of edges."""
+
+    wall: Ints
+    """(k,) index; below 0 none of the map."""
+    ranges: Floats
+    """(k,) [m] from where it was met."""
+
+    def of(self, some: Ints) -> _Other:
+        """Return that of some edges."""
+        return _Other(wall=self.wall[some], ranges=self.ranges[some])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Steps:
+    """Pairs of neighbours that meet different walls."""
+
+    scan: Ints
+    """(k,)"""
+    right: Ints
+    """(k,) the right ray of each pair."""
+    left: Ints
+    gap: Floats
+    """(k,) [rad] from the right ray to the left one."""
+    nearer: Ints
+    """(k,) that of the two which reads less."""
+
+    @property
+    def farther(self) -> Ints:
+        """(k,) the other one."""
+        return np.where(self.nearer == self.right, self.left, self.right)
+
+    def away(self, ray: Ints, edge: Floats) -> Floats:
+        """Return the angle (k,) [rad] between one of the rays and an edge, told from the right ray."""
+        return np.where(ray == self.right, edge, self.gap - edge)
+
+    def met_by(self, ray: Ints, beams: Beams) -> _Other:
+        """Return what one of the rays meets."""
+        return _Other(wall=beams.wall[self.scan, ray], ranges=beams.ranges[self.scan, ray])
+
+
 def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
-    """Find the rays next to a step in depth, and what they would read beyond it."""
-    t = data.tolerances
+    """Find the rays next to a step in depth, and what they would read beyond it; of several steps the likeliest counts."""
     ranges, wall = beams.ranges, beams.wall
     rights, lefts = neighbouring_rays(data.sensor)
+    rows = [_passed_by(data, beams, walls, rights, lefts)]
     scan, pair = np.nonzero(wall[:, lefts] != wall[:, rights])
-    if len(scan) == 0:
+    right, left = rights[pair], lefts[pair]
+    steps = _Steps(
+        scan=scan,
+        right=right,
+        left=left,
+        gap=_gap(data, beams, scan, right, left),
+        nearer=np.where(ranges[scan, right] <= ranges[scan, left], right, left),
+    )
+    rows += _of_pixels(data, beams, walls, steps) if data.grain > 0 else _of_walls(data, beams, walls, steps)
+    index_scan, index_ray, beyond, spread, chance = (np.concatenate(part) for part in zip(*rows, strict=True))
+    if len(chance) == 0:
         return None
-    right, left, bearings = rights[pair], lefts[pair], data.sensor.bearings
-    gap = (bearings[left] - bearings[right]) % (2 * np.pi)
-    near = np.where(ranges[scan, right] <= ranges[scan, left], right, left)
-    # where the nearer surface ends, as an angle from the right ray
-    edge = _end_angle(beams, walls, scan, right, near, gap)
-    r_near = np.maximum(ranges[scan, near], MIN_END_RANGE)
-    blur = np.sqrt(t.pose_yaw**2 + t.mount_yaw**2 + (t.pose_xy**2 + t.map**2 + t.mount_xy**2) / r_near**2)
-    rows: list[tuple[Ints, Ints, Floats, Floats]] = []
-    for ray, other, away, onward in (
-        (right, left, edge, _onward(lefts, rights, data.n_rays)),
-        (left, right, gap - edge, _onward(rights, lefts, data.n_rays)),
+    order = np.argsort(chance, kind="stable")  # the last that is written counts
+    index = (index_scan[order], index_ray[order])
+    return Edges(index=index, other=beyond[order], spread=spread[order], chance=chance[order])
+
+
+def _gap(data: ScanData, beams: Beams, scan: Ints, right: Ints, left: Ints) -> Floats:
+    """Return the angle [rad] from right rays to left ones, as they point: within a sweep a robot turns on."""
+    told = (data.sensor.bearings[left] - data.sensor.bearings[right]) % (2 * np.pi)
+    to_right, to_left = ((beams.ux[scan, ray], beams.uy[scan, ray]) for ray in (right, left))
+    across = to_right[0] * to_left[1] - to_right[1] * to_left[0]
+    along = to_right[0] * to_left[0] + to_right[1] * to_left[1]
+    turned = (np.arctan2(across, along) - told + np.pi) % (2 * np.pi) - np.pi
+    return np.maximum(told + turned, 0.0)
+
+
+def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
+    """Let each ray pass the end of its own surface, and the farther one meet the nearer surface."""
+    rows = list[Rows]()
+    turned = dict[bool, tuple[Floats, Floats]]()
+    for is_nearer, own in ((True, steps.nearer), (False, steps.farther)):
+        edge = _end_angle(beams, walls, steps, own)
+        blur = _blur_at(data.tolerances, beams.ranges[steps.scan, own])
+        edge, beyond = _past_the_end(beams, walls, steps, own, edge, blur)
+        ends = np.flatnonzero(np.isfinite(edge))
+        rows.append(_beside(data, beams, walls, steps, own, beyond, edge, blur, ends))
+        turned[is_nearer] = edge, blur
+    edge, blur = turned[True]
+    has_none, edge = np.flatnonzero(np.isnan(edge)), np.where(np.isnan(edge), steps.gap / 2, edge)
+    every = np.arange(len(edge))
+    for ray, other, some in (
+        (steps.farther, steps.nearer, every),
+        (steps.nearer, steps.farther, has_none),
     ):
-        rays = [(scan, ray, other, away, blur)]
-        while data.grain > 0 and len(rays[-1][0]):  # a cell is wider than the gap between rays
-            rays.append(_next_to(*rays[-1], onward, wall, bearings))
+        rows.append(_beside(data, beams, walls, steps, ray, steps.met_by(other, beams), edge, blur, some))
+    return rows
+
+
+def _of_pixels(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
+    """Let rays of both sides meet the other side: also those further from the edge, as a cell is wider than their gap."""
+    edge = _end_angle(beams, walls, steps, steps.nearer)
+    edge = np.where(np.isnan(edge), steps.gap / 2, edge)
+    blur = _blur_at(data.tolerances, beams.ranges[steps.scan, steps.nearer])
+    rows = list[Rows]()
+    for ray, other in ((steps.right, steps.left), (steps.left, steps.right)):
+        onward = _onward(other, ray, data.n_rays)
+        rays = [(steps.scan, ray, steps.met_by(other, beams), steps.away(ray, edge), blur)]
+        while len(rays[-1][0]):
+            rays.append(_next_to(*rays[-1], onward, beams.wall, data.sensor.bearings))
         rows += [_beside_edge(data, beams, walls, *one) for one in rays]
-    index_scan, index_ray, beyond, chance = (np.concatenate(column) for column in zip(*rows, strict=True))
-    if data.grain > 0:  # between two edges the nearer one counts
-        order = np.argsort(chance, kind="stable")
-        index_scan, index_ray, beyond, chance = (
-            column[order] for column in (index_scan, index_ray, beyond, chance)
-        )
-    return Edges(index=(index_scan, index_ray), other=beyond, chance=chance)
+    return rows
+
+
+def _beside(
+    data: ScanData,
+    beams: Beams,
+    walls: Floats,
+    steps: _Steps,
+    ray: Ints,
+    other: _Other,
+    edge: Floats,
+    blur: Floats,
+    some: Ints,
+) -> Rows:
+    """Return the rows of some of the steps for one of the rays of each."""
+    away = steps.away(ray, edge)
+    return _beside_edge(
+        data, beams, walls, steps.scan[some], ray[some], other.of(some), away[some], blur[some]
+    )
+
+
+def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts: Ints) -> Rows:
+    """Return the rays beside which something stands that they pass, and their neighbours too: a leg between two rays.
+
+    In a map of pixels the outline of a cell is no such thing; rays of several sensors have no common order.
+    """
+    sensor = data.sensor
+    none = np.zeros(0, dtype=np.intp)
+    if data.grain > 0 or sensor.is_composite or len(walls) == 0 or len(rights) == 0:
+        return none, none, np.zeros(0), np.zeros(0), np.zeros(0)
+    ox, oy = (np.ascontiguousarray(np.broadcast_to(part, beams.ux.shape)) for part in (beams.ox, beams.oy))
+    chance, met = corners_between_rays(
+        np.unique(walls.reshape(-1, 2), axis=0),
+        walls,
+        (ox, oy, beams.ux, beams.uy),
+        beams.ranges,
+        beams.wall,
+        (rights, lefts),
+        sensor.bearings[rights] - sensor.bearings[rights[0]],
+        is_full_turn(sensor.bearings),
+        _blur(data.tolerances),
+        SETTINGS.min_edge_chance,
+    )
+    with np.errstate(invalid="ignore"):
+        is_edge = beams.ranges - met > SETTINGS.min_edge_step * sensor.sigma
+    scan, ray = np.nonzero((chance > 0) & is_edge)
+    return scan, ray, met[scan, ray], np.zeros(len(scan)), chance[scan, ray]
+
+
+def _blur(t: Tolerances) -> tuple[float, float]:
+    """Return by how much small errors turn a ray [rad], and move it against the map along each axis [m]."""
+    return float(np.hypot(t.pose_yaw, t.mount_yaw)), float(np.sqrt(t.pose_xy**2 + t.map**2 + t.mount_xy**2))
+
+
+def _past_the_end(
+    beams: Beams, walls: Floats, steps: _Steps, own: Ints, edge: Floats, blur: Floats
+) -> tuple[Floats, _Other]:
+    """Follow the surfaces of rays to where they end for the eye, and tell what the rays would meet beyond.
+
+    That is not always what the neighbour meets: between a leg and what stands beside it a wall may be seen.
+
+    Parameters
+    ----------
+    own : (k,) the rays
+    edge : (k,) [rad] from the right ray to the end of the ray's wall; nan where it does not end between the rays
+    """
+    mine = steps.met_by(own, beams)
+    beyond = steps.met_by(np.where(own == steps.right, steps.left, steps.right), beams)
+    with np.errstate(invalid="ignore"):
+        is_near = ndtr(-steps.away(own, edge) / blur) > SETTINGS.min_edge_chance
+    some = np.flatnonzero((mine.wall >= 0) & is_near)
+    ray = (steps.scan[some], steps.right[some])
+    ox, oy = (np.broadcast_to(o, beams.ux.shape)[ray] for o in (beams.ox, beams.oy))
+    is_right = (own == steps.right)[some]
+    found = silhouettes(
+        walls,
+        (ox, oy),
+        (beams.ux[ray], beams.uy[ray]),
+        mine.wall[some],
+        is_right,
+        edge[some],
+        steps.gap[some],
+    )
+    edge = edge.copy()
+    edge[some], beyond.wall[some], beyond.ranges[some] = found.edge, found.behind, found.ranges
+    return edge, beyond
+
+
+def _blur_at(t: Tolerances, ranges: Floats) -> Floats:
+    """Return by how much small errors turn the direction [rad] in which something stands at these ranges [m]."""
+    turn, place = _blur(t)
+    return np.asarray(np.hypot(turn, place / np.maximum(ranges, MIN_END_RANGE)))
 
 
 def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
@@ -73,14 +252,21 @@ def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
 
 
 def _next_to(
-    scan: Ints, ray: Ints, other: Ints, away: Floats, blur: Floats, onward: Ints, wall: Ints, bearings: Floats
-) -> tuple[Ints, Ints, Ints, Floats, Floats]:
+    scan: Ints,
+    ray: Ints,
+    other: _Other,
+    away: Floats,
+    blur: Floats,
+    onward: Ints,
+    wall: Ints,
+    bearings: Floats,
+) -> tuple[Ints, Ints, _Other, Floats, Floats]:
     """Return the rays one further from their edges, as far as they meet the same wall and the edge may be theirs."""
     further = onward[ray]
     is_near = ndtr(-away / blur) > SETTINGS.min_edge_chance
     some = np.flatnonzero((further >= 0) & (wall[scan, further] == wall[scan, ray]) & is_near)
     step = np.abs((bearings[further[some]] - bearings[ray[some]] + np.pi) % (2 * np.pi) - np.pi)
-    return scan[some], further[some], other[some], away[some] + step, blur[some]
+    return scan[some], further[some], other.of(some), away[some] + step, blur[some]
 
 
 def _beside_edge(
@@ -89,13 +275,17 @@ def _beside_edge(
     walls: Floats,
     scan: Ints,
     ray: Ints,
-    other: Ints,
+    other: _Other,
     away: Floats,
     blur: Floats,
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Return scan, ray, what it would read beyond the edge [m], and the chance that it is there."""
+) -> Rows:
+    """Return the rays that may be beyond an edge."""
     chance = np.minimum(ndtr(-away / blur), 0.5)
-    beyond = _extended(beams, walls, scan, ray, other)
+    beyond, cosine = _extended(beams, walls, scan, ray, other)
+    turn, place = _blur(data.tolerances)
+    with np.errstate(invalid="ignore"):
+        spread = np.hypot(turn * beyond * np.sqrt(1 - cosine**2), place) / cosine
+    spread = np.where(np.isfinite(spread), np.minimum(spread, SCAN.nuisance.max_grazing_sigma), 0.0)
     own = beams.ranges[scan, ray]
     with np.errstate(invalid="ignore"):
         keep = (
@@ -104,20 +294,20 @@ def _beside_edge(
             & np.isfinite(own)
             & (beyond > 0)
         )
-    return scan[keep], ray[keep], beyond[keep], chance[keep]
+    return scan[keep], ray[keep], beyond[keep], spread[keep], chance[keep]
 
 
-def _end_angle(beams: Beams, walls: Floats, scan: Ints, right: Ints, near: Ints, gap: Floats) -> Floats:
-    """Return the angle [rad] from the right ray to the end of the nearer wall; half the gap where it has none there."""
-    index = beams.wall[scan, near]
-    middle = gap / 2
+def _end_angle(beams: Beams, walls: Floats, steps: _Steps, own: Ints) -> Floats:
+    """Return the angle [rad] from the right ray to the end of the wall of one of the rays; nan where it has none there."""
+    scan, right, gap = steps.scan, steps.right, steps.gap
+    index = beams.wall[scan, own]
+    best = np.full(len(scan), np.nan)
     if len(walls) == 0:
-        return np.asarray(middle)
+        return best
     known = index >= 0
     ux, uy = beams.ux[scan, right], beams.uy[scan, right]
     ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, right]
     oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, right]
-    best = np.asarray(middle).copy()
     for end in (0, 1):
         corner = walls[np.where(known, index, 0), end]
         x, y = corner[:, 0] - ox, corner[:, 1] - oy
@@ -127,18 +317,19 @@ def _end_angle(beams: Beams, walls: Floats, scan: Ints, right: Ints, near: Ints,
     return best
 
 
-def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -> Floats:
-    """Return where a ray would meet the surface that its neighbour meets, extended; inf where that is nothing."""
-    index = beams.wall[scan, other]
-    fallback = beams.ranges[scan, other]
+def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: _Other) -> tuple[Floats, Floats]:
+    """Return where a ray would meet the surface on the other side, extended, inf where that is nothing; and the cosine of
+    the incidence there.
+    """
     if len(walls) == 0:
-        return np.asarray(fallback)
-    a = walls[np.where(index >= 0, index, 0), 0]
-    nx, ny = beams.nx[scan, other], beams.ny[scan, other]
+        return other.ranges, np.ones(len(scan))
+    a, b = walls[np.maximum(other.wall, 0)].transpose(1, 2, 0)  # (2, k) each
+    length = np.maximum(np.hypot(*(b - a)), 1e-12)
+    nx, ny = (b - a)[1] / length, (a - b)[0] / length
     ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, ray]
     oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, ray]
     across = beams.ux[scan, ray] * nx + beams.uy[scan, ray] * ny
     with np.errstate(divide="ignore", invalid="ignore"):
-        r = ((a[:, 0] - ox) * nx + (a[:, 1] - oy) * ny) / across
-    usable = (index >= 0) & (across < GRAZING)
-    return np.asarray(np.where(usable, r, fallback))
+        r = ((a[0] - ox) * nx + (a[1] - oy) * ny) / across
+    usable = (other.wall >= 0) & (np.abs(across) > GRAZING) & (r > 0)
+    return np.where(usable, r, other.ranges), np.where(usable, np.abs(across), 1.0)

@@ -198,7 +198,7 @@ def _profiles(fitted: Fitted) -> list[_Columns]:
         return []
     if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * SCAN.constancy.n_parts:
         return []
-    used = solver.jacobian.valid & data.returned
+    used = solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
     if not used.any():
         return []
     turned, biased = (solver.stack[:, one][:, None, :] for one in (Nuisance.MOUNT_YAW, Nuisance.BIAS))
@@ -230,7 +230,7 @@ def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
     """Fit a profile together with all else."""
     knots, columns = profile.knots, profile.columns
     got = fit_columns(fitted, columns, np.zeros(len(knots)), rounds=SCAN.profiles.rounds)
-    used = fitted.solver.jacobian.valid & fitted.solver.data.returned
+    used = fitted.solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
     mass = np.einsum("nkm,nm->k", np.abs(columns) > 0, used)
     errors = got.values - float(mass @ got.values) / max(float(mass.sum()), 1.0)
     along = got.information @ errors / max(float(errors @ got.information @ errors), 1e-12)

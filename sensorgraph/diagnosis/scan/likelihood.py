@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.beam_mixture import (
     CORE,
+    CUT,
     EDGE_BETWEEN,
     EDGE_NEAR,
     EDGE_WIDTH,
@@ -48,6 +49,8 @@ class ExpectedReadings:
     """Chance that the ray returns."""
     alternative: Floats
     """[m] on the other side of an edge; nan where there is none."""
+    spread: Floats
+    """[m] standard deviation of that, the noise of a reading aside."""
     p_alternative: Floats
     """Chance of being there."""
     stray: float
@@ -78,9 +81,10 @@ def expected_readings(
     horizon : (n_scans, n_rays) [m] from where on nothing is known of a ray; None: it always is
     """
     shape = beams.reading.shape
-    alternative, chance = np.full(shape, np.nan), np.zeros(shape)
+    alternative, spread, chance = np.full(shape, np.nan), np.zeros(shape), np.zeros(shape)
     if edges is not None:
         alternative[edges.index] = edges.other
+        spread[edges.index] = edges.spread
         chance[edges.index] = edges.chance
     if beams.straight is not None:
         chance = np.where(beams.straight, chance, 0.0)
@@ -93,6 +97,7 @@ def expected_readings(
         sigma=np.broadcast_to(sigma, shape),
         p_return=np.broadcast_to(np.asarray(beams.p_return, dtype=np.float64), shape),
         alternative=alternative,
+        spread=spread,
         p_alternative=chance,
         stray=stray,
         short=short,
@@ -134,6 +139,7 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         (noise.core * expected.sigma).ravel(),
         np.require(expected.p_return.ravel(), requirements="W"),  # one compiled version serves all
         expected.alternative.ravel(),
+        expected.spread.ravel(),
         expected.p_alternative.ravel(),
         (
             float(sensor.range_min),
@@ -195,8 +201,7 @@ def plain_e_step(
     e = np.where(both, z - np.where(aimed, mu, 0.0), 0.0)
     e[~both] = 0.0
     sigma = noise.core * expected.sigma
-    inside = ndtr((sensor.range_max - np.where(aimed, mu, 1e9)) / sigma)
-    p_back = expected.p_return * (1 - noise.loss) * np.where(aimed, inside, 0.0)
+    p_back = expected.p_return * (1 - noise.loss)  # the density holds that it is within the limits
     cell = max(sensor.resolution, SETTINGS.min_resolution)
     core, tail = (
         _density(e, sigma, expected.lattice, cell),
@@ -212,11 +217,11 @@ def plain_e_step(
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
     p = p_core + p_tail
-    edge = expected.p_alternative > 0
-    if edge.any():
-        there = np.isfinite(expected.alternative) & edge & returned
+    if (expected.p_alternative > 0).any():
+        there = np.isfinite(expected.alternative) & (expected.p_alternative > 0) & returned
+        s_there = np.hypot(EDGE_WIDTH * sigma, expected.spread)
         off_there = np.where(there, z - np.where(there, expected.alternative, 0.0), 0.0)
-        near = np.exp(-0.5 * (off_there / (EDGE_WIDTH * sigma)) ** 2) / (EDGE_WIDTH * SQRT_TAU * sigma)
+        near = np.exp(-0.5 * (off_there / s_there) ** 2) / (SQRT_TAU * s_there)
         low = np.minimum(expected.alternative, mu)
         high = np.maximum(expected.alternative, mu)
         with np.errstate(invalid="ignore"):
@@ -227,20 +232,11 @@ def plain_e_step(
         top = np.minimum(np.where(aimed, mu, sensor.range_max), sensor.range_max)
         p = p + (1 - stray) * expected.short * (returned & (z < top)) / np.maximum(top, MIN_SHORT_RANGE)
     p_stray = stray / sensor.range_max
-    p_lost = (1 - stray) * np.where(aimed, expected.p_return * inside * noise.loss, 0.0)
-    gone = (1 - stray) * (1 - expected.short) * np.where(aimed, 1 - expected.p_return * inside, 1.0)
-    p_gone = p_lost + gone + edge * SETTINGS.lost_at_edge
-    if expected.short > 0:
-        p_gone = p_gone * (1 - expected.short)
-    near_limit = np.where(aimed, ndtr((sensor.range_min - np.where(aimed, mu, 1e9)) / sigma), 0.0)
+    p_lost, p_gone, p_near = _plain_without_return(data, expected, mu, sigma, noise.loss, stray)
     total = np.where(
         returned,
         p + p_stray + SETTINGS.unexplained / sensor.range_max,
-        np.where(
-            z > 0,
-            p_gone + SETTINGS.unexplained,
-            rest * near_limit + 0.5 * gone + SETTINGS.unexplained,
-        ),
+        np.where(z > 0, p_gone, p_near) + SETTINGS.unexplained,
     )
     broken = np.isnan(z)
     total = np.where(broken, 1.0, total)
@@ -248,6 +244,8 @@ def plain_e_step(
     core_share = np.where(returned, p_core * inverse, 0.0)
     tail_share = np.where(returned, p_tail * inverse, 0.0)
     weight = (core_share + tail_share / SETTINGS.tail_width**2) / sigma**2
+    is_cut = (mu < sensor.range_min + CUT * sigma) | (mu > sensor.range_max - CUT * sigma)
+    weight = np.where(is_cut, 0.0, weight)
     lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
     log_p = np.log(total)
     if data.beyond is not None:
@@ -261,6 +259,25 @@ def plain_e_step(
         lost=lost,
         stray=np.where(returned, p_stray * inverse, 0.0),
     )
+
+
+def _plain_without_return(
+    data: ScanData, expected: ExpectedReadings, mu: Floats, sigma: Floats, loss: float, stray: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return the chances that a ray is lost, that it does not come back at all, and that it reads too near."""
+    sensor, there = data.sensor, expected.p_alternative
+    aimed, edge = np.isfinite(mu), there > 0
+    beyond = np.where(np.isfinite(expected.alternative) & edge, expected.alternative, np.inf)
+    sides = (
+        (1 - there, np.where(aimed, mu, np.inf), sigma),
+        (there, beyond, np.hypot(EDGE_WIDTH * sigma, expected.spread)),
+    )
+    seen = expected.p_return * sum(share * ndtr((sensor.range_max - r) / s) for share, r, s in sides)
+    near = sum(share * ndtr((sensor.range_min - r) / s) for share, r, s in sides)
+    rest = (1 - stray) * (1 - expected.short)
+    p_lost = (1 - stray) * seen * loss
+    p_gone = (p_lost + rest * (1 - seen) + edge * SETTINGS.lost_at_edge) * (1 - expected.short)
+    return p_lost, p_gone, rest * near + 0.5 * rest * (1 - seen)
 
 
 def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
@@ -279,7 +296,12 @@ def sample(
     other = (rng.random(shape) < expected.p_alternative) & np.isfinite(expected.alternative)
     mu = np.where(other, expected.alternative, mu)
     wide = np.where(rng.random(shape) < noise.tail, SETTINGS.tail_width, 1.0)
-    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * noise.core * expected.sigma, np.inf)
+    sigma = np.where(
+        other,
+        np.hypot(EDGE_WIDTH * noise.core * expected.sigma, expected.spread),
+        wide * noise.core * expected.sigma,
+    )
+    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * sigma, np.inf)
     z = np.where(rng.random(shape) < expected.p_return * (1 - noise.loss), z, np.inf)
     stray = rng.random(shape) < 1 - (1 - noise.stray) * (1 - expected.stray)
     z = np.where(stray, rng.random(shape) * sensor.range_max, z)

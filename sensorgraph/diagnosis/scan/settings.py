@@ -315,6 +315,8 @@ class GoodnessOfFitSettings:
     """[m] of the raster of places."""
     clip: float = 4.0
     """Standard deviations at which a residual is cut."""
+    bent_reference: float = 2.0
+    """Tolerances of the reference by which it must be bent, to be bent though the scans fit the arena with its poses."""
     max_common_spread: float = 0.15
     """Excess of the mean square that all bins may share: the level of the noise, which names no place."""
     min_rays: int = 40
@@ -458,7 +460,7 @@ class ConstancySettings:
     trimmed_share: float = 0.15
     """Of the run, at its begin and its end, within which no change is looked for (Andrews 1993, section 4)."""
     confidence: float = 0.99
-    """Of the quantile over all times that the scatter of the parts is judged by."""
+    """Of the quantile over all times and numbers that the scatter of the parts is judged by."""
     min_share: float = 0.5
     """Of the value over the whole run, that a change must reach; and of the larger value, below which the other is none."""
     at_bound: float = 0.999

@@ -39,10 +39,13 @@ N_REFINED = 2
 """Times that the moment of a change is looked for more nearly."""
 
 
-def select(model: WheelModel, rng: np.random.Generator) -> list[WheelTerm]:
+def select(
+    model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False
+) -> list[WheelTerm]:
     """Add effects to the model while the evidence lasts, then take superfluous ones back.
 
-    Structure that no effect makes competes with them: where it explains more, it enters in their stead.
+    Structure that no effect makes competes with them: where it explains more, it enters in their stead; not a reference
+    that is bent over the place, where it is known to be straight.
     """
     terms: list[WheelTerm] = []
     for _ in range(ODOMETRY.max_effects):
@@ -62,7 +65,7 @@ def select(model: WheelModel, rng: np.random.Generator) -> list[WheelTerm]:
             terms.append(best)
         model.fit_noise()
         _take_back(model, terms)
-    _admit_structure(model, terms)
+    _admit_structure(model, terms, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms, rng)
@@ -117,11 +120,13 @@ class StructureCandidate:
     replaces_patches: bool
 
 
-def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
+def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_straight: bool) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
     model.denoise_motion()
     fit = model.regression.solve(model.prior(model.layout.terms))
-    families = odometry_families(model.rows, model.motion, model.robot.wheels)
+    families = odometry_families(
+        model.rows, model.motion, model.robot.wheels, is_reference_straight=is_reference_straight
+    )
     jumps = reference_jumps(model.rows, model.y - model.columns @ fit.theta)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))

@@ -34,12 +34,15 @@ CLOCK = "clock"
 """Kind of the families of a clock offset that changes in time."""
 
 
-def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
+def odometry_families(
+    rows: OdometryRows, wheels: WheelIncrements, size: Wheels, *, is_reference_straight: bool = False
+) -> list[StructureFamily]:
     """Return differences that no library effect makes, with columns (2 n, k).
 
     Parameters
     ----------
     size : radius and distance of the wheels
+    is_reference_straight : leave out a reference that is bent over the place
     """
     base = size.base
     rates = _rates(wheels)
@@ -74,7 +77,8 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     families += [reversals(rows, wheels, rates, base), _headings(rows, wheels)]
     families.append(spinning(rows, wheels, base))
     families += turns_of_a_wheel(rows, wheels, size)
-    if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
+    is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
+    if is_wide and not is_reference_straight:
         families += distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
 
