@@ -62,6 +62,21 @@ def ghosts(rng: np.random.Generator) -> Floats:
     return out
 
 
+def turning_ghosts() -> Floats:
+    """A second laser's ghosts: some rays side by side, at a range and a bearing that wander in the frame of the robot."""
+    bearing = 1.2 * np.sin(0.9 * T)[:, None]
+    r = 0.7 + 0.5 * ((0.4 * T) % 1)[:, None]
+    beside = np.abs(SENSOR.bearings - bearing) < 0.12
+    return np.where(beside, r, np.inf)
+
+
+def door() -> Floats:
+    """A leaf of 0.7 m that swings to and fro in every other eight seconds, and is out of sight meanwhile."""
+    turn = -0.9 + 0.8 * np.sin(1.3 * T)
+    leaf = [disc(1.1 + d * np.cos(turn), 3.3 + d * np.sin(turn), 0.06) for d in np.linspace(0, 0.7, 9)]
+    return np.where((T % 8 < 4)[:, None], np.min(leaf, axis=0), np.inf)
+
+
 def own_light(rng: np.random.Generator) -> Floats:
     """Three rays side by side read the robot's own light, reflected: at one range, all the time."""
     out = np.full(ANGLE.shape, np.inf)
@@ -149,6 +164,8 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         (stuck(ANGLE), "repeat the scan before"),
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
         (steam(np.random.default_rng(4)), "m of (1.2, 3."),
+        (turning_ghosts(), "turn and move with the robot"),
+        (door(), "people come from elsewhere"),
         (floor(), "too wide for a person"),
         (pushed(), "does not walk"),
         (chairs(), "does not walk"),
@@ -159,6 +176,8 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         "rays that stick",
         "ghosts",
         "steam",
+        "ghosts in the frame of the robot",
+        "a door",
         "floor",
         "pushed there half-way",
         "thin legs",

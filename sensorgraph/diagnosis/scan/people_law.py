@@ -35,7 +35,7 @@ WRAPPED_CAUSES: tuple[str, ...] = (
 )
 PLACE_CAUSES: tuple[str, ...] = (
     "steam, dust or spray that comes up there at times",
-    "a curtain, a plant or a machine that moves there",
+    "a door, a curtain, a plant or a machine that moves there",
 )
 WIDE_CAUSES: tuple[str, ...] = (
     "a ramp, a kerb or a tilt of the robot, so that the laser sees the floor",
@@ -88,6 +88,8 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
                 "what somebody walks meanwhile",
                 STRAY_CAUSES,
             )
+        if _drawn_along(view, things) > settings.max_drawn_along:
+            return f"{short_ones}, of things that turn and move with the robot", STRAY_CAUSES
     if standing := where_things_stand(view, short):
         return f"{short_ones}, {standing}: what stands there does not walk", STANDING_CAUSES
     if again := _again_at_one_place(view, short):
@@ -112,7 +114,8 @@ def _at_one_range(view: FitResiduals, short: Bools) -> float:
 def _again_at_one_place(view: FitResiduals, short: Bools) -> str:
     """Say that short readings end at one place again and again, as in a cloud, and where; empty: they do not.
 
-    What is seen at one moment fills the place. Somebody who walks up and down there is narrow, and elsewhere each time.
+    What is seen at one moment fills the place, or, where nothing is ever seen elsewhere, a good part of it: a door that
+    swings. Somebody who walks up and down there is narrow, and elsewhere each time.
     """
     settings = SCAN.goodness_of_fit
     ends, scan = view.ends(short), np.nonzero(short)[0]
@@ -129,12 +132,13 @@ def _again_at_one_place(view: FitResiduals, short: Bools) -> str:
     within = float(np.square(ends[near] - centres).sum(axis=1).mean())
     between = float(np.square(centres - middle).sum(axis=1).mean())
     times = 1 + int((np.diff(view.data.stamps[np.unique(scan[near])]) > settings.standing_time).sum())
-    if within < between or times < settings.min_place_times:
+    most = between / 4 if near.mean() > settings.never_elsewhere else between  # half as wide
+    if times < settings.min_place_times or within < most:
         return ""
     x, y = middle
     return (
-        f"{100 * near.mean():.0f} % of these within {settings.one_place:g} m of ({x:.1f}, {y:.1f}) m, {times} times in the run, "
-        "as in a cloud"
+        f"{100 * near.mean():.0f} % of these within {settings.one_place:g} m of ({x:.1f}, {y:.1f}) m, {times} times in the run: "
+        "people come from elsewhere"
     )
 
 
@@ -217,6 +221,37 @@ def _found_again(view: FitResiduals, things: Clusters) -> tuple[int, int]:
             followed += 1
             found += bool(len(there)) and bool(np.hypot(*(there - place).T).min() < reach)
     return found, followed
+
+
+def _drawn_along(view: FitResiduals, things: Clusters) -> float:
+    """Return how surely things stay with the robot rather than in the room [standard errors]; below 0 the room is surer.
+
+    From one scan to the next somebody moves as they like in the map, and besides that as the robot does in its own frame;
+    ghosts move as they like in the frame of the robot. Seconds of the run are judged as one.
+    """
+    settings, beams, stamps = SCAN.goodness_of_fit, view.beams, view.data.stamps
+    step, wide = float(np.median(np.diff(stamps))), things.n_rays >= 2
+    xy, scan = things.xy[wide], things.scan[wide]
+    ox, oy = (np.broadcast_to(o, beams.ux.shape)[scan, 0] for o in (beams.ox, beams.oy))
+    c, s, away = beams.ux[scan, 0], beams.uy[scan, 0], xy - np.stack([ox, oy], axis=1)
+    own = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+    starts = np.searchsorted(scan, np.arange(len(stamps) + 1))
+    nearer = np.zeros(1 + int(stamps[-1] - stamps[0]))
+    for k in np.unique(scan):
+        last = k + 1 >= len(stamps) or stamps[k + 1] - stamps[k] > 2 * step
+        now, then = slice(starts[k], starts[k + 1]), slice(starts[min(k + 1, len(stamps) - 1)], None)
+        then = slice(then.start, starts[k + 2]) if not last else slice(0, 0)
+        if then.stop <= then.start:
+            continue
+        reach = settings.walking_speed * (stamps[k + 1] - stamps[k]) + settings.walking_slack
+        in_map, in_frame = (
+            np.hypot(*(p[now][:, None] - p[then][None]).transpose(2, 0, 1)) for p in (xy, own)
+        )
+        same = (in_map + in_frame).argmin(axis=1)
+        a, b = (d[np.arange(len(d)), same] for d in (in_map, in_frame))
+        nearer[int(stamps[k] - stamps[0])] += float((a**2 - b**2)[a + b < 2 * reach].sum())
+    spread = float(np.sqrt(np.square(nearer).sum()))
+    return float(nearer.sum()) / spread if spread > 0 else 0.0
 
 
 def _spacing(view: FitResiduals) -> float:

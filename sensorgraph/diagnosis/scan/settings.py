@@ -403,6 +403,8 @@ class GoodnessOfFitSettings:
     """Things that the next scan must look at."""
     min_found_share: float = 0.7
     """Of these that it must show, if they are people."""
+    max_drawn_along: float = 2.0
+    """Standard errors by which short readings may stay with the robot rather than in the room."""
     n_light_directions: int = 36
     """Directions of the room in which rays may be lost by light."""
     min_light_share: float = 0.3
@@ -411,6 +413,8 @@ class GoodnessOfFitSettings:
     """[m] about the middle of short readings, within which they lie at one place."""
     min_place_share: float = 0.8
     """Of short readings, that must lie there; and of all returns, that must lie elsewhere."""
+    never_elsewhere: float = 0.95
+    """Of short readings, that lie there: then half as wide a thing fills the place."""
     min_place_times: int = 3
     """Times of the run, with pauses, at which something must be there: somebody who passes comes once or twice."""
     max_light_share: float = 0.15
