@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.scan.people_law import (
 )
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.effect import Telltale, without
 from sensorgraph.effects.places import part_of_wall
 from sensorgraph.effects.proposals import best_run
@@ -69,19 +69,9 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
     settings = SCAN.goodness_of_fit
     out = []
     absorbed = gained - sum(gains[i] for i, a in enumerate(view.fitted.model) if not a.effect.absorber)
-    responsibilities = view.fitted.solution.responsibilities
-    off_edge = view.fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
-    odd = view.returned & (responsibilities.core + responsibilities.tail < 0.5) & off_edge
-    with np.errstate(invalid="ignore"):
-        short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words, causes, odd_share = "", STRAY_CAUSES, 0.0
-        explains = a.effect.diagnostics.explains
-        if explains == "short readings" and short.sum() > settings.min_absorbed_rays:
-            (words, causes), odd_share = why_not_people(view, short), float(short.mean())
-        elif explains == "strays" and odd.sum() > settings.min_absorbed_rays:
-            (words, causes), odd_share = _why_not_random(view, odd), float(odd.mean())
+        words, causes, odd_share = why_not_absorbed(view, a)
         if words:
             # a fringe of a strong effect's own rays is no doubt
             worth = settings.failed_law_share * max(gains[index], absorbed)
@@ -96,7 +86,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     causes=causes,
                     # a map of pixels lacks what moves and what is thin: such strays are not uniform
                     is_of_building=causes == STANDING_CAUSES
-                    or (explains == "strays" and view.data.grain > 0),
+                    or (a.effect.diagnostics.explains == "strays" and view.data.grain > 0),
                 )
             )
     for telltale in _telltales():
@@ -117,6 +107,24 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                 )
             )
     return out
+
+
+def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, ...], float]:
+    """Return why the readings that an effect of the model absorbs are not its own, what they may be, and their share.
+
+    Empty where they may be, or where the effect absorbs none.
+    """
+    explains = a.effect.diagnostics.explains
+    responsibilities = view.fitted.solution.responsibilities
+    off_edge = view.fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
+    odd = view.returned & (responsibilities.core + responsibilities.tail < 0.5) & off_edge
+    if explains == "short readings":
+        with np.errstate(invalid="ignore"):
+            odd &= view.z < np.where(view.aimed, view.mu, view.range_max)
+    if not explains or odd.sum() <= SCAN.goodness_of_fit.min_absorbed_rays:
+        return "", (), 0.0
+    why = why_not_people(view, odd) if explains == "short readings" else _why_not_random(view, odd)
+    return (*why, float(odd.mean()))
 
 
 def _telltales() -> list[Telltale]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.effect_laws import why_not_absorbed
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
@@ -31,7 +33,7 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     ----------
     threshold : [nats] that a name takes
     """
-    order = _by_gain(without_ends(data, tried))
+    order = _by_law(data, _by_gain(without_ends(data, tried)), threshold)
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
@@ -94,6 +96,25 @@ def _by_gain(tried: Tried) -> Tried:
                 order.remove(pair)
                 return [pair, *order]
     return order
+
+
+def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:
+    """Let people and strays that are as likely, but for less than a name takes, be told by what their readings look like."""
+    best, gain = order[0]
+    if not best.model[-1].effect.diagnostics.explains:
+        return order
+    for pair in order[1:]:
+        other = pair[0].model[-1]
+        if other.effect.diagnostics.explains and gain - pair[1] < threshold:
+            if _keeps_its_law(data, best) or not _keeps_its_law(data, pair[0]):
+                break
+            return [pair, *(one for one in order if one is not pair)]
+    return order
+
+
+def _keeps_its_law(data: ScanData, fitted: Fitted) -> bool:
+    """Tell whether the readings that the last effect absorbs may be its own."""
+    return not why_not_absorbed(FitResiduals(data, fitted), fitted.model[-1])[0]
 
 
 def without_ends(data: ScanData, tried: Tried) -> Tried:
