@@ -245,15 +245,19 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return one family for each size of command below which motors may do nothing."""
-    commands = model.simulation.commands.values
+    """Return one family for each size of command below which motors may do nothing, and for the likeliest of all sizes."""
+    rows, commands = model.rows, model.simulation.commands.values
     top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
-    columns = []
+    moved, asked = (np.stack(both_kinds(x, rows.n)) for x in (rows.y, fit.simulated))
+    found: list[tuple[Floats, float]] = []
     for kind in (0, 1):
-        for share in DRIVE.structure.deadbands:
+        sizes = [(share * top[kind], 0.0) for share in DRIVE.structure.deadbands]
+        likeliest = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
+        for size, price in [*sizes, (likeliest, float(np.log(rows.n)))]:
             without = commands.copy()
-            without[np.abs(commands[:, kind]) < share * top[kind], kind] = 0.0
-            columns.append(model.simulation.rates_of(fit.motors, without) - fit.simulated)
+            without[np.abs(commands[:, kind]) < size, kind] = 0.0
+            found.append((model.simulation.rates_of(fit.motors, without) - fit.simulated, price))
+    price = float(np.log(len(found)))
     return [
         StructureFamily(
             kind="deadband",
@@ -261,7 +265,15 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             labels=[],
             sigma=DRIVE.structure.deadband_sigma,
             statement="where commands are small",
-            choice_price=float(np.log(len(columns))),
+            choice_price=max(price, own),
         )
-        for column in columns
+        for column, own in found
     ]
+
+
+def _deadband(moved: Floats, asked: Floats) -> float:
+    """Return the size of what was asked (n,) below which it is likeliest that nothing moved, by least squares."""
+    order = np.argsort(np.abs(asked))
+    size = np.abs(asked)[order]
+    lost = np.square(moved[order]) - np.square((moved - asked)[order])
+    return float(np.append(0.0, size)[int(np.argmin(np.append(0.0, np.cumsum(lost))))]) * (1 + 1e-6)
