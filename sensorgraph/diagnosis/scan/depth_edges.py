@@ -19,6 +19,8 @@ from sensorgraph.world.robot import Tolerances
 SETTINGS = SCAN.likelihood
 MIN_END_RANGE = 0.05
 """[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
+SLACK = 1e-3
+"""[rad] by which the end of a wall may seem to lie outside of two rays that begin at different places."""
 GRAZING = 0.02
 """Cosine against the normal, below which a ray does not meet the extension of a wall."""
 
@@ -119,22 +121,17 @@ def _gap(data: ScanData, beams: Beams, scan: Ints, right: Ints, left: Ints) -> F
 def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
     """Let each ray pass the end of its own surface, and the farther one meet the nearer surface."""
     rows = list[Rows]()
-    turned = dict[bool, tuple[Floats, Floats]]()
-    for is_nearer, own in ((True, steps.nearer), (False, steps.farther)):
+    for own in (steps.farther, steps.nearer):
         edge = _end_angle(beams, walls, steps, own)
         blur = _blur_at(data.tolerances, beams.ranges[steps.scan, own])
-        edge, beyond = _past_the_end(beams, walls, steps, own, edge, blur)
+        edge, last, beyond = _past_the_end(beams, walls, steps, own, edge, blur)
         ends = np.flatnonzero(np.isfinite(edge))
         rows.append(_beside(data, beams, walls, steps, own, beyond, edge, blur, ends))
-        turned[is_nearer] = edge, blur
-    edge, blur = turned[True]
     has_none, edge = np.flatnonzero(np.isnan(edge)), np.where(np.isnan(edge), steps.gap / 2, edge)
-    every = np.arange(len(edge))
-    for ray, other, some in (
-        (steps.farther, steps.nearer, every),
-        (steps.nearer, steps.farther, has_none),
-    ):
-        rows.append(_beside(data, beams, walls, steps, ray, steps.met_by(other, beams), edge, blur, some))
+    onto_nearer = _Other(wall=last, ranges=beams.ranges[steps.scan, steps.nearer])
+    every, far = np.arange(len(edge)), steps.met_by(steps.farther, beams)
+    rows.append(_beside(data, beams, walls, steps, steps.farther, onto_nearer, edge, blur, every))
+    rows.append(_beside(data, beams, walls, steps, steps.nearer, far, edge, blur, has_none))
     return rows
 
 
@@ -206,20 +203,22 @@ def _blur(t: Tolerances) -> tuple[float, float]:
 
 def _past_the_end(
     beams: Beams, walls: Floats, steps: _Steps, own: Ints, edge: Floats, blur: Floats
-) -> tuple[Floats, _Other]:
-    """Follow the surfaces of rays to where they end for the eye, and tell what the rays would meet beyond.
+) -> tuple[Floats, Ints, _Other]:
+    """Follow the surfaces of rays to where they end for the eye; return that, the last walls, and what is met beyond.
 
     That is not always what the neighbour meets: between a leg and what stands beside it a wall may be seen.
 
     Parameters
     ----------
-    own : (k,) the rays
+    own : (k,) the rays; where they are the nearer ones, their surfaces are followed however far away they end, as these ends
+    are the other rays' edges, too
     edge : (k,) [rad] from the right ray to the end of the ray's wall; nan where it does not end between the rays
     """
     mine = steps.met_by(own, beams)
     beyond = steps.met_by(np.where(own == steps.right, steps.left, steps.right), beams)
     with np.errstate(invalid="ignore"):
         is_near = ndtr(-steps.away(own, edge) / blur) > SETTINGS.min_edge_chance
+    is_near |= np.isfinite(edge) & (own == steps.nearer)
     some = np.flatnonzero((mine.wall >= 0) & is_near)
     ray = (steps.scan[some], steps.right[some])
     ox, oy = (np.broadcast_to(o, beams.ux.shape)[ray] for o in (beams.ox, beams.oy))
@@ -234,8 +233,9 @@ def _past_the_end(
         steps.gap[some],
     )
     edge = edge.copy()
-    edge[some], beyond.wall[some], beyond.ranges[some] = found.edge, found.behind, found.ranges
-    return edge, beyond
+    edge[some], mine.wall[some] = found.edge, found.wall
+    beyond.wall[some], beyond.ranges[some] = found.behind, found.ranges
+    return edge, mine.wall, beyond
 
 
 def _blur_at(t: Tolerances, ranges: Floats) -> Floats:
@@ -306,14 +306,15 @@ def _end_angle(beams: Beams, walls: Floats, steps: _Steps, own: Ints) -> Floats:
         return best
     known = index >= 0
     ux, uy = beams.ux[scan, right], beams.uy[scan, right]
-    ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, right]
-    oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, right]
+    ox, oy = (np.broadcast_to(o, beams.ux.shape)[scan, right] for o in (beams.ox, beams.oy))
+    towards = np.where(own == right, 1.0, -1.0)  # the other ray
     for end in (0, 1):
         corner = walls[np.where(known, index, 0), end]
         x, y = corner[:, 0] - ox, corner[:, 1] - oy
         angle = np.arctan2(ux * y - uy * x, ux * x + uy * y)
-        fits = known & (angle >= -1e-3) & (angle <= gap + 1e-3)
-        best = np.where(fits, np.clip(angle, 0.0, gap), best)
+        fits = known & (angle >= -SLACK) & (angle <= gap + SLACK)
+        angle = np.clip(angle, 0.0, gap)
+        best = np.where(fits & ~(towards * best > towards * angle), angle, best)
     return best
 
 

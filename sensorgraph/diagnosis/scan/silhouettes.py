@@ -23,6 +23,8 @@ class Silhouettes:
 
     edge: Floats
     """(k,) [rad] from the right ray to the end."""
+    wall: Ints
+    """(k,) index of the wall that ends there."""
     behind: Ints
     """(k,) index of the wall that is met just beside it; -1 none."""
     ranges: Floats
@@ -69,7 +71,7 @@ def silhouettes(
         some = some[further]
         if len(some) == 0:
             break
-    return Silhouettes(edge=edge, behind=behind, ranges=ranges)
+    return Silhouettes(edge=edge, wall=wall, behind=behind, ranges=ranges)
 
 
 def _onward(walls: Floats, wall: Ints, other: Ints) -> tuple[Bools, Floats]:
