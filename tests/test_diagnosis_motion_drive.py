@@ -109,7 +109,9 @@ def test_wheel_effects_are_no_drive_effects(effect: dict[str, float]) -> None:
     assert diagnose_drive(make_run(4, **effect), ROBOT).effects == ()
 
 
-@pytest.mark.parametrize(("column", "least"), [(1, 0.3), (0, 0.2), (0, 0.4)], ids=["turns", "ways", "most ways"])
+@pytest.mark.parametrize(
+    ("column", "least"), [(1, 0.3), (0, 0.2), (0, 0.4)], ids=["turns", "ways", "most ways"]
+)
 def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float) -> None:
     """The run is driven by what the motors obey; the log shows what they were told beside it: 0.6 of `least`."""
     for seed in (5, 6):

@@ -93,6 +93,16 @@ def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
     assert bool(changes(fitted(site))) == is_told
 
 
+@pytest.mark.parametrize(("pose_xy", "is_told"), [(0.0022, True), (0.02, False)])
+def test_a_mount_that_jumps_by_what_the_reference_may_wander_is_none(
+    hall: Arena, quiet: ScanData, pose_xy: float, is_told: bool
+) -> None:
+    """A reference that is off by 2 cm for seconds on end moves readings as a laser does that sits elsewhere from then on."""
+    broken = halves(quiet, data_of(hall, (EFFECTS["mount_xy"](dx=0.03, dy=0.0),)), 0.6)
+    told = replace(broken, tolerances=replace(broken.tolerances, pose_xy=pose_xy), memo={})
+    assert bool(changes(fitted(told))) == is_told
+
+
 def test_a_sector_that_is_not_seen_for_half_of_the_run_does_not_end_it(quiet: ScanData) -> None:
     """Where none of its rays is judged nothing tells a change: its matrix is singular."""
     low, high = -0.3, 0.4

@@ -1,0 +1,50 @@
+"""What the scans say to the other channels."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+from scan_samples import data_of, hall_arena
+
+from sensorgraph.diagnosis.result import ChannelResult, Unknown
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, shows_straight_reference
+
+
+@pytest.fixture(scope="module")
+def null() -> Fitted:
+    data = data_of(hall_arena())
+    return fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "place", "is_doubted", "is_straight"),
+    [
+        (0.014, 0.0002, False, True),
+        (0.0002, 0.03, False, True),
+        (0.002, 0.001, False, False),
+        (0.014, 0.0002, True, False),
+    ],
+    ids=["yaw", "place", "within tolerances", "scans doubted"],
+)
+def test_scans_that_fit_the_arena_show_a_straight_reference(
+    null: Fitted, yaw: float, place: float, is_doubted: bool, is_straight: bool
+) -> None:
+    """Poses within 2 mm and 0.1 degrees of what the scans say are not bent by 0.8 degrees or 3 cm over the place."""
+    doubt = Unknown(statement="something") if is_doubted else None
+    scans = ScanDiagnosis(
+        result=ChannelResult(channel="scan", unknown=doubt),
+        names=cast(Any, None),
+        explained=Explained(null=null, final=null, gains={}),
+        goodness_of_fit=cast(Any, None),
+        second_gap=None,
+        shared=(),
+        cannot_tell_apart=[],
+    )
+    bent = Unknown(statement="bent", size={"reference_m": place, "reference_rad": yaw})
+    odometry = ChannelResult(channel="odometry", unknown=bent)
+    assert shows_straight_reference(scans, odometry) == is_straight
+    assert not shows_straight_reference(scans, ChannelResult(channel="odometry"))
