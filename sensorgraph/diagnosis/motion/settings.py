@@ -289,6 +289,8 @@ class DriveStructureSettings:
     """Of the largest speed, above which commands ask it to move."""
     stop_time: float = 0.25
     """[s] that it must stand so: longer than a base waits for the next tick of its loop."""
+    rolling_times: tuple[float, ...] = (0.6, 1.2, 2.5, 5.0)
+    """[s] for which a base may go on after it was told to stand."""
     answer_lags: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
     """[s] after a command has acted, at which it may act again."""
     answer_sigma: float = 0.3

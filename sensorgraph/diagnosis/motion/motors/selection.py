@@ -10,7 +10,12 @@ import numpy as np
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
-from sensorgraph.diagnosis.motion.motors.structure import OTHER_MOTORS, TIMING_OF_STRETCHES, drive_families
+from sensorgraph.diagnosis.motion.motors.structure import (
+    OTHER_MOTORS,
+    ROLLS_ON,
+    TIMING_OF_STRETCHES,
+    drive_families,
+)
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import both_kinds
@@ -142,6 +147,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
+    is_material |= family.kind == ROLLS_ON and _each_time(family, missing) > EVIDENCE.min_drift
     is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
@@ -171,6 +177,20 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
             rivals=rivals[:2],
         ),
     )
+
+
+def _each_time(family: StructureFamily, missing: Floats) -> float:
+    """Return how far [m] a base goes each time that it rolls on, however often the run has it stand.
+
+    Parameters
+    ----------
+    missing : (2 n,) [m, then rad] that a simulation without it lacks
+    """
+    n = len(missing) // 2
+    column = np.abs(family.columns[:n, 0])
+    rolls = column > 0.1 * column.max()
+    times = int(np.count_nonzero(np.diff(np.concatenate([[0], rolls.astype(np.intp)])) > 0))
+    return float(np.abs(missing[:n][rolls]).sum()) / max(times, 1)
 
 
 def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:

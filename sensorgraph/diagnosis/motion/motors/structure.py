@@ -22,11 +22,17 @@ ANSWER = "answer"
 RAMP = "ramp"
 """Kind of the families of a base that accelerates more slowly than stated."""
 
+ROLLS_ON = "rolls on"
+"""Kind of the families of a base that goes on though it was told to stand."""
+
 LAG_BY_SENSE = "lag by sense"
 """Kind of the family of motors that speed up with another lag than they slow down with."""
 
 OTHER_MOTORS = (ANSWER, LAG_BY_SENSE, RAMP)
 """Kinds of the families of motors that answer otherwise than by one lag: a lag takes most of them, or much."""
+
+ROLLING_SPEED = 0.05
+"""[m/s] of a base that goes on though it was told to stand, about."""
 
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
@@ -78,6 +84,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         _lag_by_sense(model, fit),
         _slopes(model),
         _stops(model, fit),
+        *_rolls_on(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
         *_ramps(model, fit),
@@ -194,6 +201,36 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
         sigma=settings.deadband_sigma,
         statement="by standing at times though commands ask it to move: a link that drops out, a watchdog, a bumper",
     )
+
+
+def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+    """Return families of a base that goes on in the last sense for some time after it was told to stand."""
+    stamps, values = model.simulation.commands.stamps, model.simulation.commands.values
+    stands = (np.abs(values) < MIN_MOTION).all(axis=1)
+    index = np.arange(len(stamps))
+    last, last_way = (
+        np.maximum.accumulate(np.where(some, index, 0))
+        for some in (~stands, np.abs(values[:, 0]) >= MIN_MOTION)
+    )
+    since = stamps - stamps[np.minimum(last + 1, len(stamps) - 1)]
+    times = DRIVE.structure.rolling_times
+    out = []
+    for time in times:
+        rolling = values.copy()
+        some = stands & (since < time)
+        rolling[some, 0] = ROLLING_SPEED * np.sign(values[last_way[some], 0])
+        columns = model.simulation.rates_of(fit.motors, rolling) - fit.simulated
+        out.append(
+            StructureFamily(
+                kind=ROLLS_ON,
+                columns=model.rows.masked(columns[:, None]),
+                labels=[],
+                sigma=DRIVE.structure.deadband_sigma,
+                statement="after it was told to stand: the base creeps or rolls on",
+                choice_price=float(np.log(len(times))),
+            )
+        )
+    return out
 
 
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
