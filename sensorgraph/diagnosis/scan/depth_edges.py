@@ -192,7 +192,7 @@ def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts:
     )
     with np.errstate(invalid="ignore"):
         is_edge = beams.ranges - met > SETTINGS.min_edge_step * sensor.sigma
-    scan, ray = np.nonzero((chance > 0) & is_edge)
+    scan, ray = np.nonzero((chance > 0) & is_edge & (met < sensor.range_max))
     return scan, ray, met[scan, ray], np.zeros(len(scan)), chance[scan, ray]
 
 
@@ -293,6 +293,7 @@ def _beside_edge(
             & (np.abs(beyond - own) > SETTINGS.min_edge_step * data.sensor.sigma)
             & np.isfinite(own)
             & (beyond > 0)
+            & (np.minimum(own, beyond) < data.sensor.range_max)  # else nothing comes back from either side
         )
     return scan[keep], ray[keep], beyond[keep], spread[keep], chance[keep]
 
