@@ -62,6 +62,15 @@ def ghosts(rng: np.random.Generator) -> Floats:
     return out
 
 
+def rare_ghosts(rng: np.random.Generator) -> Floats:
+    """An arc of twelve rays reads what a second laser sends, anywhere, in one scan of fifteen."""
+    out = np.full(ANGLE.shape, np.inf)
+    for k in range(0, len(T), 15):
+        ray = rng.integers(0, SENSOR.n_rays - 12)
+        out[k, ray : ray + 12] = rng.uniform(0.6, 1.8)
+    return out
+
+
 def turning_ghosts() -> Floats:
     """A second laser's ghosts: some rays side by side, at a range and a bearing that wander in the frame of the robot."""
     bearing = 1.2 * np.sin(0.9 * T)[:, None]
@@ -164,6 +173,7 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         (stuck(ANGLE), "repeat the scan before"),
         (ghosts(np.random.default_rng(1)), "is there in the next scan"),
         (steam(np.random.default_rng(4)), "m of (1.2, 3."),
+        (rare_ghosts(np.random.default_rng(5)), "is there in the next scan"),
         (turning_ghosts(), "turn and move with the robot"),
         (door(), "people come from elsewhere"),
         (floor(), "too wide for a person"),
@@ -176,6 +186,7 @@ def test_somebody_who_passes_once_at_one_range_may_be_people() -> None:
         "rays that stick",
         "ghosts",
         "steam",
+        "rare ghosts",
         "ghosts in the frame of the robot",
         "a door",
         "floor",

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import bdtr
 
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -82,7 +83,9 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
         if share > settings.max_wide_share:
             return f"{short_ones}, {100 * share:.0f} % of these of things too wide for a person", WIDE_CAUSES
         found, followed = _found_again(view, things)
-        if followed >= settings.min_followed and found < settings.min_found_share * followed:
+        least = settings.min_found_share
+        is_seldom = followed >= settings.min_followed and found < least * followed
+        if is_seldom or bdtr(found, followed, least) < settings.lost_by_chance:
             return (
                 f"{short_ones}, but of what they show only {100 * found / followed:.0f} % is there in the next scan, within "
                 "what somebody walks meanwhile",

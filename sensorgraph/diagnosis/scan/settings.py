@@ -403,6 +403,8 @@ class GoodnessOfFitSettings:
     """Things that the next scan must look at."""
     min_found_share: float = 0.7
     """Of these that it must show, if they are people."""
+    lost_by_chance: float = 1e-4
+    """Chance that so few of fewer things are shown, below which they are none."""
     max_drawn_along: float = 2.0
     """Standard errors by which short readings may stay with the robot rather than in the room."""
     n_light_directions: int = 36
