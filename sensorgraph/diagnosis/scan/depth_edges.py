@@ -99,7 +99,7 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
         gap=_gap(data, beams, scan, right, left),
         nearer=np.where(ranges[scan, right] <= ranges[scan, left], right, left),
     )
-    rows += _of_pixels(data, beams, walls, steps) if data.grain > 0 else _of_walls(data, beams, walls, steps)
+    rows += _of_walls(data, beams, walls, steps) if _is_drawn(data) else _of_scraps(data, beams, walls, steps)
     index_scan, index_ray, beyond, spread, chance = (np.concatenate(part) for part in zip(*rows, strict=True))
     if len(chance) == 0:
         return None
@@ -135,8 +135,16 @@ def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> lis
     return rows
 
 
-def _of_pixels(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
-    """Let rays of both sides meet the other side: also those further from the edge, as a cell is wider than their gap."""
+def _is_drawn(data: ScanData) -> bool:
+    """Tell whether the walls of the map are whole: a map of pixels has steps, an identified one scraps."""
+    return data.grain == 0 and not data.arena.is_identified
+
+
+def _of_scraps(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
+    """Let rays of both sides meet what the neighbour meets: where a scrap ends, no surface need end.
+
+    Of a map of pixels also those further from the edge, as a cell is wider than their gap.
+    """
     edge = _end_angle(beams, walls, steps, steps.nearer)
     edge = np.where(np.isnan(edge), steps.gap / 2, edge)
     blur = _blur_at(data.tolerances, beams.ranges[steps.scan, steps.nearer])
@@ -144,7 +152,7 @@ def _of_pixels(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> li
     for ray, other in ((steps.right, steps.left), (steps.left, steps.right)):
         onward = _onward(other, ray, data.n_rays)
         rays = [(steps.scan, ray, steps.met_by(other, beams), steps.away(ray, edge), blur)]
-        while len(rays[-1][0]):
+        while data.grain > 0 and len(rays[-1][0]):
             rays.append(_next_to(*rays[-1], onward, beams.wall, data.sensor.bearings))
         rows += [_beside_edge(data, beams, walls, *one) for one in rays]
     return rows
@@ -171,11 +179,11 @@ def _beside(
 def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts: Ints) -> Rows:
     """Return the rays beside which something stands that they pass, and their neighbours too: a leg between two rays.
 
-    In a map of pixels the outline of a cell is no such thing; rays of several sensors have no common order.
+    In a map of pixels the outline of a cell is no such thing, nor is a scrap; rays of several sensors have no common order.
     """
     sensor = data.sensor
     none = np.zeros(0, dtype=np.intp)
-    if data.grain > 0 or sensor.is_composite or len(walls) == 0 or len(rights) == 0:
+    if not _is_drawn(data) or sensor.is_composite or len(walls) == 0 or len(rights) == 0:
         return none, none, np.zeros(0), np.zeros(0), np.zeros(0)
     ox, oy = (np.ascontiguousarray(np.broadcast_to(part, beams.ux.shape)) for part in (beams.ox, beams.oy))
     chance, met = corners_between_rays(
