@@ -11,6 +11,7 @@ from scan_samples import data_of, hall_arena
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
@@ -113,3 +114,17 @@ def test_a_sector_that_is_not_seen_for_half_of_the_run_does_not_end_it(quiet: Sc
     partly = replace(quiet, ranges=np.where(hidden, np.nan, ranges), memo={})
     model = fitted(partly, EFFECTS["sector_bias"](theta1=low, theta2=high, b=0.05))
     assert changes(model) == []
+
+
+@pytest.mark.parametrize(("people", "is_doubted"), [(0.1, True), (25.0, False)])
+def test_a_coarse_effect_excuses_what_is_left_by_its_own_evidence_alone(
+    hall: Arena, people: float, is_doubted: bool
+) -> None:
+    """A few people in the model are no reason to let a change of the delay pass; many, of as much evidence, are one."""
+    early, late = (data_of(hall, (EFFECTS["latency"](tau=tau),)) for tau in (0.05, 0.12))
+    found = fitted(halves(early, late, 0.5), EFFECTS["latency"](tau=0.08), EFFECTS["people"](p=0.001))
+    data, null = found.solver.data, fitted(found.solver.data)
+    (doubt,) = changes(found, None)
+    gains = {0: 25 * doubt.misfit, 1: people * doubt.misfit}  # of the latency the change is 4 %
+    got = check(data, found, gains[0], gains, rng=np.random.default_rng(0), null=null, n_replicates=4)
+    assert ("changes" in got.statement) == is_doubted
