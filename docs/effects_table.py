@@ -19,8 +19,9 @@ the room. An effect stands in `effects.yaml` by its name, for instance
 ```
 
 `location.name` is a wall `NAME/edge_i` or an obstacle of the arena, where the table says so. A parameter's materiality is
-the size below which it is within the tolerance of a careful set-up. Any subset of effects composes; the order in the file
-does not matter. This page is what `python docs/effects_table.py` prints.
+the size below which it is within the tolerance of a careful set-up; several of one effect add as a vector. Where
+`tolerances` of robot.yaml states a mount or stamps worse than usual, that takes in proportion more. Any subset of effects
+composes; the order in the file does not matter. This page is what `python docs/effects_table.py` prints.
 """
 CHANNELS = {
     "scan": "Scans against map and pose",
