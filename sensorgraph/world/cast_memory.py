@@ -52,8 +52,10 @@ class RayPaths:
     ux: Floats
     """(n_scans, n_rays) unit direction."""
     uy: Floats
-    lasers: Floats | None = None
+    lasers: Floats | None
     """(n_scans, 3) pose of the laser where all rays of a scan begin at once; None: each has its own."""
+    bearings: Floats
+    """(n_rays,) [rad] as seen from above."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,22 +94,16 @@ class CastMemory:
         earlier = self._hits.get(key, lambda: Recent(MAX_HITS))
 
         def make() -> WallHits:
-            moved = [(int((walls != one.walls).any(axis=(1, 2)).sum()), one) for one in earlier.kept.values()
-                     if one.walls.shape == walls.shape]  # fmt: skip
-            count, nearest = min(moved, key=lambda pair: pair[0], default=(len(walls), None))
-            if nearest is None or count > MAX_MOVED_SHARE * len(walls):
+            alike = [one for one in earlier.kept.values() if one.walls.shape == walls.shape]
+            moved = [np.flatnonzero((walls != one.walls).any(axis=(1, 2))) for one in alike]
+            fewest, before = min(
+                zip(moved, alike, strict=True), key=lambda pair: len(pair[0]), default=(None, None)
+            )
+            if fewest is None or before is None or len(fewest) > MAX_MOVED_SHARE * len(walls):
                 ranges, wall = cast()
             else:
-                which = (walls != nearest.walls).any(axis=(1, 2))
                 ranges, wall = nearest_after_moves(
-                    walls,
-                    np.flatnonzero(which),
-                    rays.ox,
-                    rays.oy,
-                    rays.ux,
-                    rays.uy,
-                    nearest.ranges,
-                    nearest.wall,
+                    walls, fewest, rays.ox, rays.oy, rays.ux, rays.uy, before.ranges, before.wall
                 )
             return WallHits(walls=walls.copy(), ranges=ranges, wall=wall)
 

@@ -8,6 +8,8 @@ from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.wall_grid import grid_of, nearest_in_grid
 
+SAME_PLACE = 1e-6
+"""[m] between a corner and the end of a wall that ends there."""
 MAX_UNSORTED_WALLS = 100
 """Up to here every ray meets every wall; beyond, those of the cells on its way ..."""
 MAX_UNSORTED_PAIRS = 300_000

@@ -137,11 +137,11 @@ class Scene:
         """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
         if self.casts is None or bearings is not self.bearings:
             rays = self._rays(offset, bearings)
-            ranges, wall = self._hit(rays, bearings, offset)
+            ranges, wall = self._hit(rays)
         else:
             key = self._key_of_rays(offset)
             rays = self.casts.rays(key, lambda: self._rays(offset, bearings))
-            hits = self.casts.hits(key, rays, self.walls, lambda: self._hit(rays, bearings, offset))
+            hits = self.casts.hits(key, rays, self.walls, lambda: self._hit(rays))
             ranges, wall = hits.ranges, hits.wall
         ranges = self._recast(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
         return self._met(
@@ -156,18 +156,27 @@ class Scene:
         if np.ptp(delay) == 0.0 and not spread:
             lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
             ux, uy = directions(lasers[:, 2], bearings)
-            return RayPaths(ox=lasers[:, :1], oy=lasers[:, 1:2], ux=ux, uy=uy, lasers=lasers)
+            return RayPaths(
+                ox=lasers[:, :1], oy=lasers[:, 1:2], ux=ux, uy=uy, lasers=lasers, bearings=bearings
+            )
         poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
         lasers = laser_poses(poses, self.mount)
         if spread:
             lasers = ray_starts(lasers, self.sensor)
         phi = lasers[..., 2] + bearings
-        return RayPaths(ox=lasers[..., 0], oy=lasers[..., 1], ux=np.cos(phi), uy=np.sin(phi))
+        return RayPaths(
+            ox=lasers[..., 0],
+            oy=lasers[..., 1],
+            ux=np.cos(phi),
+            uy=np.sin(phi),
+            lasers=None,
+            bearings=bearings,
+        )
 
-    def _hit(self, rays: RayPaths, bearings: Floats, offset: float | Floats) -> tuple[Floats, Ints]:
+    def _hit(self, rays: RayPaths) -> tuple[Floats, Ints]:
         """Return how far the rays go, and to which wall."""
         if rays.lasers is not None:
-            return cast_laser(self.walls, rays.lasers, self.levelled(bearings + offset), MAX_DISTANCE)
+            return cast_laser(self.walls, rays.lasers, rays.bearings, MAX_DISTANCE)
         return nearest_from_each(self.walls, rays.ox, rays.oy, rays.ux, rays.uy)
 
     def levelled(self, bearings: Floats) -> Floats:

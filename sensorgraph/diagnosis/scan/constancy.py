@@ -226,7 +226,7 @@ def _wandering(told: Tolerances, effect: Effect) -> float:
     usual = Tolerances()
     shift, turn = told.pose_xy / usual.pose_xy, told.pose_yaw / usual.pose_yaw
     by = {Nuisance.MOUNT_X: shift, Nuisance.MOUNT_Y: shift, Nuisance.MOUNT_YAW: turn}
-    return max(1.0, *(by.get(nuisance, 1.0) for nuisance in effect.nuisances), 1.0)
+    return max([1.0, *(by.get(nuisance, 1.0) for nuisance in effect.nuisances)])
 
 
 def _sentence(first: Amendment, second: Amendment, when: float) -> str:

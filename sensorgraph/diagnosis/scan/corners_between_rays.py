@@ -5,19 +5,16 @@ The loop over scans and corners is compiled; `plain_corners_between_rays` asks e
 
 from __future__ import annotations
 
-import math
-from math import erfc, hypot
+from math import atan2, erfc, hypot, pi, sqrt
 
 import numpy as np
 from scipy.special import ndtr
 
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_walls_plain
+from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_walls_plain
 
-SAME_PLACE = 1e-6
-"""[m] between a corner and the end of a wall that ends there."""
-SQRT_2, TURN = math.sqrt(2.0), 2 * math.pi
+SQRT_2, TURN = sqrt(2.0), 2 * pi
 
 
 @kernel
@@ -98,7 +95,7 @@ def _pair_around(
 ) -> int:
     """Return the pair of rays of a scan between which a place lies; -1 for none."""
     dx, dy, c, s = x - ox[rights[0]], y - oy[rights[0]], ux[rights[0]], uy[rights[0]]
-    angle = math.atan2(c * dy - s * dx, c * dx + s * dy) % TURN
+    angle = atan2(c * dy - s * dx, c * dx + s * dy) % TURN
     at, step = int(np.searchsorted(first, angle, side="right")) - 1, 0
     for _ in range(len(rights)):  # a robot that turns within a sweep has turned the rays, too
         right, left = rights[at], lefts[at]

@@ -121,7 +121,7 @@ def _gap(data: ScanData, beams: Beams, scan: Ints, right: Ints, left: Ints) -> F
 def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
     """Let each ray pass the end of its own surface, and the farther one meet the nearer surface."""
     rows = list[Rows]()
-    for own in (steps.farther, steps.nearer):
+    for own in (steps.farther, steps.nearer):  # the nearer last: its end is the other rays' edge, too
         edge = _end_angle(beams, walls, steps, own)
         blur = _blur_at(data.tolerances, beams.ranges[steps.scan, own])
         edge, last, beyond = _past_the_end(beams, walls, steps, own, edge, blur)

@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.models.cones.settings import measures_cones
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
 
 BEARING_ERROR, BIAS_BY_BEARING, BIAS_BY_RANGE = "bearing error", "bias by bearing", "bias by range"
 """Kinds of profiles."""
@@ -198,7 +198,7 @@ def _profiles(fitted: Fitted) -> list[_Columns]:
         return []
     if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * SCAN.constancy.n_parts:
         return []
-    used = solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
+    used = _used(fitted)
     if not used.any():
         return []
     turned, biased = (solver.stack[:, one][:, None, :] for one in (Nuisance.MOUNT_YAW, Nuisance.BIAS))
@@ -213,6 +213,11 @@ def _profiles(fitted: Fitted) -> list[_Columns]:
         _Columns(kind=BIAS_BY_BEARING, knots=angles, columns=biased * by_bearing),
         _Columns(kind=BIAS_BY_RANGE, knots=lengths, columns=biased * by_range),
     ]
+
+
+def _used(fitted: Fitted) -> Bools:
+    """Tell which readings (n_scans, n_rays) tell a size."""
+    return fitted.solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
 
 
 def _screened(fitted: Fitted, profile: _Columns) -> float:
@@ -230,7 +235,7 @@ def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
     """Fit a profile together with all else."""
     knots, columns = profile.knots, profile.columns
     got = fit_columns(fitted, columns, np.zeros(len(knots)), rounds=SCAN.profiles.rounds)
-    used = fitted.solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
+    used = _used(fitted)
     mass = np.einsum("nkm,nm->k", np.abs(columns) > 0, used)
     errors = got.values - float(mass @ got.values) / max(float(mass.sum()), 1.0)
     along = got.information @ errors / max(float(errors @ got.information @ errors), 1e-12)

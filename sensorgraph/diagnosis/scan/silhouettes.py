@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_from_each
+from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_from_each
 
 BESIDE = 1e-4
 """[rad] beside the end of a surface, where a ray meets what is behind it."""
-SAME_PLACE = 1e-6
-"""[m] between the ends of two walls that meet in a corner."""
 MAX_WALLS_ROUND = 4
 """Walls of one thing, each a corner further, along which its end is looked for."""
 

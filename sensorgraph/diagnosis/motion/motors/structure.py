@@ -286,26 +286,26 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     rows, commands = model.rows, model.simulation.commands.values
     top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
     moved, asked = (np.stack(both_kinds(x, rows.n)) for x in (rows.y, fit.simulated))
-    found: list[tuple[Floats, float]] = []
+    shares = DRIVE.structure.deadbands
+    of_grid, of_any = float(np.log(2 * (len(shares) + 1))), float(np.log(rows.n))
+    families = list[StructureFamily]()
     for kind in (0, 1):
-        sizes = [(share * top[kind], 0.0) for share in DRIVE.structure.deadbands]
         likeliest = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
-        for size, price in [*sizes, (likeliest, float(np.log(rows.n)))]:
+        sizes = [*((share * top[kind], of_grid) for share in shares), (likeliest, max(of_grid, of_any))]
+        for size, price in sizes:
             without = commands.copy()
             without[np.abs(commands[:, kind]) < size, kind] = 0.0
-            found.append((model.simulation.rates_of(fit.motors, without) - fit.simulated, price))
-    price = float(np.log(len(found)))
-    return [
-        StructureFamily(
-            kind="deadband",
-            columns=column[:, None],
-            labels=[],
-            sigma=DRIVE.structure.deadband_sigma,
-            statement="where commands are small",
-            choice_price=max(price, own),
-        )
-        for column, own in found
-    ]
+            families.append(
+                StructureFamily(
+                    kind="deadband",
+                    columns=(model.simulation.rates_of(fit.motors, without) - fit.simulated)[:, None],
+                    labels=[],
+                    sigma=DRIVE.structure.deadband_sigma,
+                    statement="where commands are small",
+                    choice_price=price,
+                )
+            )
+    return families
 
 
 def _deadband(moved: Floats, asked: Floats) -> float:
