@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_samples import ROBOT, make_run, profile, without_commands, without_odometry
+from diagnosis_samples import BASE, ROBOT, make_run, profile, without_commands, without_odometry
 from scipy.signal import lfilter
 
 from logs.run import Run
@@ -121,6 +121,45 @@ def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float
         told[still, column] = 0.6 * least * shift[still]
         result = diagnose_drive(replace(run, commands=told), ROBOT)
         assert result.unknown is not None and "small" in result.unknown.statement and result.effects == ()
+
+
+@pytest.mark.parametrize("gains", [(0.85, 1.0), (1.0, 0.8), (1.15, 1.2)], ids=str)
+def test_a_constant_gain_beyond_tolerance_is_unknown(gains: tuple[float, float]) -> None:
+    run = make_run(8)
+    result = diagnose_drive(replace(run, commands=run.commands / gains), ROBOT)
+    assert result.effects == () and result.unknown is not None
+    for gain, verb in zip(gains, ("drives", "turns"), strict=True):
+        told = re.search(rf"{verb} (\d\.\d\d) times", result.unknown.statement)
+        assert (told is None) == (gain == 1.0)
+        assert told is None or float(told[1]) == pytest.approx(gain, abs=0.015)
+    off = np.hypot(*((np.array(gains) - 1) * [0.3, 0.4 * BASE / 2]))
+    assert result.unknown.size["speed_m_s"] == pytest.approx(off, rel=0.5)
+
+
+@pytest.mark.parametrize("effect", [{}, {"lag": 0.08}, {"dead": 0.08}, {"v_max": 0.30}], ids=str)
+def test_effects_of_the_motors_are_named_beside_a_constant_gain(effect: dict[str, float]) -> None:
+    name = {"lag": "actuator_lag", "dead": "dead_time", "v_max": "speed_saturation"}
+    run = make_run(9, **effect)
+    result = diagnose_drive(replace(run, commands=run.commands / 0.88), ROBOT)
+    assert [a.name for a in result.effects] == [name[key] for key in effect]
+    assert result.unknown is not None and "0.88 times the speed" in result.unknown.statement
+
+
+@pytest.mark.parametrize("gain", [0.95, 1.06])
+def test_a_constant_gain_within_tolerance_is_silent(gain: float) -> None:
+    run = make_run(8)
+    result = diagnose_drive(replace(run, commands=run.commands / gain), ROBOT)
+    assert result.effects == () and result.unknown is None
+
+
+@pytest.mark.parametrize("obeys", ["odometry", "reference"])
+def test_a_gain_that_wheels_make_which_are_counted_wrongly_is_no_gain_of_the_base(obeys: str) -> None:
+    """Either the base does what it is told by its odometry, or the odometry alone is wrong."""
+    run = make_run(8, radius=0.12)
+    told = run.commands * 1.12 if obeys == "odometry" else run.commands
+    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, (), 0)
+    assert [a.name for a in odometry.effects] == ["wheel_radius"]
+    assert drive.effects == () and drive.unknown is None
 
 
 def with_speeds(run: Run, v: Floats) -> Run:

@@ -228,7 +228,13 @@ def diagnose_motion(
         found = diagnose_odometry(run, model, seed=seed, is_reference_straight=is_reference_straight)
         odometry = name_motion_effects(found, known)
     with progress("comparing commands with wheels", ""):
-        driven = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
+        driven = diagnose_drive(
+            run,
+            model,
+            use_clock=odometry.unknown is None,
+            wheels=odometry.motion,
+            named_wheels=odometry.effects,
+        )
         drive = name_motion_effects(without_echoes_of_doubted_wheels(driven, odometry), known)
     return odometry, drive
 

@@ -6,19 +6,28 @@ what the wheels say they did.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
+from sensorgraph.diagnosis.motion.motors.constant_gain import select_under_any_gain, with_constant_gain
 from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming, drive_result
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
-from sensorgraph.diagnosis.motion.motors.selection import confirmed, select, with_structure
+from sensorgraph.diagnosis.motion.motors.selection import confirmed, with_structure
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
+from sensorgraph.effects import Amendment
 from sensorgraph.world.robot import Robot
 
 
 def diagnose_drive(
-    run: Run, robot: Robot, *, use_clock: bool = True, wheels: MotionDifference | None = None
+    run: Run,
+    robot: Robot,
+    *,
+    use_clock: bool = True,
+    wheels: MotionDifference | None = None,
+    named_wheels: Sequence[Amendment] = (),
 ) -> ChannelResult:
     """Name what makes commands and odometry differ.
 
@@ -28,6 +37,7 @@ def diagnose_drive(
     ----------
     use_clock : trust the reference poses for the offset of the odometry's clock
     wheels : what the odometry channel has explained by slip or structure
+    named_wheels : effects that it has named
     """
     try:
         increments = wheel_increments(run)
@@ -37,7 +47,8 @@ def diagnose_drive(
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
     model = DriveModel(commands, rows, robot, wheels)
-    selected = select(model)
+    model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
-    selected, evidence = confirmed(model, with_structure(model, selected))
+    selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
+    selected, evidence = confirmed(model, selected)
     return drive_result(model, selected, evidence, deviations)

@@ -7,6 +7,7 @@ a clock offset as far as the reference poses tell it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -47,6 +48,10 @@ class Column(IntEnum):
     V_MAX = 5
     SECOND_LAG = 6
     """How much of the lag is a second one in series, as in every real motor: the shape of a step, not its delay."""
+
+
+GAINS = (Column.GAIN_V, Column.GAIN_OMEGA)
+"""From command to odometry."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,14 @@ class DriveModel:
         self.layout = MotorColumns.of_library()
         self.library_terms = self.layout.terms
         self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
+        self.has_any_gain = False
+        """The gains have no bounds."""
+
+    def with_any_gain(self, has_any: bool = True) -> DriveModel:
+        """Return the same model, with noise of its own, whose gains have no bounds, or have them again."""
+        model = copy(self)
+        model.simulation, model.has_any_gain = copy(self.simulation), has_any
+        return model
 
     @property
     def n_own(self) -> int:
@@ -216,7 +229,11 @@ class DriveModel:
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
+        if self.has_any_gain:
+            sigma[list(GAINS)] = DRIVE.structure.gain_sigma
         prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
+        if self.has_any_gain:
+            prior.reach[list(GAINS)] = np.inf
         return prior.freed([term.column for term in terms]).unbounded_from(self.layout.n)
 
     def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
