@@ -6,7 +6,7 @@ A few short runs of `benchmarks.hidden_effects` (development seeds) are diagnose
 again with one setting at a time times 0.5 and times 2. An answer is the set of names with their places, and whether
 something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
 
-Counts are rounded and at least 1; shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
+So are constants of modules (`CUT` of `beam_mixture`), but for those of mathematics. Counts are rounded and at least 1; shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
 Each variant is a process of its own, begun before anything that a setting decides is imported. What judges an accepted
 model (GoodnessOfFitSettings, NamingSettings) does not need another search: that is done once, and its model judged anew.
 """
@@ -14,19 +14,28 @@ model (GoodnessOfFitSettings, NamingSettings) does not need another search: that
 from __future__ import annotations
 
 import argparse
+import importlib
+import inspect
 import logging
 import multiprocessing
 import os
+import pkgutil
 import re
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
 
+import sensorgraph.diagnosis.motion
+import sensorgraph.diagnosis.scan
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from logs import Run
 from planners.maps import geojson
@@ -44,6 +53,17 @@ SHARE = re.compile(
 """Names of numbers that are below 1 by their nature."""
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
+OF_MATHEMATICS = {
+    "CHI2_MEDIAN_1",
+    "CHI2_MEDIAN_3",
+    "GOLDEN_RATIO",
+    "MEDIAN_OF_NORMAL",
+    "MAD_TO_SIGMA",
+    "ROUND_OFF",
+}
+"""Constants that nobody has tuned."""
+NOT_ASKED = re.compile(r"settings|calibration|\.site_")
+"""Modules whose constants no case needs: runs without a reference, and against a commissioning run."""
 JUDGING = ("GoodnessOfFitSettings", "NamingSettings", "ProfileSettings", "OddScanSettings")
 """Groups that judge what the search has accepted."""
 TIME_LIMIT = 120.0
@@ -105,7 +125,7 @@ MOTION_CASES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """One number: the group that holds it, and its name there."""
+    """One number: the group, or the module, that holds it, and its name there."""
 
     channel: str
     group: Any
@@ -114,12 +134,34 @@ class Setting:
     @property
     def label(self) -> str:
         """What a table calls it."""
-        return f"{self.channel}.{type(self.group).__name__}.{self.name}"
+        return f"{self.channel}.{self.holder}.{self.name}"
+
+    @property
+    def holder(self) -> str:
+        """Name of the group or the module."""
+        is_module = isinstance(self.group, ModuleType)
+        return self.group.__name__.split(".")[-1] if is_module else type(self.group).__name__
 
     @property
     def value(self) -> Any:
         """As it stands."""
         return getattr(self.group, self.name)
+
+    def set_to(self, value: Any) -> None:
+        """Let it be another number, in every module that has imported it, too."""
+        held = self.value
+        if not isinstance(self.group, ModuleType):
+            object.__setattr__(self.group, self.name, value)
+            return
+        for module in list(sys.modules.values()):
+            if getattr(module, "__name__", "").startswith("sensorgraph") and (
+                module.__dict__.get(self.name) is held
+            ):
+                setattr(module, self.name, value)
+        kernels: Any = [one for one in vars(self.group).values() if isinstance(one, Dispatcher)]
+        for kernel in kernels:  # compiled code holds the constants of its module
+            kernel._cache = NullCache()
+            kernel.recompile()
 
 
 def settings_of(channel: str, group: Any) -> Iterator[Setting]:
@@ -131,6 +173,20 @@ def settings_of(channel: str, group: Any) -> Iterator[Setting]:
                 yield from settings_of(channel, value)
         elif scaled(one.name, value, 2.0) is not None:
             yield Setting(channel=channel, group=group, name=one.name)
+
+
+def constants_of(channel: str, package: ModuleType) -> Iterator[Setting]:
+    """Yield the constants of the modules of a package that are written as numbers."""
+    for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if NOT_ASKED.search(found.name):
+            continue
+        module = importlib.import_module(found.name)
+        assigned = re.findall(
+            r"^([A-Z][A-Z0-9_, ]+)(?::.+)? = (?=\(?-?\d)", inspect.getsource(module), re.MULTILINE
+        )
+        for name in sorted({name for line in assigned for name in line.split(", ")} - OF_MATHEMATICS):
+            if scaled(name, getattr(module, name), 2.0) is not None:
+                yield Setting(channel=channel, group=module, name=name)
 
 
 def scaled(name: str, value: Any, factor: float) -> Any:
@@ -221,7 +277,7 @@ def in_process(
 def _answer(to: Connection, answer: Callable[[], list[str]], setting: Setting | None, factor: float) -> None:
     logging.disable(logging.ERROR)
     if setting is not None:
-        object.__setattr__(setting.group, setting.name, scaled(setting.name, setting.value, factor))
+        setting.set_to(scaled(setting.name, setting.value, factor))
     try:
         to.send(answer())
     except Exception as exc:
@@ -236,14 +292,21 @@ def main() -> None:
     parser.add_argument("--only", default="", help="parts of the names of settings, comma-separated")
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
-    of_scans = list(settings_of("scan", SCAN))
+    of_scans = [*settings_of("scan", SCAN), *constants_of("scan", sensorgraph.diagnosis.scan)]
     parts = {
         "motion": (
             MOTION_CASES,
-            [s for g in (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE) for s in settings_of("motion", g)],
+            [
+                *(
+                    s
+                    for g in (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
+                    for s in settings_of("motion", g)
+                ),
+                *constants_of("motion", sensorgraph.diagnosis.motion),
+            ],
         ),
-        "scan": (SCAN_CASES, [s for s in of_scans if type(s.group).__name__ not in JUDGING]),
-        "judging scans": (SCAN_CASES, [s for s in of_scans if type(s.group).__name__ in JUDGING]),
+        "scan": (SCAN_CASES, [s for s in of_scans if s.holder not in JUDGING]),
+        "judging scans": (SCAN_CASES, [s for s in of_scans if s.holder in JUDGING]),
     }
     for channel, (hidden, settings) in parts.items():
         settings = [s for s in settings if not wanted or any(part in s.label for part in wanted)]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from benchmarks.sensitivity import in_process, scaled, settings_of
+import numpy as np
+
+import sensorgraph.diagnosis.scan
+from benchmarks.sensitivity import constants_of, in_process, scaled, settings_of
+from sensorgraph.diagnosis.scan import beam_mixture
 from sensorgraph.diagnosis.scan.settings import SCAN
 
 
@@ -26,3 +30,24 @@ def test_a_variant_leaves_no_trace() -> None:
         in_process(lambda: [str(SCAN.selection.threshold)], threshold, 2.0) == [str(2 * before)]
         and SCAN.selection.threshold == before
     )
+
+
+def test_constants_are_varied_where_they_were_imported_and_where_they_are_compiled() -> None:
+    found = {one.label: one for one in constants_of("scan", sensorgraph.diagnosis.scan)}
+    assert {"scan.merging.MAX_GAP", "scan.beam_mixture.CUT"} < set(found)
+    assert not any("CHI2" in label or "settings" in label for label in found)
+
+    def densities() -> list[str]:
+        here, beyond = np.linspace(1.95, 2.35, 9), np.full(9, 2.3)
+        nothing, half = np.zeros(9), np.full(9, 0.5)
+        limits, noise = (0.1, 8.0, 0.001), (0.01, 0.01, 0.01, 0.0)
+        sigma, two, one = np.full(9, 0.02), np.full(9, 2.0), np.ones(9)
+        found = beam_mixture.mixture(
+            here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0), 0.0, 3.0, 1e-9
+        )
+        return [f"{p:.6f}" for p in found[beam_mixture.LOG_P]]
+
+    width = found["scan.beam_mixture.EDGE_WIDTH"]
+    before = densities()
+    assert in_process(densities, None) == before
+    assert in_process(densities, width, 2.0) != before and densities() == before
