@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -40,7 +41,8 @@ class RangeSensor:
     rate: float = 10.0
     """[Hz] scans per second."""
     sweep_time: float = 0.0
-    """[s] from ray 0 to the last (plus one) of one sweep, negative for a clockwise one."""
+    """[s] from ray 0 to the last (plus one) of one sweep, negative for a clockwise one; -0.0 where a clockwise laser's log
+    does not say how long it sweeps."""
     interlaced_sweeps: int = 1
     """Sweeps that make a scan, each of every n-th ray: 2 in a SICK LMS of 0.5°, whose mirror measures every 1°."""
     sweep_period: float = 0.0
@@ -120,6 +122,17 @@ class RangeSensor:
         ray = np.arange(self.n_rays)
         along = self.sweep_time * ray / self.n_rays
         return self.first_ray_delay + along + self.sweep_period * (ray % self.interlaced_sweeps)
+
+    @property
+    def is_clockwise(self) -> bool:
+        """Tell whether the laser takes its last ray first."""
+        return math.copysign(1.0, self.sweep_time) < 0
+
+    @property
+    def sweep_share(self) -> Floats:
+        """(n_rays,) which share of a sweep is over when each ray is taken."""
+        ray = np.arange(self.n_rays)
+        return (ray[::-1] if self.is_clockwise else ray) / self.n_rays
 
     @property
     def has_ray_delays(self) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -12,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.run import RangeSensor, Run, rare_times
-from logs.sweep import differs
+from logs.run import Run
 from planners import maps
 from planners.arena import Arena
 from planners.errors import PlanError
@@ -134,46 +132,6 @@ def robot_in(run: Run) -> Robot | None:
     if text is None:
         return None
     return parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
-
-
-def sweep_warning(run: Run, robot: Robot, *, name: str = "robot.yaml") -> str | None:
-    """Say where a robot file and a log disagree about how long a sweep of the laser takes; None where they agree."""
-    logged, described = run.sensor, robot.sensor
-    if differs(abs(logged.sweep_time), described.sweep_time):
-        return (
-            f"the log says that a sweep takes {abs(logged.sweep_time):.3g} s, sensor.sweep_time of {name} is "
-            f"{described.sweep_time:.3g} s"
-        )
-    if rare_times(logged) == rare_times(described):
-        return None
-    return f"the log says that {_rare_text(logged)}, {name} that {_rare_text(described)}"
-
-
-def _rare_text(sensor: RangeSensor) -> str:
-    said = f"ray 0 is {sensor.first_ray_delay:.3g} s after the stamp"
-    if sensor.interlaced_sweeps == 1:
-        return f"one sweep makes a scan and {said}"
-    return f"{sensor.interlaced_sweeps} sweeps {sensor.sweep_period:.3g} s apart make a scan and {said}"
-
-
-def with_sweep_of(run: Run, robot: Robot) -> Run:
-    """Return a run whose laser sweeps for as long as a robot file says, in the direction that the log says.
-
-    Drivers often leave `time_increment` at 0, or get it wrong.
-    """
-    if sweep_warning(run, robot) is None:
-        return run
-    said = robot.sensor
-    return replace(
-        run,
-        sensor=replace(
-            run.sensor,
-            sweep_time=math.copysign(said.sweep_time, run.sensor.sweep_time),
-            interlaced_sweeps=said.interlaced_sweeps,
-            sweep_period=said.sweep_period,
-            first_ray_delay=said.first_ray_delay,
-        ),
-    )
 
 
 def robot_for(run: Run, source: str | Path | None = None) -> Robot:

@@ -15,8 +15,8 @@ from logs.run import RangeSensor, pair
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.loading import sweep_warning, with_sweep_of
 from sensorgraph.world.robot import default_robot, parse_robot
+from sensorgraph.world.sweep import sweep_warning, with_sweep_of
 
 SENSOR = RangeSensor(
     bearings=np.linspace(-1.5, 1.5, 8),

@@ -13,15 +13,15 @@ import logs
 from logs.inspection import inspect
 from logs.run import RangeSensor, Run
 from sensorgraph.cli import run as command
-from sensorgraph.loading import sweep_warning, with_sweep_of
 from sensorgraph.world.ray_order import ray_order
 from sensorgraph.world.robot import parse_robot
+from sensorgraph.world.sweep import sweep_warning, with_sweep_of
 
 N_RAYS, PERIOD = 36, 0.1
 ROBOT = parse_robot("sensor: {n_rays: 36, fov: 6.283185307, sweep_time: 0.1}")
 
 
-def spinning(folder: Path, time_increment: float) -> Path:
+def spinning(folder: Path, time_increment: float, *, clockwise: bool = False) -> Path:
     """Write a bag of a laser that looks all around, 10 times a second, as `scan_time` says, too."""
     messages: list[Message] = []
     for k in range(20):
@@ -30,12 +30,13 @@ def spinning(folder: Path, time_increment: float) -> Path:
             scan(
                 at,
                 np.full(N_RAYS, 1.0 + 0.01 * k),
-                angle_min=0.0,
-                increment=2 * np.pi / N_RAYS,
+                angle_min=np.pi if clockwise else 0.0,
+                increment=(-2 if clockwise else 2) * np.pi / N_RAYS,
                 time_increment=time_increment,
             )
         )
         messages.append(pose(at, 0.02 * k, 0.0, 0.0))
+    folder.mkdir(exist_ok=True)
     write_bag2(folder / "bag", messages)
     return folder / "bag"
 
@@ -92,3 +93,18 @@ def test_run_that_we_recorded_is_taken_at_its_word() -> None:
     sensor = RangeSensor(bearings=np.linspace(-np.pi, np.pi, 90, endpoint=False), rate=5.0)
     run = Run(sensor=sensor, stamps=np.arange(3) / 5, ranges=np.ones((3, 90)))
     assert not [line for line in logs.inspection.warnings_of(run) if "sweep" in line]
+
+
+@pytest.mark.parametrize("logged", [0.0, 0.04, 0.1])
+def test_every_ray_of_a_clockwise_laser_is_taken_when_the_robot_file_says(
+    tmp_path: Path, logged: float
+) -> None:
+    """The laser takes 36 rays in 0.1 s, the first at the stamp; the log says that it takes `logged`."""
+    bag = spinning(tmp_path, logged / N_RAYS, clockwise=True)
+    run = with_sweep_of(logs.read(bag), ROBOT)
+    when = run.epoch_ns / 1e9 + run.stamps[0] + run.sensor.ray_delays
+    first = when[-1]  # bearings increase, so the ray that was taken first is the last
+    np.testing.assert_allclose(when - first, PERIOD * np.arange(N_RAYS)[::-1] / N_RAYS, atol=1e-6)
+    counter = logs.read(spinning(tmp_path / "counter", logged / N_RAYS))
+    assert first == pytest.approx(counter.epoch_ns / 1e9 + counter.stamps[0], abs=1e-6)
+    assert run.sensor.is_clockwise and run.sensor.sweep_share[-1] == 0.0

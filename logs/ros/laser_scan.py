@@ -249,8 +249,7 @@ def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
 
 
 def _reverse(scans: LaserScans) -> None:
-    """Number the rays from the other end; the stamp stays that of ray 0."""
+    """Number the rays from the other end; the stamp stays that of ray 0. An increment of 0 becomes -0.0: clockwise."""
     scans.bearings, scans.ranges = scans.bearings[::-1].copy(), scans.ranges[:, ::-1].copy()
-    if scans.time_increment:
-        last = round((len(scans.bearings) - 1) * scans.time_increment * 1e9)
-        scans.stamps, scans.time_increment = scans.stamps + last, -scans.time_increment
+    last = round((len(scans.bearings) - 1) * scans.time_increment * 1e9)
+    scans.stamps, scans.time_increment = scans.stamps + last, -scans.time_increment

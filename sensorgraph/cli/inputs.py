@@ -69,9 +69,9 @@ def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
 
 def with_robot(run: Run, name: str, path: Path | None) -> Run:
     """Return a run with the sweep of a robot file, which must describe the sensor that recorded; None: as it is."""
-    from sensorgraph.loading import sweep_warning, with_sweep_of
     from sensorgraph.world.ray_order import bearings_text, ray_order
     from sensorgraph.world.robot import load_robot
+    from sensorgraph.world.sweep import sweep_warning, with_sweep_of
 
     if path is None:
         return run

@@ -44,9 +44,10 @@ def inspect(
     from sensorgraph.cli.inputs import check_output, mounts_of, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.loading import arena_in, load_arena, robot_in, sweep_warning
+    from sensorgraph.loading import arena_in, load_arena, robot_in
     from sensorgraph.world.orientation import orientation
     from sensorgraph.world.robot import load_robot
+    from sensorgraph.world.sweep import sweep_warning
 
     if json is not None:
         check_output(json, file)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import speeds
 from sensorgraph.effects.nuisance import Nuisance
@@ -12,8 +10,7 @@ from sensorgraph.world.scene import Scene
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Take later rays later."""
-    n = len(scene.bearings)
-    scene.delay = scene.delay + a["T"] * np.arange(n) / n
+    scene.delay = scene.delay + a["T"] * scene.sensor.sweep_share
 
 
 SCAN_SKEW = Effect(
@@ -21,7 +18,7 @@ SCAN_SKEW = Effect(
     title="skew of a rolling scan",
     channel="scan",
     stage="time",
-    physics="Ray i of N is taken T i / N after the stamp, beyond what robot.yaml says.",
+    physics="Ray i of N, in the order of the sweep, is taken T i / N after the stamp, beyond what robot.yaml says.",
     equation="zᵢ(t) = rᵢ(pose(t + T i / N))",
     source="Zhang and Singh (2014), LOAM, section V",
     varies="turn rate times ray index; nothing at the first ray",

@@ -135,7 +135,7 @@ def linearise(
     nuisances[:, Nuisance.SCALE] = r * slope
     nuisances[:, Nuisance.DRIFT] = valid * late[:, None]
     nuisances[:, Nuisance.DELAY] = -carried
-    nuisances[:, Nuisance.SKEW] = carried * (np.arange(n_rays) / n_rays)
+    nuisances[:, Nuisance.SKEW] = carried * data.sensor.sweep_share
     wall = np.where(on, beams.wall, 0)
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])

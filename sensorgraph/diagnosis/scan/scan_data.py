@@ -28,6 +28,7 @@ from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
+from sensorgraph.world.sweep import with_sweep_of
 
 T = TypeVar("T")
 
@@ -259,6 +260,7 @@ def prepare_scans(
     SensorgraphError
         The run is too short, has no returns or no poses, or another sensor than the robot.
     """
+    run = with_sweep_of(run, robot)
     pairing = pair(run)
     paired = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
     broken = int((pairing.paired & ~paired).sum())
@@ -266,11 +268,7 @@ def prepare_scans(
     notes: dict[str, object] = {
         "scans": run.n_scans,
         "used": int(kept.sum()),
-        "dropped": {
-            **pairing.dropped,
-            "with nothing but broken readings": broken,
-            **thinned,
-        },
+        "dropped": {**pairing.dropped, "with nothing but broken readings": broken, **thinned},
     }
     least = SCAN.intake.min_scans
     if run.n_scans < least:
@@ -284,8 +282,7 @@ def prepare_scans(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
             "record a longer run, or name the topic of its poses with `topics` pose=..."
         )
-    laser_frame = run.pose_frame == "laser"
-    sensor = _sensor(run, robot, laser_frame)
+    sensor = _sensor(run, robot, laser_frame := run.pose_frame == "laser")
     motion = motion_of(run, use_odometry=sensor.has_ray_delays)
     when = run.stamps[kept]
     data = ScanData(
@@ -396,4 +393,5 @@ def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
         described = replace(described, cones=run.sensor.cones)
     mount = np.zeros(3) if laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
-    return replace(described, mount=mount, sigma=float(sigma))
+    sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))
+    return replace(described, mount=mount, sigma=float(sigma), sweep_time=sweep)
