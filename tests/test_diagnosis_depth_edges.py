@@ -9,6 +9,7 @@ import pytest
 from conftest import polygon_arena
 from scan_samples import data_of
 
+from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays, plain_corners_between_rays
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
@@ -133,3 +134,20 @@ def test_a_leg_beside_a_ray_is_as_likely_as_it_is_near() -> None:
     assert chance[0, 0] == pytest.approx(0.1587, abs=1e-3)
     assert met[0, 0] == pytest.approx(2.0, abs=0.11)
     assert chance[0, 1] == 0.0
+
+
+@pytest.mark.parametrize("is_far_pillar_there", [False, True])
+def test_a_leg_is_seen_beside_an_edge_that_no_reading_reaches(is_far_pillar_there: bool) -> None:
+    """A pillar beyond the sensor's reach, nearer to the ray by its angle, is no reason to forget the leg."""
+    leg = [(2.95, 2.508), (3.05, 2.508), (3.05, 2.6), (2.95, 2.6)]
+    pillar = [(20.0, 2.515), (20.2, 2.515), (20.2, 2.8), (20.0, 2.8)]
+    hall = [(0.0, 0.0), (30.0, 0.0), (30.0, 5.0), (0.0, 5.0)]
+    arena = polygon_arena(hall, leg, *([pillar] if is_far_pillar_there else []))
+    sensor = RangeSensor(bearings=np.array([0.0, 0.2]), range_max=8.0, sigma=0.01)
+    one = replace(data_of(classroom()), arena=arena, sensor=sensor, memo={})
+    pose, when = np.array([[1.0, 2.5, 0.0]]), one.stamps[:1]
+    one = replace(one, poses=pose, track=(when, pose), stamps=when, ranges=np.full((1, 2), np.inf))
+    edges = find_edges(one, one.scene().shoot(), arena.walls)
+    assert edges is not None
+    at = np.flatnonzero(edges.index[1] == 0)
+    np.testing.assert_allclose(edges.other[at], 1.95, atol=0.11)

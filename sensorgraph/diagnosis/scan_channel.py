@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.naming import ScanNames, located, name_scan_effects
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
@@ -165,13 +166,16 @@ def given(
 
 
 def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:
-    """Tell whether scans fit the arena with poses that are far better than what the odometry takes the reference for.
+    """Tell whether scans fit the arena with poses far better than the bend of the reference that odometry claims.
 
     Wheels whose slip adds up over a minute may look as a reference that is bent over the place. Scans see its poses one by
     one: where they leave no doubt and no tolerance has stretched, it is not.
     """
     state, told = scans.explained.final.state, scans.explained.final.solver.data.tolerances
-    size = {} if odometry.unknown is None else odometry.unknown.size
+    unknown = odometry.unknown
+    if unknown is None or unknown.deviation is None or unknown.deviation.partition not in BENT_REFERENCE:
+        return False
+    size = unknown.size
     claimed = (size.get("reference_m", 0.0) / told.pose_xy, size.get("reference_rad", 0.0) / told.pose_yaw)
     is_sure = scans.result.unknown is None and state.stretch <= SCAN.nuisance.stretched_scale
     return is_sure and max(claimed) > SCAN.goodness_of_fit.bent_reference * state.pose_scale

@@ -18,7 +18,7 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_after_moves
 
 MAX_RAYS, MAX_HITS, MAX_BEAMS = 4, 8, 12
-"""So many are kept of each kind."""
+"""So many sets of rays, of what they meet, and of what a sensor so sees are kept."""
 MAX_MOVED_SHARE = 0.4
 """Of the walls; if more have moved, all are cast anew, which takes as long."""
 
@@ -27,19 +27,18 @@ T = TypeVar("T")
 
 @dataclass(eq=False)
 class Recent(Generic[T]):
-    """Results by the bytes that they follow from; of more than `most` the oldest is forgotten."""
+    """Results by the bytes that they follow from; of more than `most` the one unused longest is forgotten."""
 
     most: int
     kept: dict[bytes, T] = field(default_factory=dict)
 
     def get(self, key: bytes, make: Callable[[], T]) -> T:
         """Return what is kept under a key, made where there is nothing."""
-        if key not in self.kept:
-            made = make()
-            while len(self.kept) >= self.most:
-                self.kept.pop(next(iter(self.kept)))
-            self.kept[key] = made
-        return self.kept[key]
+        found = self.kept.pop(key) if key in self.kept else make()
+        while len(self.kept) >= self.most:
+            self.kept.pop(next(iter(self.kept)))
+        self.kept[key] = found  # the one used last stands last
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

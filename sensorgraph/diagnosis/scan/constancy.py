@@ -29,11 +29,10 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.robot import Tolerances
 
 LEAST_INFORMATION = 1e-9
 """Share of a number's information that must be left beside all else, above round-off."""
@@ -209,7 +208,7 @@ def _is_sure(change: NumberChange, n_asked: int) -> bool:
 def _is_large(change: NumberChange, fitted: Fitted) -> bool:
     """Tell whether a change is material, a good part of the value over the whole run, and more than good runs differ.
 
-    A laser that sits elsewhere from a time on is as well a reference that wanders: the more that may, the larger must it be.
+    A laser that sits elsewhere from a time on looks like a reference that wanders: it must exceed what that may wander.
     """
     a, scale = change.number.amendment, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     baseline = fitted.solver.data.baseline_intervals.get(a.name)
@@ -217,16 +216,17 @@ def _is_large(change: NumberChange, fitted: Fitted) -> bool:
         as_window = a.effect(**{k: baseline.mean[k] + v for k, v in change.jump.items()})
         if baseline.contains(as_window, baseline.stderr):
             return False
-    least = scale * _wandering(fitted.solver.data.tolerances, a.effect)
-    return size_ratio(a.effect, change.jump) >= max(least, SCAN.constancy.min_share * a.ratio)
-
-
-def _wandering(told: Tolerances, effect: Effect) -> float:
-    """Return how much more a reference may wander than usual, for an effect that moves readings as that does; else 1."""
-    usual = Tolerances()
-    shift, turn = told.pose_xy / usual.pose_xy, told.pose_yaw / usual.pose_yaw
-    by = {Nuisance.MOUNT_X: shift, Nuisance.MOUNT_Y: shift, Nuisance.MOUNT_YAW: turn}
-    return max([1.0, *(by.get(nuisance, 1.0) for nuisance in effect.nuisances)])
+    if size_ratio(a.effect, change.jump) < max(scale, SCAN.constancy.min_share * a.ratio):
+        return False
+    told = fitted.solver.data.tolerances
+    wanders = {
+        Nuisance.MOUNT_X: told.pose_xy,
+        Nuisance.MOUNT_Y: told.pose_xy,
+        Nuisance.MOUNT_YAW: told.pose_yaw,
+    }
+    of = {k: a.effect.parameter(k).nuisance for k in change.jump}
+    off = [change.jump[k] / wanders[nuisance] for k, nuisance in of.items() if nuisance in wanders]
+    return not off or float(np.linalg.norm(off)) > SCAN.constancy.max_wander * scale
 
 
 def _sentence(first: Amendment, second: Amendment, when: float) -> str:

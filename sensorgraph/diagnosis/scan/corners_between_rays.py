@@ -39,7 +39,8 @@ def corners_between_rays(
     corners : (n_corners, 2) [m]
     walls : (n_walls, 2, 2) [m]
     rays : ox, oy, ux, uy (n_scans, n_rays), origins [m] and unit directions
-    ranges, wall : (n_scans, n_rays) [m] what the rays meet, and the index of its wall, below 0 for none
+    ranges, wall : (n_scans, n_rays) [m] how far corners may be from where rays begin, at most as far as what they meet,
+    and the index of the wall of that, below 0 for none
     pairs : right and left ray (n_pairs,) of each pair of neighbours, counter-clockwise from pair to pair
     first : (n_pairs,) [rad] bearing of each right ray, counted from the first
     blur : [rad, m] standard deviation of the direction in which a corner stands, and of its place

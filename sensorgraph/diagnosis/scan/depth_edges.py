@@ -34,7 +34,8 @@ class Edges:
     other: Floats
     """(k,) [m] what they would read on the other side."""
     spread: Floats
-    """(k,) [m] standard deviation of that, where the other side is met at a slant; the noise of a reading aside."""
+    """(k,) [m] standard deviation of that by small errors of pose and map, more where the other side is met at a slant; the
+    noise of a reading aside."""
     chance: Floats
     """(k,) of being there."""
 
@@ -190,7 +191,7 @@ def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts:
         np.unique(walls.reshape(-1, 2), axis=0),
         walls,
         (ox, oy, beams.ux, beams.uy),
-        beams.ranges,
+        np.minimum(beams.ranges - SETTINGS.min_edge_step * sensor.sigma, sensor.range_max),
         beams.wall,
         (rights, lefts),
         sensor.bearings[rights] - sensor.bearings[rights[0]],
@@ -198,10 +199,8 @@ def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts:
         _blur(data.tolerances),
         SETTINGS.min_edge_chance,
     )
-    with np.errstate(invalid="ignore"):
-        is_edge = beams.ranges - met > SETTINGS.min_edge_step * sensor.sigma
-    scan, ray = np.nonzero((chance > 0) & is_edge & (met < sensor.range_max))
-    return scan, ray, met[scan, ray], np.zeros(len(scan)), chance[scan, ray]
+    scan, ray = np.nonzero(chance > 0)
+    return scan, ray, met[scan, ray], np.full(len(scan), _blur(data.tolerances)[1]), chance[scan, ray]
 
 
 def _blur(t: Tolerances) -> tuple[float, float]:
@@ -291,9 +290,10 @@ def _beside_edge(
     chance = np.minimum(ndtr(-away / blur), 0.5)
     beyond, cosine = _extended(beams, walls, scan, ray, other)
     turn, place = _blur(data.tolerances)
-    with np.errstate(invalid="ignore"):
-        spread = np.hypot(turn * beyond * np.sqrt(1 - cosine**2), place) / cosine
-    spread = np.where(np.isfinite(spread), np.minimum(spread, SCAN.nuisance.max_grazing_sigma), 0.0)
+    sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.hypot(turn * beyond * sine, place) / cosine
+    spread = np.where(np.isfinite(beyond), np.minimum(spread, SCAN.nuisance.max_grazing_sigma), 0.0)
     own = beams.ranges[scan, ray]
     with np.errstate(invalid="ignore"):
         keep = (
@@ -341,5 +341,6 @@ def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: _Other)
     across = beams.ux[scan, ray] * nx + beams.uy[scan, ray] * ny
     with np.errstate(divide="ignore", invalid="ignore"):
         r = ((a[0] - ox) * nx + (a[1] - oy) * ny) / across
-    usable = (other.wall >= 0) & (np.abs(across) > GRAZING) & (r > 0)
-    return np.where(usable, r, other.ranges), np.where(usable, np.abs(across), 1.0)
+    is_wall = other.wall >= 0
+    usable = is_wall & (np.abs(across) > GRAZING) & (r > 0)
+    return np.where(usable, r, other.ranges), np.where(is_wall, np.abs(across), 1.0)

@@ -37,6 +37,7 @@ def scores(view: FitResiduals) -> Scores:
     is_stray = responsibilities.stray > likelihood.stray_responsibility
     off_edge = expected.p_alternative < likelihood.min_edge_chance
     clear = view.returned & view.aimed & off_edge & view.fitted.cast.jacobian.valid
+    clear &= responsibilities.weight > 0  # the mean of those that a limit of the sensor cuts tells nothing
     if view.beams.straight is not None:
         bent = view.returned & view.aimed & ~view.beams.straight
         clear = clear | (bent & (responsibilities.stray < likelihood.stray_responsibility))

@@ -300,9 +300,9 @@ def fitted_noise(
     solver: Solver, responsibilities: Responsibilities, noise: BeamNoise, noise_bounds: NoiseBounds
 ) -> BeamNoise:
     """Update scale, tail, loss and stray share from the responsibilities (EM, closed form)."""
-    both = responsibilities.core + responsibilities.tail
-    count = max(float(both.sum()), 1.0)
-    e2 = (responsibilities.residual / solver.expected.sigma) ** 2
+    is_whole = responsibilities.weight > 0  # no limit of the sensor has cut what comes back
+    count = max(float((responsibilities.core + responsibilities.tail)[is_whole].sum()), 1.0)
+    e2 = np.where(is_whole, responsibilities.residual / solver.expected.sigma, 0.0) ** 2
     variance = (
         float((responsibilities.core * e2 + responsibilities.tail * e2 / SCAN.likelihood.tail_width**2).sum())
         / count
@@ -312,7 +312,7 @@ def fitted_noise(
     n = max(float(solver.data.returned.sum()) + beyond, 1.0)
     return BeamNoise(
         core=float(np.clip(np.sqrt(variance), *noise_bounds.core)),
-        tail=float(np.clip(responsibilities.tail.sum() / count, *noise_bounds.tail)),
+        tail=float(np.clip(responsibilities.tail[is_whole].sum() / count, *noise_bounds.tail)),
         loss=float(np.clip(responsibilities.lost.sum() / returnable, *noise_bounds.loss)),
         stray=float(np.clip(responsibilities.stray.sum() / n, *noise_bounds.stray)),
     )

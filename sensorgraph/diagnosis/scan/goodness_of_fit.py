@@ -118,7 +118,9 @@ def check(
     whole = [*changes(fitted, null), *profile_doubts(fitted, null), *odd_scan_doubts(fitted, null, rng=rng)]
     share = SCAN.goodness_of_fit.min_share_of_gain
     inexact = sum((a.effect.diagnostics.misfit_share or share) * gains[i] for i, a in enumerate(fitted.model))
-    least = max(share * gained, inexact)  # of each effect's evidence as much as its model is coarse
+    least = max(
+        share * gained, inexact
+    )  # an effect excuses the share of its evidence by which its model is coarse
     doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > least]
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]

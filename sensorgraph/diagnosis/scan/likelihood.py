@@ -291,9 +291,12 @@ def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
 def sample(
     data: ScanData, expected: ExpectedReadings, mu: Floats, noise: BeamNoise, rng: np.random.Generator
 ) -> Floats:
-    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture of `e_step`; broken ones stay broken."""
+    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture of `e_step`; broken ones stay broken.
+
+    A ray beside an edge reads either side; what lies between, and what is lost there, is not drawn.
+    """
     shape, sensor = mu.shape, data.sensor
-    other = (rng.random(shape) < expected.p_alternative) & np.isfinite(expected.alternative)
+    other = (rng.random(shape) < expected.p_alternative) & ~np.isnan(expected.alternative)
     mu = np.where(other, expected.alternative, mu)
     wide = np.where(rng.random(shape) < noise.tail, SETTINGS.tail_width, 1.0)
     sigma = np.where(

@@ -101,15 +101,20 @@ def _by_gain(tried: Tried) -> Tried:
 def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:
     """Let people and strays that are as likely, but for less than a name takes, be told by what their readings look like."""
     best, gain = order[0]
-    if not best.model[-1].effect.diagnostics.explains:
+    absorber = best.model[-1].effect
+    if not absorber.diagnostics.explains:
         return order
-    for pair in order[1:]:
-        other = pair[0].model[-1]
-        if other.effect.diagnostics.explains and gain - pair[1] < threshold:
-            if _keeps_its_law(data, best) or not _keeps_its_law(data, pair[0]):
-                break
-            return [pair, *(one for one in order if one is not pair)]
-    return order
+    rivals = [
+        pair
+        for pair in order[1:]
+        if (other := pair[0].model[-1].effect) is not absorber
+        and other.diagnostics.explains
+        and pair[1] >= max(threshold, gain - threshold)
+    ]
+    if not rivals or _keeps_its_law(data, best):
+        return order
+    first = next((pair for pair in rivals if _keeps_its_law(data, pair[0])), order[0])
+    return [first, *(one for one in order if one is not first)]
 
 
 def _keeps_its_law(data: ScanData, fitted: Fitted) -> bool:

@@ -404,7 +404,7 @@ class GoodnessOfFitSettings:
     min_found_share: float = 0.7
     """Of these that it must show, if they are people."""
     lost_by_chance: float = 1e-4
-    """Chance that so few of fewer things are shown, below which they are none."""
+    """Chance of finding people again so seldom, below which they are none."""
     max_drawn_along: float = 2.0
     """Standard errors by which short readings may stay with the robot rather than in the room."""
     n_light_directions: int = 36
@@ -469,6 +469,9 @@ class ConstancySettings:
     """Of the quantile over all times and numbers that the scatter of the parts is judged by."""
     min_share: float = 0.5
     """Of the value over the whole run, that a change must reach; and of the larger value, below which the other is none."""
+    max_wander: float = 2.7
+    """Standard deviations by which a reference that wanders may differ in the mean between two parts of a run: of an
+    autoregression of first order, 99 % stay within at the worst of all times and whatever its memory (largest of T / 12 to T)."""
     at_bound: float = 0.999
     """Of the bound of a nuisance, from where it does not give way."""
 

@@ -11,8 +11,6 @@ from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_from_each
 
 BESIDE = 1e-4
 """[rad] beside the end of a surface, where a ray meets what is behind it."""
-MAX_WALLS_ROUND = 4
-"""Walls of one thing, each a corner further, along which its end is looked for."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,15 +42,15 @@ def silhouettes(
     ----------
     walls : (n_walls, 2, 2) [m]
     origins, directions : x and y (k,) [m] of where the right ray begins, and of its unit direction
-    wall : (k,) index of the wall that the nearer ray meets
-    is_right : (k,) the right ray is the nearer one; its surface ends to the left
+    wall : (k,) index of the wall that the ray meets whose surface is followed
+    is_right : (k,) it is the right ray; its surface ends to the left
     edge : (k,) [rad] from the right ray to the end of that wall
     gap : (k,) [rad] between the rays
     """
     edge, wall, side = edge.copy(), wall.copy(), np.where(is_right, 1.0, -1.0)
     behind, ranges = np.full(len(wall), -1, dtype=np.intp), np.full(len(wall), np.inf)
     some = np.arange(len(wall))
-    for _ in range(MAX_WALLS_ROUND):
+    while len(some):  # each time a corner further
         ox, oy, ux, uy = (part[some] for part in (*origins, *directions))
         c, s = np.cos(edge[some] + side[some] * BESIDE), np.sin(edge[some] + side[some] * BESIDE)
         ranges[some], behind[some] = (
@@ -67,8 +65,6 @@ def silhouettes(
         further = joined & (side[some] * (angle - edge[some]) > 0) & (angle > 0) & (angle < gap[some])
         edge[some[further]], wall[some[further]] = angle[further], behind[some[further]]
         some = some[further]
-        if len(some) == 0:
-            break
     return Silhouettes(edge=edge, wall=wall, behind=behind, ranges=ranges)
 
 

@@ -44,7 +44,8 @@ def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection
 def with_constant_gain(
     model: DriveModel, selected: MotorSelection, wheels: Iterable[Amendment]
 ) -> MotorSelection:
-    """Let a gain stand beside the effects that is surely beyond tolerance, both by the odometry and by the reference.
+    """Let a gain stand beside the effects that is surely beyond tolerance as the odometry reads it, and is so, too, without
+    the named errors of the wheels.
 
     Parameters
     ----------

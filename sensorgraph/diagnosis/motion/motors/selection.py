@@ -13,6 +13,7 @@ from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.structure import (
     OTHER_MOTORS,
     ROLLS_ON,
+    SLOWED_DOWN,
     TIMING_OF_STRETCHES,
     drive_families,
 )
@@ -147,7 +148,9 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
-    is_material |= family.kind == ROLLS_ON and _each_time(family, missing) > EVIDENCE.min_drift
+    if family.kind == ROLLS_ON:
+        one = _each_time(family, test.explained(own, [family])[: model.rows.n] * dt)
+        is_material |= replace(size, drift=one, speed=0.0).is_material(model.robot.limits.v, gain)
     is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
@@ -184,13 +187,12 @@ def _each_time(family: StructureFamily, missing: Floats) -> float:
 
     Parameters
     ----------
-    missing : (2 n,) [m, then rad] that a simulation without it lacks
+    missing : (n,) [m] that a simulation without it lacks
     """
-    n = len(missing) // 2
-    column = np.abs(family.columns[:n, 0])
-    rolls = column > 0.1 * column.max()
-    times = int(np.count_nonzero(np.diff(np.concatenate([[0], rolls.astype(np.intp)])) > 0))
-    return float(np.abs(missing[:n][rolls]).sum()) / max(times, 1)
+    column = np.abs(family.columns[: len(missing), 0])
+    rolls = column > np.exp(-SLOWED_DOWN) * column.max()
+    times = int(np.count_nonzero(np.diff(rolls.astype(np.intp), prepend=0) > 0))
+    return float(np.abs(missing[rolls]).sum()) / max(times, 1)
 
 
 def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:

@@ -11,6 +11,9 @@ from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
 from sensorgraph.types import Floats
 
+BENT_REFERENCE = ("reference yaw", "reference place")
+"""Kinds of the families of a reference that is bent over the place."""
+
 HIGHEST_WAVE = 5
 """Half waves of a distorted yaw along each axis, 0 to 4."""
 HIGHEST_WAVES = 7
@@ -51,7 +54,7 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
     position = [rows.masked(np.concatenate([axis * p, nothing])) for p in powers for axis in (c, s)]
     return [
         StructureFamily(
-            kind="reference yaw",
+            kind=BENT_REFERENCE[0],
             columns=np.stack(yaw, axis=1),
             labels=["yaw of the reference by place"] * len(yaw),
             sigma=ODOMETRY.structure.yaw_sigma,
@@ -59,7 +62,7 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
             is_of_reference=True,
         ),
         StructureFamily(
-            kind="reference place",
+            kind=BENT_REFERENCE[1],
             columns=np.stack(position, axis=1),
             labels=["position of the reference by place"] * len(position),
             sigma=ODOMETRY.structure.position_sigma,
