@@ -136,6 +136,25 @@ def test_a_constant_gain_beyond_tolerance_is_unknown(gains: tuple[float, float])
     assert result.unknown.size["speed_m_s"] == pytest.approx(off, rel=0.5)
 
 
+@pytest.mark.parametrize(("per_metre", "is_told"), [(0.15, True), (-0.15, True), (0.03, False)])
+def test_a_base_that_turns_as_it_drives_is_unknown(per_metre: float, is_told: bool) -> None:
+    """What it was told to turn is what it did, less so many radians per metre of its way."""
+    run = make_run(8)
+    told = run.commands - np.outer(run.commands[:, 0], [0.0, per_metre])
+    result = diagnose_drive(replace(run, commands=told), ROBOT)
+    assert result.effects == () and (result.unknown is not None) == is_told
+    assert result.unknown is None or f"{np.degrees(per_metre):+.1f}° per metre" in result.unknown.statement
+
+
+def test_wheels_of_two_sizes_under_a_base_that_obeys_its_odometry_are_no_turn_of_the_base() -> None:
+    run = make_run(8, diff=0.06)
+    told = run.commands + np.outer(run.commands[:, 0], [0.0, 0.06 / BASE])
+    for commands in (run.commands, told):
+        odometry, drive = diagnose_motion(replace(run, commands=commands), ROBOT, (), 0)
+        assert [a.name for a in odometry.effects] == ["wheel_radius_diff"]
+        assert drive.effects == () and drive.unknown is None
+
+
 @pytest.mark.parametrize("effect", [{}, {"lag": 0.08}, {"dead": 0.08}, {"v_max": 0.30}], ids=str)
 def test_effects_of_the_motors_are_named_beside_a_constant_gain(effect: dict[str, float]) -> None:
     name = {"lag": "actuator_lag", "dead": "dead_time", "v_max": "speed_saturation"}

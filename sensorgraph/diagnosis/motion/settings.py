@@ -169,6 +169,8 @@ class OdometryStructureSettings:
     """[1] a priori, of each power of a distorted position."""
     threshold: float = 20.0
     """[nats] that structure needs where what is left is noise; in proportion more where it is not."""
+    scatter_span: float = 0.3
+    """[s] over which what ticks of an encoder add to the noise hangs together."""
     min_gain_per_row: float = 1e-3
     """[nats] per row that structure must explain: less is 0.2 % of the noise's variance, and matters to nobody."""
     wheel_share: float = 0.02
@@ -191,7 +193,7 @@ class PatchSettings:
     """[m] between the centres that are tried."""
     max_centres: int = 250
     """Centres that are tried; of more, every second or third."""
-    radii: tuple[float, ...] = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
+    radii: tuple[float, ...] = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
     """[m] of patches that are tried."""
     first_steps: tuple[float, ...] = (0.08, 0.04)
     """[m] of the random steps about the best of them."""
@@ -203,7 +205,7 @@ class PatchSettings:
     """[m] around an accepted patch, within which centres are tried first."""
     grid_step: float = 0.3
     """[m] between them."""
-    grid_radii: tuple[float, float, float] = (0.15, 1.26, 0.15)
+    grid_radii: tuple[float, float, float] = (0.15, 2.3, 0.15)
     """[m] first radius tried there, end, and step."""
     n_refining: int = 80
     """Drawn for each refining step, of either kind."""
@@ -211,9 +213,9 @@ class PatchSettings:
     """Steps (standard deviation) by which a patch grows whose near edge stays."""
     posterior_cell: float = 0.05
     """[m] cells of (x, y, r) that count as one disc each for the spread of the place."""
-    radius_range: tuple[float, float] = (0.12, 1.2)
+    radius_range: tuple[float, float] = (0.12, 2.4)
     """[m] in these steps."""
-    refined_radius_range: tuple[float, float] = (0.1, 1.3)
+    refined_radius_range: tuple[float, float] = (0.1, 2.5)
     """[m] where an accepted patch is refined."""
     refining_steps: tuple[float, ...] = (0.25, 0.25, 0.12, 0.06, 0.03)
     """[m] of the random steps about an accepted patch."""
@@ -360,7 +362,7 @@ class DriveChannelSettings:
     """Tolerance of the gain from command to odometry."""
     lag_sigma: float = 0.004
     """[s] tolerance of the time constant."""
-    turn_sigma: float = 0.02
+    turn_sigma: float = 0.008
     """Tolerance of the turn in proportion to speed, times the wheelbase."""
     min_rows: int = 100
     """Rows; with fewer the channel is skipped."""

@@ -1,7 +1,8 @@
-"""A base that drives, or turns, a constant share of what it is told: more than a tolerance, and no effect of the library.
+"""A base that moves by a constant gain of what it is told, or turns as it drives: no tolerance, and no effect of the library.
 
-How far the odometry misreads the wheels is a tolerance of the model (`DRIVE.gain_sigma`), within bounds. A gain beyond
-these is the base's own, unless wheels that are counted wrongly, as the odometry channel has named them, make it.
+How far the odometry misreads the wheels is a tolerance of the model, within bounds (`DRIVE.gain_sigma`, `DRIVE.turn_sigma`).
+A gain beyond these is the base's own, unless wheels that are counted wrongly, as the odometry channel has named them, make
+it.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+from sensorgraph.types import Floats
 
-MOTIONS = {Column.GAIN_V: "drives {:.2f} times the speed", Column.GAIN_OMEGA: "turns {:.2f} times the rate"}
-"""What a gain is of, in words."""
 AT_BOUND = 1 - 1e-6
 """Share of a bound from which on a coefficient lies at it."""
 
@@ -33,8 +34,7 @@ def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection
     What a gain may not take at its bound is left for effects to explain.
     """
     within = select(model)
-    gains = within.fit.solution.theta[list(GAINS)]
-    if (np.abs(gains) < AT_BOUND * _tolerance()).all():
+    if (np.abs(_gains(within)) < AT_BOUND * _tolerances(model)).all():
         return model, within
     free = model.with_any_gain()
     found = select(free)
@@ -53,26 +53,24 @@ def with_constant_gain(
     """
     if not model.has_any_gain or selected.structure is not None:
         return selected
-    fit, tolerance = selected.fit, _tolerance()
+    fit, gains = selected.fit, _gains(selected)
     covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
-    read, beyond = _read_by_wheels(wheels), list[Column]()
-    for column in GAINS:
-        gain, doubt = 1 + float(fit.solution.theta[column]), 2 * float(np.sqrt(covariance[column, column]))
-        if min(abs(gain - 1), abs(gain / read[column] - 1)) - doubt > tolerance:
-            beyond.append(column)
-    if not beyond:
+    doubt = 2 * np.sqrt(np.diag(covariance)[list(GAINS)])
+    of_base = _without_wheels(gains, wheels, model.robot.wheels.base)
+    beyond = np.minimum(np.abs(gains), np.abs(of_base)) - doubt > _tolerances(model)
+    if not beyond.any():
         return selected
-    said = " and ".join(MOTIONS[column].format(1 + fit.solution.theta[column]) for column in beyond)
-    columns, dt = fit.columns[:, beyond], model.rows.end - model.rows.start
+    columns = [column for column, is_beyond in zip(GAINS, beyond, strict=True) if is_beyond]
+    dt = model.rows.end - model.rows.start
     distance, turn = both_kinds(fit.simulated, model.rows.n)
-    missing = columns @ fit.solution.theta[beyond] * np.concatenate([dt, dt])
+    missing = fit.columns[:, columns] @ gains[beyond] * np.concatenate([dt, dt])
     structure = AcceptedStructure(
         family=StructureFamily(
             kind="constant gain",
-            columns=columns,
+            columns=fit.columns[:, columns],
             labels=[],
             sigma=DRIVE.structure.gain_sigma,
-            statement=f"by a constant gain: the base {said} commanded",
+            statement=f"by a constant gain: the base {_said(gains, columns)}",
         ),
         evidence=_lead(model, selected, selected),
         threshold=EVIDENCE.threshold,
@@ -81,9 +79,25 @@ def with_constant_gain(
     return replace(selected, structure=structure)
 
 
-def _tolerance() -> float:
-    """Return by how much a gain may differ from 1 and be a tolerance of a careful set-up."""
-    return EVIDENCE.max_tolerances * DRIVE.gain_sigma
+def _said(gains: Floats, columns: Iterable[Column]) -> str:
+    way, turn, aside = gains
+    words = {
+        Column.GAIN_V: f"drives {1 + way:.2f} times the speed commanded",
+        Column.GAIN_OMEGA: f"turns {1 + turn:.2f} times the rate commanded",
+        Column.TURN_PER_DISTANCE: f"turns {np.degrees(aside):+.1f}° per metre that it drives beside what is commanded",
+    }
+    return " and ".join(words[column] for column in columns)
+
+
+def _gains(selected: MotorSelection) -> Floats:
+    """Return the gains (3,) of a fit: of the way and of the turn, less 1, and turn by way [rad/m]."""
+    return np.asarray(selected.fit.solution.theta[list(GAINS)])
+
+
+def _tolerances(model: DriveModel) -> Floats:
+    """Return by how much the gains (3,) may differ from 0 and be tolerances of a careful set-up."""
+    sigma = DRIVE.gain_sigma, DRIVE.gain_sigma, DRIVE.turn_sigma / model.robot.wheels.base
+    return EVIDENCE.max_tolerances * np.array(sigma)
 
 
 def _lead(free: DriveModel, found: MotorSelection, within: MotorSelection) -> float:
@@ -93,12 +107,17 @@ def _lead(free: DriveModel, found: MotorSelection, within: MotorSelection) -> fl
     return found.fit.log_posterior - held.log_posterior - price
 
 
-def _read_by_wheels(wheels: Iterable[Amendment]) -> dict[Column, float]:
-    """Return how many times the base's way and turn the odometry reads, by what is named of the wheels."""
-    read = dict.fromkeys(GAINS, 1.0)
-    for amendment in wheels:
-        if amendment.effect is WHEEL_RADIUS:
-            read = {column: gain * (1 + amendment["s"]) for column, gain in read.items()}
-        if amendment.effect is WHEEL_BASE:
-            read[Column.GAIN_OMEGA] /= 1 + amendment["s"]
-    return read
+def _without_wheels(gains: Floats, wheels: Iterable[Amendment], base: float) -> Floats:
+    """Return the gains (3,) that are left if the odometry reads as is named of the wheels.
+
+    Parameters
+    ----------
+    base : [m] between the wheels
+    """
+    named = dict.fromkeys((WHEEL_RADIUS, WHEEL_BASE, WHEEL_RADIUS_DIFF), 0.0)
+    named |= {a.effect: a["s"] for a in wheels if a.effect in named}
+    way, turn, aside = gains
+    radius, wider = 1 + named[WHEEL_RADIUS], 1 + named[WHEEL_BASE]
+    return np.array(
+        [(1 + way) / radius - 1, (1 + turn) * wider / radius - 1, aside - named[WHEEL_RADIUS_DIFF] / base]
+    )

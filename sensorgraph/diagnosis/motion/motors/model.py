@@ -50,8 +50,8 @@ class Column(IntEnum):
     """How much of the lag is a second one in series, as in every real motor: the shape of a step, not its delay."""
 
 
-GAINS = (Column.GAIN_V, Column.GAIN_OMEGA)
-"""From command to odometry."""
+GAINS = (Column.GAIN_V, Column.GAIN_OMEGA, Column.TURN_PER_DISTANCE)
+"""What the odometry says of every motion beside what was commanded: more of the way, more of the turn, a turn with the way."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class DriveModel:
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
         if self.has_any_gain:
-            sigma[list(GAINS)] = DRIVE.structure.gain_sigma
+            sigma[list(GAINS)] = DRIVE.structure.gain_sigma / np.array([1.0, 1.0, base])
         prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
         if self.has_any_gain:
             prior.reach[list(GAINS)] = np.inf

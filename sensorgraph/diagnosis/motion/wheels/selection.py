@@ -65,6 +65,7 @@ def select(
             terms.append(best)
         model.fit_noise()
         _take_back(model, terms)
+    _join_patches(model, terms, rng)
     _admit_structure(model, terms, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
@@ -86,6 +87,33 @@ def _patch(
         alone = model.profile_gain(model.slip_columns(patch.disc[None], patch.track))
         gain = max(gain, alone - PATCH_PRICE - ODOMETRY.patch.noise_price)
     return patch, gain
+
+
+def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator) -> None:
+    """Let one patch stand for several, where that is likelier.
+
+    A patch that is not in the model yet is noise to the filter, the more so the longer the robot takes through it: a large one
+    is found in pieces.
+    """
+    pieces, several = model.patches, list(terms)
+    if len(pieces) < 2:
+        return
+    likelihood = model.log_posterior(terms)
+    model.patches = []
+    model.whiten()
+    terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
+    found = best_patch(model, terms, rng)
+    if found is not None:
+        model.patches = [found[0]]
+        terms.append(model.patch_term(0))
+        model.whiten()
+        refine_patch(model, 0, terms, rng)
+    if found is None or model.log_posterior(terms) < likelihood - PATCH_PRICE * (len(pieces) - 1):
+        model.patches, terms[:] = pieces, several
+        model.whiten()
+        return
+    model.fit_noise()
+    _take_back(model, terms)
 
 
 def _take_back(model: WheelModel, terms: list[WheelTerm]) -> None:
@@ -137,12 +165,14 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
     candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
-    needed = evidence_needed(dispersion, model.rows)
+    beside = model.A if candidate.replaces_patches else own
+    span = ODOMETRY.structure.scatter_span
+    along = test.dispersion_along(beside, candidate.family, span, limits[0].period)
+    needed = evidence_needed(max(dispersion, along), model.rows)
     if not candidate.replaces_patches:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:
         return
-    beside = model.A if candidate.replaces_patches else own
     likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
     explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
     size = _size(model, test.explained(beside, explained), candidate.family)
