@@ -222,7 +222,10 @@ def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: P
     moved, disc, pane = (EFFECTS[name] for name in ("moved_obstacle", "unmapped_obstacle", "glass"))
     stretched, shifted = EFFECTS["map_scale"], EFFECTS["moved_wall"]
     assert is_error(empty, stretched(s=0.012, dx=0.1, dy=0.0))  # 4 cm at corners 3.2 m from the middle
-    assert not is_error(empty, stretched(s=-0.02, dx=0.0, dy=0.0))
+    assert is_error(
+        empty, stretched(s=-0.02, dx=0.0, dy=0.0)
+    )  # cells of 10 cm on the inner side of the walls
+    assert not is_error(empty, stretched(s=-0.03, dx=0.0, dy=0.0))
     wall = next(name for name in raster.arena.names if not name.startswith(thing))
     assert is_error(there, moved(dx=0.05, dy=0.06).at(thing)) and not is_error(
         there, moved(dx=0.2, dy=0.0).at(thing)

@@ -120,7 +120,17 @@ def run(arguments: list[str] | None = None) -> int:
         _print_error("interrupted")
         return INTERRUPTED
     except Exception as exc:
+        if _is_interrupt(exc):
+            _print_error("interrupted")
+            return INTERRUPTED
         return _report_error(exc)
+
+
+def _is_interrupt(exc: BaseException | None) -> bool:
+    """Tell whether Ctrl-C is behind an error: one that comes while compiled code returns is a SystemError."""
+    while exc is not None and not isinstance(exc, KeyboardInterrupt):
+        exc = exc.__cause__ or exc.__context__
+    return exc is not None
 
 
 def _report_error(exc: Exception) -> int:

@@ -111,7 +111,7 @@ def diagnose(
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
-    typer.echo("\n".join(_lines(finding, out)))
+    typer.echo("\n".join(_lines(finding, known, out)))
 
 
 def _say_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
@@ -231,7 +231,9 @@ def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple
 
     walls = load_arena(arena) if arena is not None else arena_in(run)
     if walls is None:
-        raise SensorgraphError(f"{name} keeps no arena; give one with --arena")
+        raise SensorgraphError(
+            f"{name} keeps no arena; give one with --arena, or --poses locate for wheels and mount alone"
+        )
     machine = robot_in(run) if robot is None else None
     return walls, robot_for(run, robot) if machine is None else machine
 
@@ -254,17 +256,22 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
 
     if not good:
         return None
+    if len(good) == 1:
+        typer.echo("one good run does not show by how much good runs differ; several tell more", err=True)
     with progress("commissioning", "%") as tick:
         return commission_all(good, walls, machine, seed=seed, progress=tick)
 
 
-def _lines(finding: Finding, out: Path) -> list[str]:
+def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]:
     """Return the lines for the console."""
+    from sensorgraph.diagnosis.report.quantities import brief
     from sensorgraph.diagnosis.report.summary import intake_sentences, summarise
 
     summary = summarise(finding)
     review = "" if finding.explained is None else ", review.rrd"
     lines = [summary.headline, *summary.details, *intake_sentences(finding)]
+    if known:
+        lines.append(f"part of the model as given: {'; '.join(brief(a) for a in known)}")
     lines += [] if finding.driving is None else finding.driving.lines[1:]
     lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{review}")
     if finding.next_run is not None:

@@ -78,7 +78,7 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
     robot = load_robot(path)
     if ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
         raise SensorgraphError(
-            f"{name} has {run.sensor.n_rays} rays, {path} describes {robot.sensor.n_rays} or other bearings "
+            f"{name} has other rays than {path} describes "
             f"({bearings_text(run.sensor.bearings, robot.sensor.bearings)}); "
             "give the robot that recorded the run"
         )

@@ -15,6 +15,7 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
     name_motion_effects,
@@ -44,6 +45,8 @@ from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
+LEAST_WAY = 0.5
+"""[m] that wheels drive beyond doubt."""
 LEAST_SIGMA = 2e-4
 """[m, rad, m/s, rad/s] no reference and no wheel is better."""
 
@@ -86,6 +89,7 @@ def diagnose(
     """
     for one in [run] if second is None else [run, second]:
         check_jumps(one, pair(one), force=force)
+        check_moves(one)
     rng, clock = np.random.default_rng(seed), StageClock(progress)
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
@@ -127,6 +131,24 @@ def diagnose(
         next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )
+
+
+def check_moves(run: Run) -> None:
+    """Refuse a run whose wheels drive while its reference stands.
+
+    Raises
+    ------
+    SensorgraphError : the poses are all the same, and the odometry moves
+    """
+    still = len(run.poses) > 1 and float(np.ptp(run.poses, axis=0).max()) < MIN_MOTION
+    if not still or not len(run.odometry):
+        return
+    way = float(np.hypot(*np.diff(run.odometry[:, :2], axis=0).T).sum())
+    if way > LEAST_WAY:
+        raise SensorgraphError(
+            f"the poses never change while the wheels drive {way:.1f} m; "
+            "name the topic of the reference with `topics` pose=..."
+        )
 
 
 def _without_scans(run: Run) -> Run:

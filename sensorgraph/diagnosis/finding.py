@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
@@ -12,6 +13,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.stamp_scale import stamp_scale
 from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
@@ -63,6 +65,11 @@ class Finding:
     def map_tolerance_factor(self) -> float | None:
         """The same of the map."""
         return None if self.explained is None else self.explained.final.state.map_scale
+
+    @cached_property
+    def stamp_tolerance_factor(self) -> float | None:
+        """The same of the stamps of the scans; 1 also where the run does not tell."""
+        return None if self.explained is None else stamp_scale(self.explained.final)
 
     @property
     def unknown(self) -> Unknown | None:

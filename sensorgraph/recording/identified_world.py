@@ -110,7 +110,7 @@ class IdentifiedWorld:
         rays = ray_order(graph.sensor.bearings, robot.sensor.bearings)
         if rays is None:
             raise SensorgraphError(
-                f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings "
+                "the robot has other rays than the graph "
                 f"({bearings_text(robot.sensor.bearings, graph.sensor.bearings)}); "
                 "give the robot.yaml of the sensor that the graph was built from"
             )

@@ -97,4 +97,4 @@ def ray_order_line(
 def bearings_text(bearings: Floats, other: Floats) -> str:
     """Say where rays (n_rays,) point, and where they were expected to: (n_other,) [rad]."""
     (a, b), (c, d) = (np.degrees(some[[0, -1]]) for some in (bearings, other))
-    return f"{a:.4g}° to {b:.4g}°, expected {c:.4g}° to {d:.4g}°"
+    return f"{len(bearings)} rays from {a:.4g}° to {b:.4g}°, expected {len(other)} from {c:.4g}° to {d:.4g}°"

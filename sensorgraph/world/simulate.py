@@ -99,7 +99,7 @@ def occupancy_map(
 ) -> OccupancyMap:
     """Rasterise an arena for /map: free 0, crossed by a wall 100, elsewhere unknown -1.
 
-    The resolution [m] is made coarser where the grid would have more than `most` cells.
+    Walls that lie whole cells from the outermost ones are in the middle of theirs, where a reader takes them to be. The resolution [m] is made coarser where the grid would have more than `most` cells.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def occupancy_map(
         x0, y0 = np.maximum([x0, y0], ends.min(axis=0) - margin)
         x1, y1 = np.minimum([x1, y1], ends.max(axis=0) + margin)
     resolution = max(resolution, float(np.sqrt((x1 - x0) * (y1 - y0) / most)))
-    x0, y0 = x0 - 2 * resolution, y0 - 2 * resolution
+    x0, y0 = x0 - 2.5 * resolution, y0 - 2.5 * resolution  # the outermost walls in the middle of their cells
     nx, ny = int((x1 - x0) / resolution) + 3, int((y1 - y0) / resolution) + 3
     x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * resolution, y0 + (np.arange(ny) + 0.5) * resolution)
     shapely.prepare(arena.free)

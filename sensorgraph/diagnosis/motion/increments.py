@@ -67,7 +67,8 @@ def wheel_increments(run: Run) -> WheelIncrements:
     n = len(run.odom_stamps)
     is_new = np.concatenate([[True], np.diff(run.odom_stamps) > SAME_STAMP]) if n else np.zeros(0)
     keep = np.flatnonzero(is_new)
-    nothing = ChannelSkippedError("this run has no odometry that moves")
+    said = "this run has no odometry that moves" if n else "this run has no odometry"
+    nothing = ChannelSkippedError(said)
     if len(keep) < MIN_STAMPS:
         raise nothing
     stamps, poses, twists = run.odom_stamps[keep], run.odometry[keep], run.odom_twists[keep]

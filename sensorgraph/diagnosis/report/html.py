@@ -30,6 +30,8 @@ CHANNELS = {
     "odometry": "odometry against pose",
     "drive": "odometry against command",
 }
+NOT_SAID = ("", "None", "False", "0")
+"""What came in is not listed where it says nothing."""
 FILES = {
     "report.json": "all numbers, SI units",
     "effects.yaml": "the amendment: record, evaluate and diagnose take it as effects",
@@ -110,11 +112,18 @@ def _scales_text(finding: Finding) -> str:
     """Say how wide the fit takes the tolerances of map and reference, as multiples of robot.yaml's."""
     if finding.explained is None:
         return ""
-    return (
-        f"<p>The fit takes the tolerances of the map {finding.map_tolerance_factor:.2f} times and those of the "
-        f"reference poses {finding.pose_tolerance_factor:.2f} times as wide as robot.yaml states them; from "
-        f"{SCAN.nuisance.stretched_scale:g} times on they count as wrong.</p>"
+    found = {
+        "the map": finding.map_tolerance_factor,
+        "the reference poses": finding.pose_tolerance_factor,
+        "the stamps": finding.stamp_tolerance_factor,
+    }
+    wider = {what: factor for what, factor in found.items() if factor is not None and factor >= 1.01}
+    if not wider:
+        return "<p>The stated tolerances of map, reference poses and stamps are enough for the fit.</p>"
+    said = "; ".join(
+        f"those of {what} are {factor:.2f} times as wide as stated" for what, factor in wider.items()
     )
+    return f"<p>Tolerances that the fit needs: {said}. From {SCAN.nuisance.stretched_scale:g} times on they count as wrong.</p>"
 
 
 def _effects_section(finding: Finding) -> str:
@@ -328,7 +337,7 @@ def _value(value: Any) -> str:
 
 
 def _settings_section(finding: Finding, settings: Mapping[str, Any]) -> str:
-    rows = [*_lines_of(finding.intake), *_lines_of(settings)]
+    rows = [line for line in (*_lines_of(finding.intake), *_lines_of(settings)) if line[1] not in NOT_SAID]
     body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
     files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
     return f"<h2>What came in, and the settings</h2><table class='pairs'>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"

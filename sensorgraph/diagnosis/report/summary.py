@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -110,16 +111,21 @@ def summarise(finding: Finding) -> Summary:
     details += map_sentences(finding)
     details += tolerance_sentences(finding)
     summary = Summary(outcome=outcome, headline=headline, details=tuple(details))
-    return summary if finding.simulation is None else _against(finding.simulation, summary)
+    return summary if finding.simulation is None else _against(finding.simulation, summary, effects)
 
 
-def _against(compared: SimulationComparison, summary: Summary) -> Summary:
+def _against(compared: SimulationComparison, summary: Summary, effects: Sequence[Amendment]) -> Summary:
     """Turn a summary into one of the difference between robot and simulation."""
     details = list(summary.details)
     changed = {a.name for a, _ in compared.changed}
     headline = summary.headline
     if summary.outcome is Outcome.FOUND:
-        headline = headline.replace("Found", "The robot shows what the simulation lacks", 1)
+        lacking = [f"{brief(a)} ({percent(a.probability)})" for a in effects if a.name not in changed]
+        headline = (
+            f"The robot shows what the simulation lacks: {'; '.join(lacking)}."
+            if lacking
+            else "Robot and simulation show the same effects, but not alike."
+        )
     elif summary.outcome is Outcome.NOTHING:
         headline = "Robot and simulation do not differ materially."
         details = details[1:]
@@ -160,6 +166,8 @@ def _noise_sentences(compared: SimulationComparison) -> list[str]:
 def _agreement(finding: Finding) -> str:
     """Say that nothing is left, and what that takes."""
     worse = _worse_than_stated(finding)
+    if not worse and tolerated(finding):
+        return "Simulation and measurement agree within the tolerances."
     if not worse:
         return "Simulation and measurement agree within what a careful set-up holds."
     text = f"Simulation and measurement agree only if {worse} than robot.yaml says"
@@ -172,10 +180,14 @@ def _agreement(finding: Finding) -> str:
 
 def _worse_than_stated(finding: Finding) -> str:
     """Say which tolerances the fit had to widen, and by how much; empty where they hold."""
-    scales = (("map", finding.map_tolerance_factor), ("reference pose", finding.pose_tolerance_factor))
+    scales = (
+        ("map is", finding.map_tolerance_factor),
+        ("reference pose is", finding.pose_tolerance_factor),
+        ("stamps are", finding.stamp_tolerance_factor),
+    )
     least = SCAN.nuisance.stretched_scale
     return " and ".join(
-        f"the {name} is {scale:.1f} times worse"
+        f"the {name} {scale:.1f} times worse"
         for name, scale in scales
         if scale is not None and scale >= least
     )
@@ -252,17 +264,18 @@ def map_sentences(finding: Finding) -> list[str]:
 
 
 def tolerance_sentences(finding: Finding) -> list[str]:
-    """Say what robot.yaml's tolerances are too wide to show, and what they took in this run."""
+    """Say what the tolerances are too wide to show, and what they took in this run."""
     found = tolerated(finding)
     if not found:
         return []
     passed = [
-        f"{one.most.effect.title} up to {largest(one.most)}"
-        + (f" (here {largest(one.taken)})" if one.taken is not None else "")
+        f"{one.most.effect.title} of up to {largest(one.most)}"
+        + (f" (this run may have {largest(one.taken)})" if one.taken is not None else "")
         for one in found
     ]
     keys = ", ".join(one.tolerance for one in found)
-    return [f"The tolerances in robot.yaml are wide ({keys}): without a name pass {'; '.join(passed)}."]
+    whose = "that the good runs show" if finding.data.baseline_intervals else "in robot.yaml"
+    return [f"The tolerances {whose} are wide ({keys}), so that these get no name: {'; '.join(passed)}."]
 
 
 def intake_sentences(finding: Finding) -> list[str]:
@@ -309,7 +322,19 @@ def gap_sentences(finding: Finding) -> list[str]:
         result = finding.channels[name]
         text = gap_sentence(result.gap, channel=name, n_effects=len(result.effects))
         out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
-    return [text for text in out if text]
+    return [text for text in (*out, _second_gap_sentence(finding)) if text]
+
+
+def _second_gap_sentence(finding: Finding) -> str:
+    """Say how far the gap shrinks on a second run; empty where there is none, or nothing to prove."""
+    gap = finding.second_gap
+    if gap is None or gap.noise_floor.normalised <= 0 or not finding.channels["scan"].effects:
+        return ""
+    before, after = (f.normalised / gap.noise_floor.normalised for f in (gap.before, gap.after))
+    return (
+        f"On the second run, of which nothing was fitted, it shrinks from {before:.2f} to {after:.2f} times the noise floor "
+        f"({100 * gap.before.rmse_m:.2f} to {100 * gap.after.rmse_m:.2f} cm)."
+    )
 
 
 def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) -> str:
@@ -333,6 +358,6 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) 
         )
     return (
         f"With {it} in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
-        f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}, and {gained} per reading), "
+        f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}; a reading is likelier by {gained}), "
         "on readings that no fit has seen."
     )

@@ -69,6 +69,8 @@ class Alignment:
                 f"with the poses turned by {np.degrees(self.dphi):.1f} degrees about their middle and moved by "
                 f"({self.dx:.2f}, {self.dy:.2f}) m"
             )
+        if self.best_share < SETTINGS.good_share:
+            return f"{lead}: {now}; it may be of another place: even {mend} it would be {100 * self.best_share:.0f} %"
         return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
 
 

@@ -10,6 +10,7 @@ from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
+from sensorgraph.world.pixel_walls import MAX_STEP
 from sensorgraph.world.robot import Tolerances
 
 
@@ -76,7 +77,7 @@ def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
         size = float(np.hypot.reduce([values[name] for name in effect.steps]))
         return size < pixel or (effect.place == "wall" and _is_where_another_is(data, amendment))
     if effect.place is None and effect.diagnostics.corner_shifts is not None:
-        return _farthest_corner(data, amendment) < data.grain
+        return _farthest_corner(data, amendment) < MAX_STEP * 2 * data.grain
     return effect.place == "obstacle" and _passed_share(data, amendment.place) < SCAN.naming.min_passed_share
 
 
@@ -96,12 +97,12 @@ def is_short_of_pixels(data: ScanData, amendment: Amendment) -> bool:
 
 
 def _farthest_corner(data: ScanData, amendment: Amendment) -> float:
-    """Return how far a change of the whole map moves a corner at most [m], but for a shift of all of them."""
+    """Return how far a change of the whole map moves a corner along x or y at most [m], but for a shift of all of them."""
     scene = data.scene()
     before = scene.walls.copy()
     amendment(scene)
     shift = (scene.walls - before).reshape(-1, 2)
-    return float(np.hypot(*(shift - shift.mean(axis=0)).T).max())
+    return float(np.abs(shift - shift.mean(axis=0)).max())
 
 
 def _passed_share(data: ScanData, place: str) -> float:

@@ -167,7 +167,7 @@ class _EachScan:
 
 def odd_scans(fitted: Fitted) -> OddScans | None:
     """Look for scans that differ, beside the effects and nuisances of a fit; None where they are all of one kind."""
-    each = _each_scan(fitted)
+    each = each_scan(fitted)
     late, is_late = _two_delays(each)
     elsewhere, is_elsewhere, prior = _two_priors(each)
     shifted, spread, is_rough = _offsets(each)
@@ -240,7 +240,7 @@ def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Genera
     return True
 
 
-def _each_scan(fitted: Fitted) -> _EachScan:
+def each_scan(fitted: Fitted) -> _EachScan:
     """Assemble the equations of every scan by itself."""
     solver, solution = fitted.solver, fitted.solution
     weight = np.where(solver.jacobian.valid, solution.responsibilities.weight, 0.0)
@@ -330,7 +330,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
     got = fit_columns(fitted, columns, np.zeros(1), rounds=SCAN.odd_scans.refit_rounds)
     used = solver.jacobian.valid & solver.data.returned & is_late[:, None]
     delay = float(got.values[0])
-    then = _each_scan(replace(fitted, solution=got.solution, solver=solver.with_columns(columns)))
+    then = each_scan(replace(fitted, solution=got.solution, solver=solver.with_columns(columns)))
     changes, by_chance = np.count_nonzero(np.diff(is_late)), 2 * share * (1 - share) * len(is_late)
     kind = LateStretches if changes < SCAN.odd_scans.max_changes_share * by_chance else LateScans
     found = kind(

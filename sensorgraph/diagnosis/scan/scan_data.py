@@ -272,9 +272,8 @@ def prepare_scans(
     }
     least = SCAN.intake.min_scans
     if run.n_scans < least:
-        raise SensorgraphError(
-            f"the run has {run.n_scans} scans, expected {least} or more; record a longer run"
-        )
+        more = "record a longer run" if run.n_scans else "name the topic of its scans with `topics` scan=..."
+        raise SensorgraphError(f"the run has {run.n_scans} scans, expected {least} or more; {more}")
     if not np.isfinite(run.ranges).any():
         raise SensorgraphError("no ray of the run ever returned; there is nothing to compare with the arena")
     if kept.sum() < least:
@@ -371,7 +370,7 @@ def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
     described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
     if described is None:
         raise SensorgraphError(
-            f"the run has {len(recorded)} rays, robot.yaml describes {robot.sensor.n_rays} or other bearings "
+            "the run has other rays than robot.yaml describes "
             f"({bearings_text(recorded, robot.sensor.bearings)}); give the robot that recorded it"
         )
     if described.n_rays < settings.min_rays:

@@ -23,4 +23,4 @@ def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
     some, group = np.zeros_like(kept), np.arange(count // step)
     within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
     some[np.flatnonzero(kept)[step * group + within]] = True
-    return some, {f"beyond one in {step}, which say enough": count - int(some.sum())}
+    return some, {f"of a long run, of which one in {step} is used": count - int(some.sum())}

@@ -147,7 +147,7 @@ def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     return StructureFamily(
         kind="at rest",
         columns=rows.of_wheels(np.zeros_like(turns), turns),
-        labels=["turn at rest", *(f"{span}, turn at rest" for span in _spans(wheels, n))],
+        labels=["turn", *(f"turn, {span}" for span in _spans(wheels, n))],
         sigma=ODOMETRY.structure.rest_sigma,
         statement="by a turn that goes on at rest: the bias of a gyro in the odometry, or a reference that turns away",
     )
