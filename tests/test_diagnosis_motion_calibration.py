@@ -181,7 +181,7 @@ def finding_of(**motions: LaserMotion) -> DrivingFinding:
 def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: LaserMotion) -> None:
     wrong = finding_of(run=untouched).lines
     assert re.fullmatch(
-        r"Wheels and mount differ from what is stated: laser ahead of the axle by \+1[12].*\.", wrong[0]
+        r"Wheels and mount differ from what is stated, by: laser ahead of the axle \+1[12].*\.", wrong[0]
     )
     assert "way scale" not in wrong[0]
     right = finding_of(run=drive(n=4_000, mount=MOUNT)).lines

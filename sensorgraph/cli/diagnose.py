@@ -167,6 +167,8 @@ def _drive_alone(
     for line in finding.lines:
         typer.echo(line)
     typer.echo("no arena, no reference: the poses absorb everything else; give --arena to look for more")
+    if base is None:
+        typer.echo("effects.yaml has no heading bias: give --robot, whose wheelbase tells the sizes of the wheels")
     typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, calibration.png")
 
 

@@ -89,6 +89,6 @@ def picture(path: Path | None, alt: str, caption: str) -> str:
 def without_breaks(text: str) -> str:
     """Keep numbers with their units and errors on one line."""
     glued = re.sub(
-        r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\d°]) (?=±)|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
+        r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\w°%/]) (?=[±=])|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
     )
     return escape(glued)

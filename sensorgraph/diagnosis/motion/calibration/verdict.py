@@ -64,12 +64,12 @@ def headline(found: DrivingCalibration, change: Change | None) -> str:
     stated = dict(zip(PARAMETERS, (1.0, 1.0, 0.0, *mount), strict=True))
     off = {name: (found.of(name)[0] - stated[name], found.of(name)[1]) for name in PARAMETERS}
     told = [
-        f"{q[name].title} by {q[name].text(d, sd)}"
+        f"{q[name].title} {q[name].text(d, sd)}"
         for name, (d, sd) in off.items()
         if abs(d) > max(SURE * sd, q[name].materiality)
     ]
     if told:
-        return f"Wheels and mount differ from what is stated: {', '.join(told)}."
+        return f"Wheels and mount differ from what is stated, by: {', '.join(told)}."
     return "Wheels and mount are as stated, as far as driving alone can tell."
 
 

@@ -56,11 +56,12 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
     factor = compared.magnification
     top = float(f"{100 * max(1.2 * compared.typical_residual, 2.5 * compared.sigma):.1g}")
     colours = _diverging()
+    enlarged = f" (differences drawn {factor} times as large)" if factor > 1 else ""
     for axes, (title, model) in zip(charts, models, strict=False):
         draw_floor(axes, compared.arena)
         axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
         dots = _points(axes, compared, model, top, colours)
-        axes.set_title(title, fontsize=9.5, color=INK, loc="left")
+        axes.set_title(title + enlarged, fontsize=9.5, color=INK, loc="left")
         axes.set(xlim=(x0, x1), ylim=(y0, y1))
         moved = _displaced(compared.before.walls, model.walls)
         axes.add_collection(
@@ -69,10 +70,16 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
         _marks(axes, compared, finding.effects, finding.unknown)
     if len(charts) == 2 and not stacked:
         charts[1].set_ylabel("")
-    enlarged = f", drawn {factor} times as large" if factor > 1 else ""
-    label = f"measured − simulated [cm]{enlarged}"
     colour_bar(
-        figure, dots, charts, label, location="right", shrink=0.75, aspect=35, pad=0.015, extend="both"
+        figure,
+        dots,
+        charts,
+        "measured − simulated [cm]",
+        location="right",
+        shrink=0.75,
+        aspect=35,
+        pad=0.015,
+        extend="both",
     )
     handles, labels = charts[0].get_legend_handles_labels()
     if handles:

@@ -11,14 +11,27 @@ from sensorgraph.diagnosis.motion.calibration.comparison import block_estimates
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
-from sensorgraph.show.figures.style import ALARM, TEAL, new_figure, save_figure
+from sensorgraph.show.figures.style import (
+    ALARM,
+    FINE,
+    INK,
+    SMALL,
+    SOFT,
+    SOLID,
+    SUBTITLE,
+    TEAL,
+    TEXT,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
 
 
 def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> None:
-    """Draw each parameter of each run: the whole run's with two standard errors, and those of its parts."""
+    """Draw each parameter of each run: the whole run's with two standard errors, those of its parts, and what is stated."""
     figure = new_figure(9.0, 6.2)
     axes = figure.subplots(2, 3).ravel()
-    start, ticks, labels = 0.0, [], []
+    start, ticks = 0.0, list[float]()
     for (name, found), colour in zip(runs.items(), (TEAL, ALARM), strict=False):
         values, errors, middles = block_estimates(found, CALIBRATION.blocks)
         minutes = (start + middles) / 60.0
@@ -31,14 +44,28 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
             panel.errorbar(
                 minutes, factor * (values[:, k] - zero), factor * errors[:, k], fmt=".", color=colour, lw=0.8
             )
+        stated = [
+            0.0,
+            0.0,
+            0.0,
+            *(QUANTITIES[p].factor * v for p, v in zip(PARAMETERS[3:], found.mount, strict=True)),
+        ]
+        for panel, value in zip(axes, stated, strict=True):
+            panel.plot(
+                span, [value, value], color=INK, lw=FINE, ls=(0, (5, 3)), label="" if start else "as stated"
+            )
         ticks.append(start / 60.0)
-        labels.append(name)
         start += found.duration_s
     for panel, parameter in zip(axes, PARAMETERS, strict=True):
-        panel.set_title(f"{QUANTITIES[parameter].title} [{QUANTITIES[parameter].unit}]", fontsize=10)
-        panel.set_xlabel("driven [min]")
+        title = f"{QUANTITIES[parameter].title} [{QUANTITIES[parameter].unit}]"
+        panel.set_title(title, fontsize=SUBTITLE, color=INK, loc="left")
+        panel.set_xlabel("driven [min]", fontsize=TEXT, color=INK)
+        reduce_frame(panel)
+        panel.grid(axis="y", color=SOLID, lw=FINE)
         for begin in ticks[1:]:
-            panel.axvline(begin, color="0.8", lw=0.8, zorder=0)
-    if len(runs) > 1:
-        axes[0].legend(fontsize=8, frameon=False)
+            panel.axvline(begin, color=SOFT, lw=FINE, zorder=0)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower left", ncols=3, fontsize=SMALL, frameon=False, labelcolor=INK
+    )
     save_figure(figure, path)

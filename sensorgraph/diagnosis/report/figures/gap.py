@@ -46,10 +46,10 @@ def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> Non
     for charts, (title, gap, channel) in zip(grid, rows, strict=True):
         fits = (gap.before, gap.after, gap.noise_floor)
         unit = "cm" if channel == "scan" else "cm/s"
-        least = gap.noise_floor.nats_per_ray
+        least, floor = gap.noise_floor.nats_per_ray, max(gap.noise_floor.normalised, 1e-12)
         columns = (
             (f"{title}: RMS gap [{unit}]", [100 * f.rmse_m for f in fits]),
-            ("in units of the nominal noise", [f.normalised for f in fits]),
+            ("times the noise floor", [f.normalised / floor for f in fits]),
             ("nats per reading above the floor", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
@@ -57,7 +57,7 @@ def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> Non
                 axes.set_axis_off()
                 continue
             _bars(axes, values, least=MIN_NATS_SCALE if label.startswith("nats") else 0.0)
-            axes.set_title(label, fontsize=8, color=SOFT, loc="left", pad=3)
+            axes.set_title(label, fontsize=8.5, color=INK, loc="left", pad=3)
         charts[0].set_yticks([2, 1, 0], ["before", "after", "noise floor"], fontsize=8.5, color=INK)
         charts[0].tick_params(axis="y", length=0)
     save_figure(figure, path)
@@ -67,7 +67,7 @@ def _bars(axes: Any, values: Sequence[float], *, least: float) -> None:
     top = max(*values, least, 1e-12)
     axes.barh([2, 1, 0], np.maximum(values, 0.0), color=[ALARM, TEAL, SOFT], height=0.68)
     for y, value in zip([2, 1, 0], values, strict=True):
-        text = f"{value:.3g}".replace("-", "−") if abs(value) >= 5e-4 else "0"
+        text = f"{value:.2f}".replace("-", "−") if abs(value) >= 0.005 else "0"
         axes.text(max(value, 0) + 0.015 * top, y, text, va="center", fontsize=8, color=INK)
     axes.set(xlim=(0.0, 1.22 * top), ylim=(-0.5, 2.5))
     axes.set_yticks([])
