@@ -274,7 +274,11 @@ def tolerance_sentences(finding: Finding) -> list[str]:
         for one in found
     ]
     keys = ", ".join(one.tolerance for one in found)
-    whose = "that the good runs show" if finding.data.baseline_intervals else "in robot.yaml"
+    whose = "in robot.yaml"
+    if finding.data.baseline_intervals:
+        whose = "that the good runs show"
+    elif finding.data.grain > 0:
+        whose = "that the cells of the map leave"
     return [f"The tolerances {whose} are wide ({keys}), so that these get no name: {'; '.join(passed)}."]
 
 
