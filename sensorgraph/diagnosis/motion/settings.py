@@ -213,10 +213,8 @@ class PatchSettings:
     """Steps (standard deviation) by which a patch grows whose near edge stays."""
     posterior_cell: float = 0.05
     """[m] cells of (x, y, r) that count as one disc each for the spread of the place."""
-    radius_range: tuple[float, float] = (0.12, 2.4)
-    """[m] in these steps."""
-    refined_radius_range: tuple[float, float] = (0.1, 2.5)
-    """[m] where an accepted patch is refined."""
+    radius_range: tuple[float, float] = (0.1, 2.5)
+    """[m] of patches, in these steps and in the refining ones."""
     refining_steps: tuple[float, ...] = (0.25, 0.25, 0.12, 0.06, 0.03)
     """[m] of the random steps about an accepted patch."""
     rim: float = 0.02

@@ -118,7 +118,7 @@ def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats
     ridge = disc + growth[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(n)], axis=1)
     ridge += PATCH.rim * rng.normal(size=ridge.shape)
     near = np.concatenate([disc + step * rng.normal(size=(n, 3)), ridge])
-    low, high = PATCH.refined_radius_range
+    low, high = PATCH.radius_range
     return near[(near[:, 2] > low) & (near[:, 2] < high)]
 
 
