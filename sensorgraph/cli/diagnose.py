@@ -168,7 +168,9 @@ def _drive_alone(
         typer.echo(line)
     typer.echo("no arena, no reference: the poses absorb everything else; give --arena to look for more")
     if base is None:
-        typer.echo("effects.yaml has no heading bias: give --robot, whose wheelbase tells the sizes of the wheels")
+        typer.echo(
+            "effects.yaml has no heading bias: give --robot, whose wheelbase tells the sizes of the wheels"
+        )
     typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, calibration.png")
 
 

@@ -85,11 +85,11 @@ def explain(
     current, n_small = null, 0
     steps: list[Step] = []
     rivals: dict[str, tuple[Amendment, float]] = {}
-    struck: set[tuple[str, str]] = set()
+    struck, first = set[tuple[str, str]](), dict[str, float]()
     while len(current.model) < most:
         begun = current.j
         with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
-            tried, also = _try(data, current, noise_bounds, struck, current.j - null.j, tick)
+            tried, also = _try(data, current, noise_bounds, struck, first, current.j - null.j, tick)
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
             break
@@ -101,7 +101,8 @@ def explain(
                 current = again
                 null = null if current.model else current
             gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
-        enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
+        least = _least(current.model, best.model[-1], current.j - null.j)
+        enough = gain >= (threshold if _key(best.model[-1]) in first else max(threshold, least))
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
@@ -180,6 +181,7 @@ def _try(
     current: Fitted,
     noise_bounds: NoiseBounds,
     struck: set[tuple[str, str]],
+    first: dict[str, float],
     gained: float,
     tick: Progress,
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
@@ -193,11 +195,11 @@ def _try(
     strained = noise_bounds.max_scale > 1.0 and (
         stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
     )
-    short = shortlist(data, current, struck, gained)
+    short = shortlist(data, current, struck, gained, first)
     if strained:  # tolerances that stretch may hide an effect: look again with the ones told
         told = replace(noise_bounds, max_scale=1.0)
         tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
-        more = shortlist(data, tight, struck, gained)
+        more = shortlist(data, tight, struck, gained, first)
         short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][
             : SCAN.selection.max_candidates // 2
         ]
@@ -282,9 +284,21 @@ def searched(
 
 
 def shortlist(
-    data: ScanData, current: Fitted, struck: set[tuple[str, str]], gained: float
+    data: ScanData,
+    current: Fitted,
+    struck: set[tuple[str, str]],
+    gained: float,
+    first: dict[str, float] | None = None,
 ) -> list[Candidate]:
-    """Return the candidates worth fitting, best first."""
+    """Return the candidates worth fitting, best first.
+
+    Parameters
+    ----------
+    struck : effects and places that were taken back
+    gained : [nats] by the model so far; what it may leave is a share of that
+    first : effects and places -> gain [nats] that was expected of them before the model had any effect, filled then; what is
+        expected as much now is nothing that the model leaves, and what is not is taken out
+    """
     sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
     broad = [
         c
@@ -308,7 +322,9 @@ def shortlist(
                 continue
             if data.clutter_nats.get(c.amendment.name) == np.inf:
                 continue
-            if c.gain < _least(current.model, c.amendment, gained):
+            if not _stood_before(c, current.model, first) and c.gain < _least(
+                current.model, c.amendment, gained
+            ):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
@@ -323,6 +339,22 @@ def shortlist(
                 break
     logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
     return out[: SCAN.selection.max_candidates]
+
+
+def _stood_before(c: Candidate, model: Sequence[Amendment], first: dict[str, float] | None) -> bool:
+    """Tell whether as much was expected of a candidate before the model had any effect; note what is expected then."""
+    if first is None:
+        return False
+    key = _key(c.amendment)
+    if not model:
+        first[key] = max(c.gain, first.get(key, 0.0))
+        return True
+    if (
+        key in first
+        and not SCAN.selection.same_gain * first[key] < c.gain < first[key] / SCAN.selection.same_gain
+    ):
+        del first[key]
+    return key in first
 
 
 def _same(a: Amendment, b: Amendment) -> bool:

@@ -247,6 +247,9 @@ class SelectionSettings:
     """[nats] expected of a smooth effect that is worth a fit; bounds on the nuisances hide a part of it."""
     searched_share: float = 0.2
     """Of the best gain; searched parameters of candidates farther behind are not searched."""
+    same_gain: float = 0.8
+    """Of the gain expected of a candidate before any other effect was in the model, and of that now: from this share on it is
+    as much, and no part of what the other effects leave."""
     hopeless_gain: float = -50.0
     """[nats] below which a candidate is not compared."""
     absorber_share: float = 0.5
