@@ -101,8 +101,8 @@ def explain(
                 current = again
                 null = null if current.model else current
             gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
-        least = _least(current.model, best.model[-1], current.j - null.j)
-        enough = gain >= (threshold if _key(best.model[-1]) in first else max(threshold, least))
+        stood = _key(best.model[-1]) in first
+        enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j, stood))
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
@@ -169,10 +169,16 @@ def _key(a: Amendment) -> str:
     return f"{a.name}@{a.place}"
 
 
-def _least(model: Sequence[Amendment], candidate: Amendment, gained: float) -> float:
-    """Return the gain [nats] below which a candidate only mends the rim of what the model has."""
+def _least(model: Sequence[Amendment], candidate: Amendment, gained: float, stood: bool) -> float:
+    """Return the gain [nats] below which a candidate only mends what the model has.
+
+    Parameters
+    ----------
+    stood : as much was expected of it before: it does not mend the rim of what the model has, at most a model that is coarse
+    """
     known = [a.effect.diagnostics for a in model]
-    shares = [max(d.leftover_share, d.leftovers.get(candidate.name, 0.0)) for d in known]
+    by_name = [0.0 if stood and not d.leftover_share else d.leftovers.get(candidate.name, 0.0) for d in known]
+    shares = [max(d.leftover_share, share) for d, share in zip(known, by_name, strict=True)]
     return max(shares, default=0.0) * gained
 
 
@@ -296,8 +302,8 @@ def shortlist(
     ----------
     struck : effects and places that were taken back
     gained : [nats] by the model so far; what it may leave is a share of that
-    first : effects and places -> gain [nats] that was expected of them before the model had any effect, filled then; what is
-        expected as much now is nothing that the model leaves, and what is not is taken out
+    first : effects and places -> gain [nats] expected of them before any was in the model, filled then; where it has changed it
+        is taken out
     """
     sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
     broad = [
@@ -322,9 +328,7 @@ def shortlist(
                 continue
             if data.clutter_nats.get(c.amendment.name) == np.inf:
                 continue
-            if not _stood_before(c, current.model, first) and c.gain < _least(
-                current.model, c.amendment, gained
-            ):
+            if c.gain < _least(current.model, c.amendment, gained, _stood_before(c, current.model, first)):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
@@ -337,18 +341,14 @@ def shortlist(
             taken += 1
             if taken == most:
                 break
-    logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
     return out[: SCAN.selection.max_candidates]
 
 
 def _stood_before(c: Candidate, model: Sequence[Amendment], first: dict[str, float] | None) -> bool:
     """Tell whether as much was expected of a candidate before the model had any effect; note what is expected then."""
-    if first is None:
-        return False
-    key = _key(c.amendment)
+    first, key = {} if first is None else first, _key(c.amendment)
     if not model:
         first[key] = max(c.gain, first.get(key, 0.0))
-        return True
     if (
         key in first
         and not SCAN.selection.same_gain * first[key] < c.gain < first[key] / SCAN.selection.same_gain
