@@ -21,7 +21,8 @@ def test_few_people_are_named_beside_a_maximal_range_of_which_they_are_a_hundred
     passes = is_somebody_there & (T % 10.0 < 2.0 - 1e-9)
     z = np.minimum(z, np.where(passes[:, None], walker(), np.inf))
     z[z > 3.0] = np.inf
-    run = Run(sensor=SENSOR, stamps=T, ranges=z, pose_stamps=T, poses=POSES)
+    t = T.astype(np.float64)
+    run = Run(sensor=SENSOR, stamps=t, ranges=z, pose_stamps=t, poses=POSES)
     found = diagnose(run, ARENA, ROBOT, plan_next=False).channels["scan"]
     assert [a.name for a in found.effects] == ["max_range"] + ["people"] * is_somebody_there
     evidence = [a.evidence or 0.0 for a in found.effects]
