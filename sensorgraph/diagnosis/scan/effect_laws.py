@@ -93,7 +93,9 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
         members = [
             i
             for i, a in enumerate(model)
-            if a.effect.diagnostics.telltale == telltale and not is_map_error(view.fitted, a)
+            if a.effect.diagnostics.telltale == telltale
+            and a.ratio >= 1  # a trifle points to nothing
+            and not is_map_error(view.fitted, a)
         ]
         count = len({model[i].name for i in members}) if telltale.distinct else len(members)
         if count >= telltale.least:
