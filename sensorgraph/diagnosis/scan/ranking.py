@@ -33,7 +33,8 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     ----------
     threshold : [nats] that a name takes
     """
-    order = _by_law(data, _by_gain(without_ends(data, tried)), threshold)
+    possible = [pair for pair in tried if stands_in_room(data, pair[0].model[-1])]
+    order = _by_law(data, _by_gain(without_ends(data, possible or tried)), threshold)
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
@@ -42,6 +43,18 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
         order = certain
     first = _at_known_site(data, order, threshold)
     return [first, *(pair for pair in order if pair is not first)]
+
+
+def stands_in_room(data: ScanData, amendment: Amendment) -> bool:
+    """Tell whether an obstacle that has moved may stand where it is said to: its middle is in free space, or where it was."""
+    effect = amendment.effect
+    if effect.place != "obstacle" or not effect.steps:
+        return True
+    outline = data.arena.walls[named_walls(data.arena, amendment.place), 0]
+    shift = np.array([amendment[name] for name in effect.steps])
+    middle = outline.mean(axis=0)
+    reach = float(np.hypot(*(outline - middle).T).min(initial=np.inf))
+    return bool(data.arena.contains((middle + shift)[None])[0] or np.hypot(*shift) < reach)
 
 
 def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitted, float]:
