@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 from scan_samples import data_of, hall_arena
 
-from sensorgraph.diagnosis.result import ChannelResult, Unknown
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -44,7 +44,12 @@ def test_scans_that_fit_the_arena_show_a_straight_reference(
         shared=(),
         cannot_tell_apart=[],
     )
-    bent = Unknown(statement="bent", size={"reference_m": place, "reference_rad": yaw})
-    odometry = ChannelResult(channel="odometry", unknown=bent)
-    assert shows_straight_reference(scans, odometry) == is_straight
+    for kind in ("reference place", "reference jumps"):
+        how = Deviation(
+            family="bias", partition=kind, label="bent", z=9.0, size=0.0, n_rays=9, channel="odometry"
+        )
+        size = {"reference_m": place, "reference_rad": yaw}
+        told = Unknown(statement="bent", size=size, deviation=how)
+        odometry = ChannelResult(channel="odometry", unknown=told)
+        assert shows_straight_reference(scans, odometry) == (is_straight and kind == "reference place")
     assert not shows_straight_reference(scans, ChannelResult(channel="odometry"))

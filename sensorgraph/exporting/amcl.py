@@ -202,7 +202,10 @@ def _learn(
 
 
 def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: OccupancyMap) -> Floats:
-    """Return how far [m] each return ends from the middle of an occupied cell; nan where it is off the map."""
+    """Return how far [m] each return ends from the middle of an occupied cell, nan where it is off the map.
+
+    In the mean square: from cell to cell, and anywhere in its own.
+    """
     far = distance_transform_edt(grid.data != 100) * grid.resolution
     phi = lasers[:, 2:] + bearings
     x, y = lasers[:, :1] + z * np.cos(phi), lasers[:, 1:2] + z * np.sin(phi)
@@ -210,7 +213,8 @@ def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: Occupa
     column = np.where(known, (x - grid.origin[0]) / grid.resolution, -1.0).astype(np.intp)
     row = np.where(known, (y - grid.origin[1]) / grid.resolution, -1.0).astype(np.intp)
     inside = known & (column >= 0) & (row >= 0) & (column < far.shape[1]) & (row < far.shape[0])
-    return np.where(inside, far[np.where(inside, row, 0), np.where(inside, column, 0)], np.nan)
+    away = far[np.where(inside, row, 0), np.where(inside, column, 0)]
+    return np.where(inside, np.hypot(away, grid.resolution / np.sqrt(12)), np.nan)
 
 
 def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
