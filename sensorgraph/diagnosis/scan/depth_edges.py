@@ -19,6 +19,8 @@ from sensorgraph.world.robot import Tolerances
 SETTINGS = SCAN.likelihood
 MIN_END_RANGE = 0.05
 """[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
+MAX_CORNERS = 1.5
+"""Corners a wall, of a map whose walls meet: closed outlines have one, scraps two."""
 SLACK = 1e-3
 """[rad] by which the end of a wall may seem to lie outside of two rays that begin at different places."""
 GRAZING = 0.02
@@ -137,8 +139,11 @@ def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> lis
 
 
 def _is_drawn(data: ScanData) -> bool:
-    """Tell whether the walls of the map are whole: a map of pixels has steps, an identified one scraps."""
-    return data.grain == 0 and not data.arena.is_identified
+    """Tell whether the walls of the map are whole: a map of pixels has steps, an identified one scraps that meet nowhere."""
+    if data.grain > 0 or data.arena.is_identified:
+        return False
+    walls = data.arena.walls
+    return len(np.unique(walls.reshape(-1, 2), axis=0)) < MAX_CORNERS * len(walls)
 
 
 def _of_scraps(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
