@@ -6,7 +6,8 @@ A few short runs of `benchmarks.hidden_effects` (development seeds) are diagnose
 again with one setting at a time times 0.5 and times 2. An answer is the set of names with their places, and whether
 something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
 
-So are constants of modules (`CUT` of `beam_mixture`), but for those of mathematics. Counts are rounded and at least 1; shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
+So are constants of modules (`CUT` of `beam_mixture`), but for those of mathematics. Counts are rounded and at least 1;
+shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
 Each variant is a process of its own, begun before anything that a setting decides is imported. What judges an accepted
 model (GoodnessOfFitSettings, NamingSettings) does not need another search: that is done once, and its model judged anew.
 """

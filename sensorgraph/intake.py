@@ -13,6 +13,10 @@ from sensorgraph.world.orientation import MAX_ERROR_RATIO, orientation
 
 SCATTERED = 0.25
 """Share of the steps that jump, above which the poses are no drive but places one by one."""
+STANDS_STILL = 1e-3
+"""[m, rad] poses that change less in all of a run are all the same."""
+LEAST_WAY = 0.5
+"""[m] that wheels drive beyond doubt."""
 
 
 def check_jumps(
@@ -47,6 +51,24 @@ def check_jumps(
         f"{name or run.meta.get('source', 'the run')}: {jumps}; expected poses along which a robot can drive: check the "
         "clocks and where the poses are from (sensorgraph inspect), or set `force` to use them as they are"
     )
+
+
+def check_moves(run: Run) -> None:
+    """Refuse a run whose wheels drive while its reference stands.
+
+    Raises
+    ------
+    SensorgraphError : the poses are all the same, and the odometry moves
+    """
+    still = len(run.poses) > 1 and float(np.ptp(run.poses, axis=0).max()) < STANDS_STILL
+    if not still or not len(run.odometry):
+        return
+    way = float(np.hypot(*np.diff(run.odometry[:, :2], axis=0).T).sum())
+    if way > LEAST_WAY:
+        raise SensorgraphError(
+            f"the poses never change while the wheels drive {way:.1f} m; "
+            "name the topic of the reference with `topics` pose=..."
+        )
 
 
 def _fits_itself(run: Run) -> bool:

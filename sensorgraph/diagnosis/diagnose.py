@@ -15,7 +15,6 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
-from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
     name_motion_effects,
@@ -38,15 +37,13 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps
+from sensorgraph.intake import check_jumps, check_moves
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
-LEAST_WAY = 0.5
-"""[m] that wheels drive beyond doubt."""
 LEAST_SIGMA = 2e-4
 """[m, rad, m/s, rad/s] no reference and no wheel is better."""
 
@@ -131,24 +128,6 @@ def diagnose(
         next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )
-
-
-def check_moves(run: Run) -> None:
-    """Refuse a run whose wheels drive while its reference stands.
-
-    Raises
-    ------
-    SensorgraphError : the poses are all the same, and the odometry moves
-    """
-    still = len(run.poses) > 1 and float(np.ptp(run.poses, axis=0).max()) < MIN_MOTION
-    if not still or not len(run.odometry):
-        return
-    way = float(np.hypot(*np.diff(run.odometry[:, :2], axis=0).T).sum())
-    if way > LEAST_WAY:
-        raise SensorgraphError(
-            f"the poses never change while the wheels drive {way:.1f} m; "
-            "name the topic of the reference with `topics` pose=..."
-        )
 
 
 def _without_scans(run: Run) -> Run:

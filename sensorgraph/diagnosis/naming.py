@@ -232,9 +232,9 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     slips = [a for a in result.effects if a.effect.place == "spot"]
     mimics = slips if len(slips) > 1 and result.unknown is not None else []  # of the unknown, patch by patch
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
-    is_known = {a.name for a in result.effects if _is_expected(a, expected)}
-    named = tuple(a for a in result.effects if a not in mimics and a.name not in is_known)
-    rivals = tuple(rival for rival in result.rivals if rival.instead_of not in is_known)
+    as_known = {a.name for a in result.effects if _is_expected(a, expected)}
+    named = tuple(a for a in result.effects if a not in mimics and a.name not in as_known)
+    rivals = tuple(rival for rival in result.rivals if rival.instead_of not in as_known)
     return without_close_calls(replace(result, effects=named, rivals=rivals))
 
 

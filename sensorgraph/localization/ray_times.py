@@ -81,7 +81,7 @@ class RayTimes:
     def line(self) -> str:
         """Say it."""
         sensor, k = self.sensor, self.sensor.interlaced_sweeps
-        way = "" if sensor.sweep_time > 0 else " clockwise"
+        way = " clockwise" if sensor.is_clockwise else ""
         what = f"a scan sweeps{way} for {1e3 * abs(sensor.sweep_time):.1f} ms"
         if k > 1:
             what = (

@@ -109,7 +109,7 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
 
 
 def _scales_text(finding: Finding) -> str:
-    """Say how wide the fit takes the tolerances of map and reference, as multiples of robot.yaml's."""
+    """Say how wide the fit takes the tolerances of map, reference and stamps, as multiples of what is stated."""
     if finding.explained is None:
         return ""
     found = {

@@ -166,10 +166,9 @@ def _noise_sentences(compared: SimulationComparison) -> list[str]:
 def _agreement(finding: Finding) -> str:
     """Say that nothing is left, and what that takes."""
     worse = _worse_than_stated(finding)
-    if not worse and tolerated(finding):
-        return "Simulation and measurement agree within the tolerances."
     if not worse:
-        return "Simulation and measurement agree within what a careful set-up holds."
+        what = "the tolerances" if tolerated(finding) else "what a careful set-up holds"
+        return f"Simulation and measurement agree within {what}."
     text = f"Simulation and measurement agree only if {worse} than robot.yaml says"
     gap = finding.channels["scan"].gap
     if gap is None or gap.stated_floor is None:
@@ -334,10 +333,20 @@ def _second_gap_sentence(finding: Finding) -> str:
     gap = finding.second_gap
     if gap is None or gap.noise_floor.normalised <= 0 or not finding.channels["scan"].effects:
         return ""
+    return f"On the second run, of which nothing was fitted, it shrinks {_from_to(gap, 'cm')})."
+
+
+def _from_to(gap: Gap, unit: str) -> str:
+    """Say how far a gap shrinks, the bracket open.
+
+    Parameters
+    ----------
+    unit : cm of scans, cm/s of motion
+    """
     before, after = (f.normalised / gap.noise_floor.normalised for f in (gap.before, gap.after))
     return (
-        f"On the second run, of which nothing was fitted, it shrinks from {before:.2f} to {after:.2f} times the noise floor "
-        f"({100 * gap.before.rmse_m:.2f} to {100 * gap.after.rmse_m:.2f} cm)."
+        f"from {before:.2f} to {after:.2f} times the noise floor "
+        f"({100 * gap.before.rmse_m:.2f} to {100 * gap.after.rmse_m:.2f} {unit}"
     )
 
 
@@ -346,11 +355,11 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) 
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
-    unit, factor = ("cm", 100.0) if channel == "scan" else ("cm/s", 100.0)
+    unit = "cm" if channel == "scan" else "cm/s"
     if not n_effects:
         return (
             f"The gap is {after / floor:.2f} times the noise floor "
-            f"({factor * gap.after.rmse_m:.2f} {unit} over {factor * gap.noise_floor.rmse_m:.2f} {unit})."
+            f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
         )
     it = "it" if n_effects == 1 else "them"
     gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
@@ -361,7 +370,6 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) 
             f"{after / floor:.2f} times the noise floor."
         )
     return (
-        f"With {it} in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
-        f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}; a reading is likelier by {gained}), "
+        f"With {it} in the model the gap shrinks {_from_to(gap, unit)}; a reading is likelier by {gained}), "
         "on readings that no fit has seen."
     )

@@ -143,7 +143,8 @@ def _is_drawn(data: ScanData) -> bool:
     if data.grain > 0 or data.arena.is_identified:
         return False
     walls = data.arena.walls
-    return len(np.unique(walls.reshape(-1, 2), axis=0)) < MAX_CORNERS * len(walls)
+    n = data.kept(b"corners", lambda: len(np.unique(walls.reshape(-1, 2), axis=0)))
+    return n < MAX_CORNERS * len(walls)
 
 
 def _of_scraps(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:

@@ -59,6 +59,11 @@ class DrivingCalibration:
     duration_s: float
     rows: WindowRows
 
+    @property
+    def stated(self) -> Floats:
+        """(6,) of PARAMETERS: wheels as the odometry takes them, and the mount."""
+        return np.array([1.0, 1.0, 0.0, *self.mount])
+
     def of(self, name: str) -> tuple[float, float]:
         """Return value and standard error of one of PARAMETERS or NUISANCES."""
         k = (*PARAMETERS, *NUISANCES).index(name)

@@ -60,9 +60,11 @@ def headline(found: DrivingCalibration, change: Change | None) -> str:
     """Say in one line what one run tells: what changed within it, else what differs from what the log states."""
     if change is not None:
         return change_lines(change)[0]
-    q, mount = QUANTITIES, found.mount
-    stated = dict(zip(PARAMETERS, (1.0, 1.0, 0.0, *mount), strict=True))
-    off = {name: (found.of(name)[0] - stated[name], found.of(name)[1]) for name in PARAMETERS}
+    q = QUANTITIES
+    off = {
+        name: (found.of(name)[0] - stated, found.of(name)[1])
+        for name, stated in zip(PARAMETERS, found.stated.tolist(), strict=True)
+    }
     told = [
         f"{q[name].title} {q[name].text(d, sd)}"
         for name, (d, sd) in off.items()

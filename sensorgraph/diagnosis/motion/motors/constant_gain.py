@@ -24,9 +24,6 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Floats
 
-AT_BOUND = 1 - 1e-6
-"""Share of a bound from which on a coefficient lies at it."""
-
 
 def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection]:
     """Select effects under gains within tolerance; under any gain, where one lies at its bound and that is likelier.
@@ -34,7 +31,7 @@ def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection
     What a gain may not take at its bound is left for effects to explain.
     """
     within = select(model)
-    if (np.abs(_gains(within)) < AT_BOUND * _tolerances(model)).all():
+    if within.fit.solution.covariance[GAINS, GAINS].all():
         return model, within
     free = model.with_any_gain()
     found = select(free)
@@ -96,8 +93,8 @@ def _gains(selected: MotorSelection) -> Floats:
 
 def _tolerances(model: DriveModel) -> Floats:
     """Return by how much the gains (3,) may differ from 0 and be tolerances of a careful set-up."""
-    sigma = DRIVE.gain_sigma, DRIVE.gain_sigma, DRIVE.turn_sigma / model.robot.wheels.base
-    return EVIDENCE.max_tolerances * np.array(sigma)
+    bounded = model.with_any_gain(False)
+    return np.asarray(bounded.prior([], bounded.nominal).reach[list(GAINS)])
 
 
 def _lead(free: DriveModel, found: MotorSelection, within: MotorSelection) -> float:

@@ -11,7 +11,8 @@ from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
 from sensorgraph.types import Floats
 
-BENT_REFERENCE = ("reference yaw", "reference place")
+REFERENCE_YAW, REFERENCE_PLACE = "reference yaw", "reference place"
+BENT_REFERENCE = (REFERENCE_YAW, REFERENCE_PLACE)
 """Kinds of the families of a reference that is bent over the place."""
 
 HIGHEST_WAVE = 5
@@ -54,7 +55,7 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
     position = [rows.masked(np.concatenate([axis * p, nothing])) for p in powers for axis in (c, s)]
     return [
         StructureFamily(
-            kind=BENT_REFERENCE[0],
+            kind=REFERENCE_YAW,
             columns=np.stack(yaw, axis=1),
             labels=["yaw of the reference by place"] * len(yaw),
             sigma=ODOMETRY.structure.yaw_sigma,
@@ -62,7 +63,7 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
             is_of_reference=True,
         ),
         StructureFamily(
-            kind=BENT_REFERENCE[1],
+            kind=REFERENCE_PLACE,
             columns=np.stack(position, axis=1),
             labels=["position of the reference by place"] * len(position),
             sigma=ODOMETRY.structure.position_sigma,

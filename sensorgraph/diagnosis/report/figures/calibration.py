@@ -44,16 +44,8 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
             panel.errorbar(
                 minutes, factor * (values[:, k] - zero), factor * errors[:, k], fmt=".", color=colour, lw=0.8
             )
-        stated = [
-            0.0,
-            0.0,
-            0.0,
-            *(QUANTITIES[p].factor * v for p, v in zip(PARAMETERS[3:], found.mount, strict=True)),
-        ]
-        for panel, value in zip(axes, stated, strict=True):
-            panel.plot(
-                span, [value, value], color=INK, lw=FINE, ls=(0, (5, 3)), label="" if start else "as stated"
-            )
+            stated, label = factor * (found.stated[k] - zero), "" if start else "as stated"
+            panel.plot(span, [stated, stated], color=INK, lw=FINE, ls=(0, (5, 3)), label=label)
         ticks.append(start / 60.0)
         start += found.duration_s
     for panel, parameter in zip(axes, PARAMETERS, strict=True):
