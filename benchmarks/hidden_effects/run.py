@@ -30,7 +30,8 @@ def diagnose_case(folder: Path, name: str, *, second: bool = False) -> str:
     runs = [str(case / "run.mcap")]
     if second and (case / "second.mcap").exists():
         runs.append(str(case / "second.mcap"))
-    files = ["--arena", str(case / "arena.geojson"), "--robot", str(case / "robot.yaml")]
+    drawn, pixels = case / "arena.geojson", case / "arena.yaml"
+    files = ["--arena", str(drawn if drawn.exists() else pixels), "--robot", str(case / "robot.yaml")]
     printed = io.StringIO()
     wall, cpu = time.perf_counter(), time.process_time()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
@@ -49,7 +50,9 @@ def diagnose_case(folder: Path, name: str, *, second: bool = False) -> str:
         shutil.copy(report, result / "report.json")
     (result / "run.json").write_text(json.dumps(spent | {"printed": printed.getvalue()[-4000:]}, indent=1))
     shutil.rmtree(result / "out", ignore_errors=True)
-    return f"{name} exit {code}, {spent['cpu_s']:.1f} s"
+    said = printed.getvalue().strip().splitlines()
+    why = f": {said[-1]}" if code and said else ""
+    return f"{name} exit {code}, {spent['cpu_s']:.1f} s{why}"
 
 
 def main() -> None:
