@@ -10,6 +10,7 @@ import shapely
 
 from benchmarks.planted_site import MAP_MAX_RANGE, MAP_MIN_RANGE, Floats, LogWindow, limited, measured_rays
 from logs import Run
+from logs.transforms import compose
 
 DEGREES = 180 / np.pi
 
@@ -128,15 +129,17 @@ def pillar(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Ge
     """Stand a round pillar of this diameter in the map's free space beside the path: of 400 places, the one most rays meet."""
     radius = size / 2
     best, most = run, 0
+    laser = compose(run.poses, np.array(run.sensor.mount))
     for _ in range(400):
         k = rng.integers(len(run.stamps))
         away, angle = rng.uniform(0.6, 1.5), run.poses[k, 2] + rng.uniform(-1.2, 1.2)
         x, y = run.poses[k, 0] + away * np.cos(angle), run.poses[k, 1] + away * np.sin(angle)
-        dx, dy = x - run.poses[:, :1], y - run.poses[:, 1:2]
         standing = shapely.Point(x, y).buffer(radius)
-        if np.hypot(dx, dy).min() < radius + 0.4 or not window.arena.free.contains(standing):
+        apart = np.hypot(run.poses[:, 0] - x, run.poses[:, 1] - y).min()
+        if apart < radius + 0.4 or not window.arena.free.contains(standing):
             continue
-        heading = run.poses[:, 2:] + run.sensor.bearings
+        dx, dy = x - laser[:, :1], y - laser[:, 1:2]
+        heading = laser[:, 2:] + run.sensor.bearings
         ahead = dx * np.cos(heading) + dy * np.sin(heading)
         aside = dx * np.sin(heading) - dy * np.cos(heading)
         with np.errstate(invalid="ignore"):
