@@ -177,10 +177,11 @@ def residuals(first: float) -> Any:
     shape = (50, N_RAYS)
     short, every = np.broadcast_to(odd, shape), np.ones(shape, dtype=np.bool_)
     noise = 0.001 * np.random.default_rng(0).normal(size=shape)
+    z = np.where(short, 0.3, 2.0)
     return SimpleNamespace(
         sensor=RangeSensor(bearings=bearings), short=short, aimed=every, valid=every, returned=every,
-        z=np.where(short, 0.3, 2.0), mu=np.full(shape, 2.0), residual=0.2 * short + noise, log_p=np.zeros(shape),
-        weight=np.full(shape, 1e4), sigma=np.full(shape, 0.01), likely=lambda mu, some: np.zeros(some.sum()),
+        z=z, mu=np.full(shape, 2.0), residual=0.2 * short + noise, log_p=np.zeros(shape),
+        weight=np.full(shape, 1e4), sigma=np.full(shape, 0.01), likely=lambda mu, some: np.where(np.abs(z[some] - mu) < 0.1, 3.0, -3.0),
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import half_spacing
 from sensorgraph.effects.set_up import between_rays
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
+from sensorgraph.types import Bools, Ints
 from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
@@ -40,20 +41,35 @@ def propose(residuals: Residuals) -> list[Proposal]:
     if not odd.any():
         return []
     found = []
-    bearings, half = residuals.sensor.bearings, half_spacing(residuals)
+    bearings = residuals.sensor.bearings
     first_ray = int(odd.argmin()) if is_full_turn(bearings) else 0  # no sector straddles it
     rays = (np.arange(len(odd)) + first_ray) % len(odd)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], odd[rays].astype(int), [0]])))
     for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
         sector = rays[first : last + 1]
-        r0 = float(np.median(z[:, sector][short[:, sector]]))
-        mu = np.minimum(np.where(residuals.aimed[:, sector], residuals.mu[:, sector], np.inf), r0)
         some = np.zeros(z.shape, dtype=np.bool_)
         some[:, sector] = True
-        gain = float((residuals.likely(mu.ravel(), some) - residuals.log_p[some]).sum())
-        ends = {"theta1": float(bearings[sector[0]] - half), "theta2": float(bearings[sector[-1]] + half)}
-        found.append(Proposal(values={"r0": r0, **ends}, gain=gain))
+        whole, *each = (np.median(z[:, one][short[:, one]]) for one in (sector, *sector))
+        best = max(
+            (_likeliest_run(residuals, some, sector, float(r0)) for r0 in {whole, *each}),
+            key=lambda p: p.gain,
+        )
+        found.append(best)
     return found
+
+
+def _likeliest_run(residuals: Residuals, some: Bools, sector: Ints, r0: float) -> Proposal:
+    """Return the neighbouring rays of a sector (`some` in all scans) that most likely read r0 [m]: clutter may be short beside them."""
+    at = np.where(residuals.aimed, residuals.mu, np.inf)[some]
+    gains = np.zeros(some.shape)
+    gains[some] = residuals.likely(np.minimum(at, r0), some) - residuals.log_p[some]
+    sums = np.concatenate([[0.0], np.cumsum(gains[:, sector].sum(axis=0))])
+    over = np.subtract.outer(sums, sums)  # from the second index to before the first
+    over[np.triu_indices(len(sums))] = -np.inf
+    end, begin = np.unravel_index(over.argmax(), over.shape)
+    bearings, half = residuals.sensor.bearings[sector], half_spacing(residuals)
+    ends = {"theta1": float(bearings[begin] - half), "theta2": float(bearings[end - 1] + half)}
+    return Proposal(values={"r0": r0, **ends}, gain=float(over[end, begin]))
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:

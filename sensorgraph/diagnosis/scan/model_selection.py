@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.first_gains import FirstGains
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
     fit,
@@ -85,7 +86,7 @@ def explain(
     current, n_small = null, 0
     steps: list[Step] = []
     rivals: dict[str, tuple[Amendment, float]] = {}
-    struck, first = set[tuple[str, str]](), dict[str, float]()
+    struck, first = set[tuple[str, str]](), FirstGains()
     while len(current.model) < most:
         begun = current.j
         with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
@@ -101,7 +102,7 @@ def explain(
                 current = again
                 null = null if current.model else current
             gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
-        stood = _key(best.model[-1]) in first
+        stood = first.still_has(best.model[-1])
         enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j, stood))
         steps.append(
             Step(
@@ -187,7 +188,7 @@ def _try(
     current: Fitted,
     noise_bounds: NoiseBounds,
     struck: set[tuple[str, str]],
-    first: dict[str, float],
+    first: FirstGains,
     gained: float,
     tick: Progress,
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
@@ -294,7 +295,7 @@ def shortlist(
     current: Fitted,
     struck: set[tuple[str, str]],
     gained: float,
-    first: dict[str, float] | None = None,
+    first: FirstGains | None = None,
 ) -> list[Candidate]:
     """Return the candidates worth fitting, best first.
 
@@ -302,8 +303,7 @@ def shortlist(
     ----------
     struck : effects and places that were taken back
     gained : [nats] by the model so far; what it may leave is a share of that
-    first : effects and places -> gain [nats] expected of them before any was in the model, filled then; where it has changed it
-        is taken out
+    first : what was expected before any effect was in the model, filled then; what has changed is taken out
     """
     sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
     broad = [
@@ -314,6 +314,8 @@ def shortlist(
     rough = proposed_candidates(FitResiduals(data, current))
     if data.clutter_nats:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
+    first = FirstGains() if first is None else first
+    first.compare((*sharp, *rough, *broad), is_first=not current.model)
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}
@@ -328,7 +330,7 @@ def shortlist(
                 continue
             if data.clutter_nats.get(c.amendment.name) == np.inf:
                 continue
-            if c.gain < _least(current.model, c.amendment, gained, _stood_before(c, current.model, first)):
+            if c.gain < _least(current.model, c.amendment, gained, first.has(c)):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
@@ -342,19 +344,6 @@ def shortlist(
             if taken == most:
                 break
     return out[: SCAN.selection.max_candidates]
-
-
-def _stood_before(c: Candidate, model: Sequence[Amendment], first: dict[str, float] | None) -> bool:
-    """Tell whether as much was expected of a candidate before the model had any effect; note what is expected then."""
-    first, key = {} if first is None else first, _key(c.amendment)
-    if not model:
-        first[key] = max(c.gain, first.get(key, 0.0))
-    if (
-        key in first
-        and not SCAN.selection.same_gain * first[key] < c.gain < first[key] / SCAN.selection.same_gain
-    ):
-        del first[key]
-    return key in first
 
 
 def _same(a: Amendment, b: Amendment) -> bool:
