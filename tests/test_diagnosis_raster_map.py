@@ -143,6 +143,22 @@ def test_an_opening_is_passed_by_all_rays_and_a_pane_by_most(pixels: Arena) -> N
     assert not raster.judged(pane)[1]["changes"]
 
 
+def test_a_wall_behind_which_the_room_itself_lies_mirrored_is_a_mirror_and_no_opening(pixels: Arena) -> None:
+    """Unfolded: what a mirror in the wall at y = 0 shows lies behind it, in the room turned over."""
+    thin = 1e-3
+    behind = turned(
+        [(0, 0), (1.2, 0), (1.2, -thin), (0, -thin), (0, -4), (5, -4), (5, -thin), (2.6, -thin), (2.6, 0),
+         (5, 0), (5, 4), (0, 4)]
+    )  # fmt: skip
+    raster = RasterMap.of(pixels)
+    run, wall = scanned(polygon_arena(behind)), scanned(polygon_arena(ROOM)).ranges
+    data, _ = prepare_scans(run, raster.arena, ROBOT)
+    after, notes = raster.judged(data)
+    shown = run.ranges > wall + 0.3
+    assert shown.mean() > 0.01 and not notes["changes"]
+    assert np.isfinite(after.ranges[shown]).mean() > 0.8
+
+
 def test_something_small_that_is_new_is_left_to_be_named(pixels: Arena) -> None:
     _, after, notes = judged(pixels, BIN)
     assert not notes["changes"]

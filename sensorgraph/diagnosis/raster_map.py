@@ -13,6 +13,7 @@ from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects.places import reflected
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.pixel_walls import THING, is_near_gap, pixel_of, straightened, unknown_borders
@@ -35,6 +36,8 @@ MIN_SCANS = 5
 """That show it."""
 MAX_SMALL = 0.6
 """[m] of something new, above which no disc stands for it."""
+MIN_MIRRORED = 0.8
+"""Of the rays that pass a wall, that read what the room mirrored in it has: then it is a mirror, and no opening."""
 MIN_SHOWN = {"new": 0.5, "open": 0.95}
 """Of the rays aimed at its fullest cell, that show it: the edge of a thing stops half, a pane lets most pass."""
 
@@ -52,7 +55,7 @@ class MapChange:
     share: float
     """Of the readings."""
     is_named: bool = False
-    """Whether effects have a name for it: something small that is new, a thing that is gone."""
+    """Whether effects have a name for it: something small that is new, a thing that is gone, a mirror."""
 
     def sentence(self) -> str:
         """Say it in words."""
@@ -239,6 +242,13 @@ class _Sight:
         """Return where some rays are at ranges r, (n, 2) [m]."""
         return _ends(self.lasers, self.data.sensor.bearings, scan, ray, r)
 
+    def is_mirror(self, own: Bools) -> bool:
+        """Tell whether rays (n_scans, n_rays) that pass a wall read what the room mirrored in it has."""
+        ways = reflected(self.data.arena.walls, self.data.scene().shoot(), own)
+        most = self.data.sensor.range_max
+        off = np.abs(self.got[own] - np.minimum(self.expected[own] + ways, most))
+        return float((off < MIN_OFF).mean()) >= MIN_MIRRORED
+
     def share(self, kind: str, place: Floats) -> float:
         """Return the share of the rays aimed at a place (2,) that show a change there."""
         x, y = (place - self.lasers[:, :2]).T[:, :, None]
@@ -287,15 +297,15 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
         ends = np.quantile(points[rays], [0.05, 0.95], axis=0)
         x, y = ends.mean(axis=0)
         w, h = ends[1] - ends[0]
+        own = np.zeros(some.shape, dtype=np.bool_)
+        own[scan[rays], ray[rays]] = True
         is_thing = seen.is_thing[np.median(seen.wall[scan[rays], ray[rays]]).astype(np.intp)]
         change = MapChange(
             kind=kind,
             xy=(float(x), float(y)),
             size=(float(w), float(h)),
             share=share,
-            is_named=max(w, h) < MAX_SMALL if kind == "new" else bool(is_thing),
+            is_named=max(w, h) < MAX_SMALL if kind == "new" else bool(is_thing) or seen.is_mirror(own),
         )
-        own = np.zeros(some.shape, dtype=np.bool_)
-        own[scan[rays], ray[rays]] = True
         out.append((change, own))
     return out
