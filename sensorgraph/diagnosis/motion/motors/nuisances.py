@@ -12,6 +12,11 @@ from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
+WAIT_SIGMAS = 3.0
+"""Standard deviations of the waits of commands, by which delays of two stretches must differ to be no matter of these."""
+CHANGE = 0.1
+"""Of the largest command, by which commands have changed in all when they count as another one."""
+
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
     """Return the columns (2 n, m) of what commands and odometry may differ by without an effect."""
@@ -46,3 +51,27 @@ def stated_smear(robot: Robot) -> float:
     """
     is_stated = "control_period" in robot.stated_tolerances
     return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0
+
+
+def wait_between_stretches(model: DriveModel, fit: DriveFit, later: Floats) -> float:
+    """Return the standard deviation [s] by which delays before and in a later stretch differ, as commands wait for the base.
+
+    Each change of a command waits by itself; a stretch in which the base answers to few of them has the wait of these.
+
+    Parameters
+    ----------
+    later : (2 n,) what a delay of the later stretch does to the rates; 0 elsewhere
+    """
+    rows, commands = model.rows, model.simulation.commands
+    top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
+    asked = np.cumsum(np.abs(np.diff(commands.values, axis=0) / top).max(axis=1))
+    changes = commands.stamps[1:][np.diff(np.floor(asked / CHANGE), prepend=0.0) > 0]
+    answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
+    whole = np.square(fit.columns[:, Column.DELAY]).reshape(2, -1).sum(axis=0)
+    second = np.square(later).reshape(2, -1).sum(axis=0)
+    shares = 0.0
+    for one in (np.maximum(whole - second, 0.0), second):
+        of_change = np.bincount(answered, one)
+        shares += float(np.square(of_change).sum() / max(float(of_change.sum()) ** 2, 1e-300))
+    tolerances = model.robot.tolerances
+    return float(delay_sigma(tolerances.control_period, tolerances.transport_jitter) * np.sqrt(shares))

@@ -9,13 +9,14 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
+from sensorgraph.diagnosis.motion.motors.nuisances import WAIT_SIGMAS, drive_nuisances, wait_between_stretches
 from sensorgraph.diagnosis.motion.motors.structure import (
     OTHER_MOTORS,
     ROLLS_ON,
     SLOWED_DOWN,
     TIMING_OF_STRETCHES,
     drive_families,
+    jump_of,
 )
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
@@ -159,6 +160,10 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     period = model.robot.tolerances.control_period
     if family.kind == TIMING_OF_STRETCHES and sure_change < period:
         return selected
+    if family.kind == jump_of(Column.DELAY):
+        waits = wait_between_stretches(model, here, family.columns[:, 0])
+        if sure_change < WAIT_SIGMAS * waits:
+            return selected
     if not is_material and sure_change < max(family.materiality, period / 2):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -84,6 +85,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         _lag_by_sense(model, fit),
         _slopes(model),
         _stops(model, fit),
+        *_drops(model, fit),
         *_rolls_on(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
@@ -201,6 +203,43 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
         sigma=settings.deadband_sigma,
         statement="by standing at times though commands ask it to move: a link that drops out, a watchdog, a bumper",
     )
+
+
+def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+    """Return families of a base that loses speed for a while though commands ask it to go on: at once, or as fast as it may.
+
+    It begins to when it is short of what is asked, less the time that it takes to lose so much, and ends when it is so by most.
+    Each such time is a choice of two moments.
+    """
+    rows, settings, motors = model.rows, DRIVE.structure, fit.motors
+    asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
+    top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+    short = np.where(rows.valid, ((asked - moved) * np.sign(asked) / top).max(axis=0), 0.0)
+    is_short = (short > settings.asked_share).astype(np.intp)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_short, [0]]))).reshape(-1, 2)
+    least = round(settings.stop_time / float(np.median(rows.end - rows.start)))
+    times = [(k, k + int(np.argmax(short[k:beyond]))) for k, beyond in edges if beyond - k >= least]
+    out = []
+    for is_limited in (False, True) if times else ():
+        simulation = copy(model.simulation)
+        simulation.is_limited = is_limited
+        slowest = float((top[:, 0] / simulation.slew).max()) if is_limited else motors.tau
+        stamps, without = simulation.commands.stamps, simulation.commands.values.copy()
+        for first, most in times:
+            begin = rows.start[first] - motors.delay - settings.asked_share * slowest
+            without[(stamps > begin) & (stamps < rows.start[most] - motors.delay)] = 0.0
+        columns = simulation.rates_of(motors, without) - fit.simulated
+        out.append(
+            StructureFamily(
+                kind="drops",
+                columns=rows.masked(columns[:, None]),
+                labels=[],
+                sigma=settings.deadband_sigma,
+                statement="by losing speed at times though commands ask it to go on: motors that cut out, a link that drops out",
+                choice_price=2 * len(times) * float(np.log(rows.n)),
+            )
+        )
+    return out
 
 
 def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:

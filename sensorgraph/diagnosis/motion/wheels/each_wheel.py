@@ -12,7 +12,9 @@ from sensorgraph.types import Floats
 from sensorgraph.world.robot import Wheels
 
 SMOOTHED = 5
-"""Increments that a wheel's speed is averaged over before its acceleration is taken."""
+"""Increments at least that a speed is averaged over before its acceleration is taken."""
+RAMP = 0.25
+"""[s] at least: motors take that long, and ticks are no acceleration."""
 
 
 def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: float) -> StructureFamily:
@@ -57,7 +59,7 @@ def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struct
     base : [m] between the wheels
     """
     period, ways = wheels.end - wheels.start, wheels.sides(base)
-    speeds = [smoothed(way / period) for way in ways]
+    speeds = [smoothed(way / period, wheels) for way in ways]
     gained = [np.gradient(speed, wheels.middle) * np.sign(speed) for speed in speeds]
     columns = []
     for level in np.quantile(np.concatenate(gained), ODOMETRY.structure.spinning_quantiles):
@@ -103,7 +105,8 @@ def _by_angle(way: Floats, radius: float) -> tuple[Floats, Floats]:
     return way * np.cos(angle), way * np.sin(angle)
 
 
-def smoothed(x: Floats) -> Floats:
-    """Return a series averaged over some increments."""
-    kernel = np.ones(SMOOTHED) / SMOOTHED
-    return np.convolve(np.pad(x, SMOOTHED // 2, mode="edge"), kernel, mode="valid")
+def smoothed(x: Floats, wheels: WheelIncrements) -> Floats:
+    """Return a series (n,) averaged over some increments; an odd count of them, so that none comes early."""
+    count = max(SMOOTHED, round(RAMP / float(np.median(wheels.end - wheels.start))))
+    count |= 1
+    return np.convolve(np.pad(x, count // 2, mode="edge"), np.ones(count) / count, mode="valid")

@@ -77,10 +77,11 @@ def _wheel_noise(residual: Floats, rows: OdometryRows, ends: Floats, counting: f
     """
     part = np.where(rows.valid, clipped(residual, rows.valid, EVIDENCE.clip_limit, 1e-12), 0.0)
     period = float(np.median(np.diff(rows.stamps)))
+    counted = counting / max(1.0, period / float(np.median(np.diff(ends))))
     walk, level = _variances(part, period)
     total = np.cumsum(part)
     smooth = _smoothed_walk(total, float(np.clip(walk / level, *ODOMETRY.walk_over_level)))
-    share = min(1.0, counting / max(1.0, period / float(np.median(np.diff(ends)))) / level)
+    share = min(1.0, counted / level)
     slow = np.interp(ends, rows.stamps, smooth)
     return np.asarray(slow + share * np.interp(ends, rows.stamps + period / 2, total - smooth))
 
@@ -104,4 +105,21 @@ def _variances(residual: Floats, period: float) -> tuple[float, float]:
     single = float(np.mean(residual**2)) + 1e-18
     block = float(np.mean(residual[: n * k].reshape(n, -1).sum(axis=1) ** 2))
     walk = float(np.clip((block - single) / (k - 2 / 3), 0.0, 1.5 * single))
-    return walk, max((single - 2 / 3 * walk) / 2, 1e-18)
+    level = max((single - 2 / 3 * walk) / 2, 1e-18)
+    lasting = _lasting_walk(residual)
+    return (walk, level) if lasting is None or lasting[1] < level else lasting
+
+
+def _lasting_walk(residual: Floats) -> tuple[float, float] | None:
+    """Return the same of a walk whose steps last, as slip does that holds on for some rows; None where they do not.
+
+    Of steps that form an autoregression of first order, with memory m, variance w, and noise l of the level, rows have the
+    autocovariances w + 2 l, m w - l and m² w. Sums over a block would take it for a walk that is larger by (1 + m) / (1 - m).
+    """
+    none, one, two = (float(np.mean(residual[k:] * residual[: len(residual) - k])) for k in range(3))
+    of_steps = one + none / 2  # w (m + 1/2)
+    if two <= 0 or of_steps <= 0:
+        return None
+    memory = min((two + np.sqrt(two**2 + 2 * of_steps * two)) / (2 * of_steps), 1.0)
+    walk = of_steps / (memory + 0.5)
+    return walk, max((none - walk) / 2, 1e-18)

@@ -43,6 +43,11 @@ class SlipPatch:
         """(3,) x, y, r [m, map]"""
         return np.array([self.x, self.y, self.r])
 
+    @property
+    def is_unbounded(self) -> bool:
+        """Whether the disc may be as large as is searched: then its rim is not known, and it may be no disc."""
+        return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= ODOMETRY.patch.radius_range[1])
+
 
 def share_inside(positions: Floats, discs: Floats) -> Floats:
     """Return how much of each increment lies inside each disc, (n_increments, n_discs), 1 inside, soft at the edge.

@@ -254,7 +254,8 @@ def _in_stead_of_patches(
     # patches need not leave what they mimic
     family, total = _best_structure(model, test, model.A, families)
     gain = test.lead(model.A, family, own)
-    if gain + PATCH_PRICE * len(model.patches) > beside.evidence:
+    has_rims = not any(patch.is_unbounded for patch in model.patches)
+    if gain + PATCH_PRICE * len(model.patches) > beside.evidence or (gain > 0 and not has_rims):
         return StructureCandidate(family=family, evidence=total, replaces_patches=True)
     return beside
 

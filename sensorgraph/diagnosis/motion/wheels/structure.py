@@ -251,7 +251,7 @@ def _tight_turns(rates: Floats, base: float) -> list[Scale]:
 
 
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
-    smooth = np.stack([smoothed(x) for x in rates.T], axis=1)
+    smooth = np.stack([smoothed(x, wheels) for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
     return [

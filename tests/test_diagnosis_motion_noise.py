@@ -1,0 +1,73 @@
+"""How the noise of wheels and reference is told apart, and that ticks which last look like nothing that wheels do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_samples import ROBOT, make_run
+from scipy.signal import lfilter
+
+from logs.run import Run
+from planners.arena import wrap
+from planners.types import Floats
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
+from sensorgraph.diagnosis.motion.wheels.fused_motion import _lasting_walk, _variances
+
+STEP = 0.02
+
+
+@pytest.mark.parametrize("memory", [0.5, 0.7, 0.9])
+@pytest.mark.parametrize("level", [0.2, 1.0])
+def test_steps_that_last_are_told_from_the_noise_of_the_level(memory: float, level: float) -> None:
+    rng, n = np.random.default_rng(1), 60_000
+    steps = lfilter([np.sqrt(1 - memory**2)], [1.0, -memory], rng.normal(size=n))
+    rows = steps + np.diff(np.sqrt(level) * rng.normal(size=n + 1))
+    found = _lasting_walk(rows)
+    assert found is not None and found == pytest.approx((1.0, level), rel=0.15)
+    assert _variances(rows, 0.1) == found
+
+
+def test_steps_that_do_not_last_are_no_lasting_walk() -> None:
+    rng, n = np.random.default_rng(2), 60_000
+    rows = 0.3 * rng.normal(size=n) + np.diff(rng.normal(size=n + 1))
+    found = _lasting_walk(rows)
+    assert found is None or found[1] == pytest.approx(1.0, rel=0.05)
+
+
+def integrated(way: Floats, turn: Floats) -> Floats:
+    """Return the poses (n, 3) after increments (n,), from the origin."""
+    phi = np.cumsum(turn)
+    middle = phi - turn / 2
+    ends = np.cumsum(way[:, None] * np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)
+    return np.column_stack([ends, wrap(phi)])
+
+
+def counted(seed: int, tick: float, slip: float = 0.01) -> Run:
+    """Return a run seen 50 times a second, whose wheels count ticks [m] on a floor where slip lasts a quarter of a second."""
+    rng, run = np.random.default_rng(seed), make_run(seed)
+    t = np.arange(0.0, run.odom_stamps[-1], STEP)
+    held = run.commands[np.searchsorted(run.cmd_stamps, t, side="right") - 1]
+    lag = float(np.exp(-STEP / 0.1))
+    v, omega = lfilter([1 - lag], [1.0, -lag], held, axis=0).T
+    base, keep = ROBOT.wheels.base, float(np.exp(-STEP / 0.25))
+    ends = []
+    for side in (-0.5, 0.5):
+        lasting = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], rng.normal(size=len(t)))
+        ends.append(np.cumsum((v + side * base * omega) * (1 + slip * lasting) * STEP))
+    left, right = (np.diff(np.round(end / tick) * tick, prepend=0.0) for end in ends)
+    way, turn = (left + right) / 2, (right - left) / base
+    noise = rng.normal(size=(len(t), 3)) * [0.0005, 0.0005, 0.0004]
+    poses = integrated(v * STEP, omega * STEP) + noise
+    twists = np.column_stack([way / STEP, turn / STEP])
+    return replace(
+        run, pose_stamps=t, poses=poses, odom_stamps=t, odometry=integrated(way, turn), odom_twists=twists
+    )
+
+
+@pytest.mark.parametrize(("seed", "tick"), [(1, 0.0005), (5, 0.001), (4, 0.002)])
+def test_ticks_and_slip_that_lasts_are_no_wheels_that_spin(seed: int, tick: float) -> None:
+    """Where the noisy speed itself chose the moments at which wheels gain speed, they seemed to lose way then."""
+    result = diagnose_odometry(counted(seed, tick), ROBOT)
+    assert result.unknown is None, result.unknown.statement
