@@ -25,6 +25,7 @@ from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
+from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -87,17 +88,17 @@ def diagnose(
     for one in [run] if second is None else [run, second]:
         check_jumps(one, pair(one), force=force)
         check_moves(one)
-    rng, clock = np.random.default_rng(seed), StageClock(progress)
+    rng, clock, noise_bounds = np.random.default_rng(seed), StageClock(progress), noise_bounds or SCAN.noise
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
     with clock.stage("intake"):
         laid = _laid_on_arena(run, arena, robot, known, baseline, rng)
         if problem := misalignment(laid.alignment, run, laid.data):
             return misaligned(laid.data, laid.notes, problem, clock.seconds)
-        second_data = None if second is None else _prepare_second(second, laid, baseline, rng)
+        second_data = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
         held = held_out(laid.data)
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
-        train, unseen = laid.data.subset(~held), laid.data.subset(held)
+        train, unseen = fitted_and_held_out(laid.data, held, noise_bounds)
         run, second = _without_scans(run), None  # from here on a long log's scans would only take memory
     motion = partial(diagnose_motion, run, laid.robot, known, seed, progress)
     with clock.stage("odometry and drive"):  # first: both this and the scans need much memory in a long run
@@ -106,7 +107,7 @@ def diagnose(
         train,
         unseen,
         second_data,
-        noise_bounds=noise_bounds or SCAN.noise,
+        noise_bounds=noise_bounds,
         threshold=threshold,
         most=_max_effects(laid.alignment),
         baseline=baseline,
@@ -196,7 +197,11 @@ def _laid_on_arena(
 
 
 def _prepare_second(
-    run: Run, first: _Laid, baseline: SiteBaseline | None, rng: np.random.Generator
+    run: Run,
+    first: _Laid,
+    baseline: SiteBaseline | None,
+    noise_bounds: NoiseBounds,
+    rng: np.random.Generator,
 ) -> ScanData:
     """Return the scans of a further run; refuse one of another place than the first."""
     data, _ = _prepare(run, first.data.arena, first.robot, first.data.known, baseline, first.pixels)
@@ -206,7 +211,7 @@ def _prepare_second(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
             f"{100 * first.alignment.share:.0f} % of the first run's; give a run of the same place"
         )
-    return replace(data, corners=first.data.corners)
+    return at_likely_poses(replace(data, corners=first.data.corners), noise_bounds, even_rays=True)
 
 
 def diagnose_motion(

@@ -46,7 +46,7 @@ def fit_columns(
         min_pose_scale=min(1.0, state.pose_scale),
         max_scale=max(1.0, state.pose_scale, state.map_scale),
     )
-    state.delta[:] = 0.0
+    state.delta = solver.data.pose_start
     state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
     p = np.concatenate([fitted.solution.p, start])
     solution = iterate(solver, state, p, bounds, rounds=rounds, noise_free=noise_free)

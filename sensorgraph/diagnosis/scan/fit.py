@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from sensorgraph.diagnosis.scan.cast_place import as_cast, is_cast_at
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
@@ -140,9 +141,9 @@ def bare_cast(scene: Scene) -> Beams:
 
 
 def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
-    """Return nuisances at zero."""
+    """Return nuisances at zero, and poses where the casts have them."""
     corners = corners_of(data)
-    state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=np.zeros((data.n_scans, 3)))
+    state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=data.pose_start)
     state.pose_scale = noise_bounds.min_pose_scale
     noise = state.noise
     noise.core = float(np.clip(noise.core, *noise_bounds.core))
@@ -168,14 +169,8 @@ def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bool
 def columns_of(data: ScanData, fitted: Fitted, amendment: Amendment) -> Floats:
     """Differentiate the readings of a fit by a further effect that changes nothing yet, (n_scans, k, n_rays)."""
     model = (*fitted.model, amendment)
-    data = as_laid(data, fitted)
+    data = as_cast(data, fitted.state)
     return np.stack(_difference_quotients(data, model, len(model) - 1, fitted.cast), axis=1)
-
-
-def as_laid(data: ScanData, fitted: Fitted) -> ScanData:
-    """Return data with the map where a fit has cast it."""
-    laid = fitted.solver.data.laid
-    return data if laid is None else data.laid_by(laid)
 
 
 def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
@@ -240,22 +235,20 @@ def fit(
     corners = corners_of(data)
     state.g[locked(data, model, corners)] = 0.0
     is_laid = data.grain > 0
-    shifts = state.corners if state.laid is None else state.laid  # a further effect begins at the same cast
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
-        laid = data.laid_by(shifts)
+        laid = as_cast(data, state)  # a further effect begins at the same cast
         solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
-        solution.state.laid = laid.laid
+        solution.state.laid, solution.state.posed = laid.laid, laid.posed
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
         if best is None or got.j > best.j:
             best = got
-        if (solver.n_effects == 0 and not is_laid) or not better:
+        if (solver.n_effects == 0 and not is_laid and laid.posed is None) or not better:
             break
-        model, state = with_increments(model, solution.p), solution.state
-        shifts = state.corners
-        if _settled(solution) and laid.is_laid_by(shifts):
+        model, state = with_increments(model, solution.p), replace(solution.state, laid=None, posed=None)
+        if _settled(solution) and is_cast_at(laid, state):
             break
     assert best is not None
     final = with_increments(best.model, best.solution.p)
@@ -277,7 +270,7 @@ def log_p_at(
     ----------
     noise_bounds : the noise is estimated again within it; None: it stays
     """
-    data = data.laid_by(state.corners if state.laid is None else state.laid)
+    data = as_cast(data, state)
     at = cast(data, model)
     corners = corners_of(data)
     shape = at.expected.reading.shape
@@ -385,15 +378,3 @@ def _peaked(
         options={"xatol": SCAN.fit.profile_tolerance, "maxiter": SCAN.fit.max_profile_casts},
     )
     return at(float(found.x))
-
-
-def thin(data: ScanData, every: int) -> ScanData:
-    """Return every n-th scan; the same data each time, with its casts."""
-    if every == 1:
-        return data
-    return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
-
-
-def thin_state(state: State, every: int) -> State:
-    """Return the state for every n-th scan."""
-    return replace(state, g=state.g.copy(), delta=state.delta[::every].copy(), noise=replace(state.noise))

@@ -49,6 +49,8 @@ class State:
     """By how much the tolerance of the map is too tight."""
     laid: Floats | None = None
     """(2 n_corners,) [m] where the corners of a map of pixels were in the cast that this was found with."""
+    posed: Floats | None = None
+    """(n_scans, 3) [m, m, rad] by what the poses of that cast were off the reference, where its tolerances are wide."""
 
     @property
     def corners(self) -> Floats:
@@ -97,6 +99,8 @@ class Solver:
             )
             self.ends = jacobian.ends * facing
             self.laid += 0.0 if data.laid is None else self._by_corners(data.laid)
+        if data.posed is not None:
+            self.laid += np.matmul(data.posed[:, None, :], jacobian.pose)[:, 0]
         self.tau = np.concatenate(
             [prior_widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)]
         )
@@ -133,8 +137,8 @@ class Solver:
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
         if self.corners.count:
-            out += self._by_corners(state.corners) - self.laid
-        return np.asarray(out)
+            out += self._by_corners(state.corners)
+        return np.asarray(out - self.laid)
 
     def _by_corners(self, g: Floats) -> Floats:
         """Return what shifts (2 n_corners,) [m] of the corners add to the readings, (n_scans, n_rays)."""

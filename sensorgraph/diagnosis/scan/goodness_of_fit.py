@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation, Profile
+from sensorgraph.diagnosis.scan.cast_place import as_cast
 from sensorgraph.diagnosis.scan.consequence import (
     SCATTER_CAUSES,
     ScanError,
@@ -23,7 +24,7 @@ from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls, lost_by_direction
 from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
-from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, fit
+from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts
 from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.replicates import replicate
@@ -97,7 +98,7 @@ def check(
     """
     nominal, sigma = data.tolerances, data.sensor.sigma
     data, fitted = _widened(data, fitted)
-    data = as_laid(data, fitted)
+    data = as_cast(data, fitted.state)
     view = FitResiduals(data, fitted)
     parts = partitions(view)
     found = deviations(view, parts)

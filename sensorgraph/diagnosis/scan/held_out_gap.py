@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import FitQuality, Gap
-from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, cast, locked
+from sensorgraph.diagnosis.scan.cast_place import as_cast
+from sensorgraph.diagnosis.scan.fit import Fitted, cast, locked
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, corners_of, pose_prior
@@ -33,7 +34,7 @@ class _HeldOutFit:
     """One model on the held-out scans: poses from every other ray, likelihood on the rays between."""
 
     def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
-        data = as_laid(data, fitted)
+        data = as_cast(data, fitted.state, same_scans=False)
         at = cast(data, model)
         corners = corners_of(data)
         self.expected, self.steep = at.expected, at.jacobian.steep
@@ -52,7 +53,7 @@ class _HeldOutFit:
         solver.y = np.where(np.isfinite(y), y, 0.0)
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
-            delta=np.zeros((data.n_scans, 3)),
+            delta=data.pose_start,
             noise=self.noise,
             pose_scale=self.fitted.state.pose_scale,
             map_scale=self.fitted.state.map_scale,

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.cast_place import thin, thin_state
 from sensorgraph.diagnosis.scan.first_gains import FirstGains
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
     fit,
     polish,
     start_state,
-    thin,
-    thin_state,
 )
 from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.merging import fewer_effects
@@ -81,8 +80,9 @@ def explain(
     progress: ProgressBars = no_progress,
 ) -> Explained:
     """Search for the effects that the evidence asks for, at most so many; each round has a bar."""
+    casts = 1 if data.posed is None else SCAN.fit.pose_casts
     with progress("fitting the simulator", ""):
-        null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
+        null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=casts, inner=7)
     current, n_small = null, 0
     steps: list[Step] = []
     rivals: dict[str, tuple[Amendment, float]] = {}
@@ -97,7 +97,7 @@ def explain(
         order = ranked(data, tried, threshold)
         best, gain = order[0]
         if gain >= threshold:
-            again = fit(data, current.model, best.state, noise_bounds, outer=1, inner=4)
+            again = fit(data, current.model, best.state, noise_bounds, outer=casts, inner=4)
             if again.j > current.j:
                 current = again
                 null = null if current.model else current

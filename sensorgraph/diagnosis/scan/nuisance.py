@@ -14,6 +14,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
@@ -147,7 +148,7 @@ def linearise(
     )
     steep = np.where(grazing, sigma, 0.0)
     steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
-    steep = np.hypot(steep, np.hypot(_wobble(data, pose), _by_corners_that_stay(data, wall, ends)))
+    beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
     return Jacobian(
         pose=pose,
         nuisances=nuisances,
@@ -156,22 +157,8 @@ def linearise(
         nx=nx,
         ny=ny,
         valid=valid,
-        steep=steep,
+        steep=np.hypot.reduce([steep, *beside]),
     )
-
-
-def _wobble(data: ScanData, pose: Floats) -> Floats:
-    """Return the further standard deviation [m] of readings by what the reference's error varies within a sweep.
-
-    Parameters
-    ----------
-    pose : (n_scans, 3, n_rays) columns by x, y, phi; one pose error per scan holds what is common to its rays
-    """
-    if not any(data.wobble):
-        return np.zeros(pose[:, 0].shape)
-    xy, yaw = data.wobble
-    wobble = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
-    return np.minimum(wobble, SETTINGS.max_grazing_sigma)
 
 
 def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:

@@ -235,7 +235,7 @@ def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Genera
     for _ in range(SCAN.odd_scans.n_replicates):
         _, drawn = replicate(fitted.solver.data, fitted, rng)
         usual = odd_scans(drawn)
-        if usual is not None and found.gain < SCAN.goodness_of_fit.replicate_factor * usual.gain:
+        if usual is not None and found.gain < SCAN.odd_scans.replicate_factor * usual.gain:
             return False
     return True
 

@@ -11,6 +11,7 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.sweep_wobble import drawn_wobble, references_apart, wobble_of_readings
 
 
 def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
@@ -20,7 +21,15 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
     prior = pose_prior(data, state.pose_scale)
     state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
     mu = expected.reading + fitted.solver.shift(state, solution.p)
-    z = sample(data, expected, mu, state.noise, rng)
+    if any(data.wobble):  # neighbouring rays share it, which they do not in the spread of each
+        spread = wobble_of_readings(data.wobble, jacobian.pose)
+        alone = np.sqrt(np.maximum(expected.sigma**2 - spread**2, 0.0))
+        count = abs(data.sensor.sweep_time) / references_apart(data.track[0])
+        when = np.abs(data.sensor.sweep_share)
+        mu = mu + drawn_wobble(data.wobble, count, when, jacobian.pose, rng)
+        z = sample(data, replace(expected, sigma=alone), mu, state.noise, rng)
+    else:
+        z = sample(data, expected, mu, state.noise, rng)
     drawn = replace(data, ranges=z)
     corners = fitted.solver.corners
     solver = Solver(

@@ -18,6 +18,7 @@ from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
 from sensorgraph.diagnosis.scan.thinning import thinned_out
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
@@ -32,10 +33,8 @@ from sensorgraph.world.sweep import with_sweep_of
 
 T = TypeVar("T")
 
-LAID = b"laid"
-"""In `ScanData.memo`: the data with the walls where they were laid last."""
-MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal."""
+LAID, POSED = b"laid", b"posed"
+"""In `ScanData.memo`: the data with the walls, or the poses, where they were laid last."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,6 +87,9 @@ class ScanData:
     laid: Floats | None = None
     """(2 n_corners,) [m] by which the corners of the arena have been moved; their errors count from where the map has them.
     None: not at all."""
+    posed: Floats | None = None
+    """(n_scans, 3) by which `poses` have been moved from the reference [m, m, rad]; pose errors count from the reference.
+    None: not at all."""
     grain: float = 0.0
     """[m] by which a surface may leave its straight wall from place to place: half a pixel of the map; 0 of a drawn one."""
     stated_map: float = 0.0
@@ -126,9 +128,27 @@ class ScanData:
         return np.asarray(np.cos(phi) * self.twists[:, 0] + np.sin(phi) * self.twists[:, 1])
 
     def motion(self, times: Floats) -> Floats:
-        """Interpolate the reference (..., 3) at times (...) [s]."""
+        """Interpolate the reference (..., 3) at times (...) [s]; the first axis is of the scans where poses have been moved."""
         stamps, poses = self.track
-        return self.kept(b"motion", lambda: Motion(stamps=stamps, poses=poses)).at(times)
+        at = self.kept(b"motion", lambda: Motion(stamps=stamps, poses=poses)).at(times)
+        return at if self.posed is None else at + self.posed.reshape(-1, *[1] * (at.ndim - 2), 3)
+
+    def posed_by(self, errors: Floats) -> ScanData:
+        """Return the data with poses moved by errors (n_scans, 3) of the reference: casts are made there.
+
+        As an error of a reading that is of first order; but outlines move, too, which rays pass or meet.
+        """
+        for kept in (self, self.memo.get(POSED)):
+            if isinstance(kept, ScanData) and kept.posed is not None and np.array_equal(kept.posed, errors):
+                return kept  # with its casts
+        by = errors if self.posed is None else errors - self.posed
+        self.memo[POSED] = posed = replace(self, poses=self.poses + by, posed=errors, memo={})
+        return posed
+
+    @property
+    def pose_start(self) -> Floats:
+        """(n_scans, 3) pose errors [m, m, rad] that a fit begins with: those that the casts have."""
+        return np.zeros((self.n_scans, 3)) if self.posed is None else self.posed.copy()
 
     def scene(self, seed: int | None = None) -> Scene:
         """Set up the simulator for these scans."""
@@ -193,6 +213,7 @@ class ScanData:
             ranges=self.ranges[scans],
             poses=self.poses[scans],
             twists=self.twists[scans],
+            posed=None if self.posed is None else self.posed[scans],
             into_unknown=None if self.into_unknown is None else self.into_unknown.subset(scans),
             horizon=None if self.horizon is None else self.horizon[scans],
             beyond=None if self.beyond is None else self.beyond[scans],
@@ -296,30 +317,11 @@ def prepare_scans(
         begin=float(when[0]),
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
-        wobble=_wobble(run, sensor, robot.tolerances),
+        wobble=estimated_wobble(run, sensor, robot.tolerances),
         stated_map=robot.tolerances.map if "map" in robot.stated_tolerances else 0.0,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
-
-
-def _wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
-    """Estimate how much the error of the reference varies within a sweep [m, rad].
-
-    Second differences of the poses hold six times the variance of noise that is new in every pose, and hardly any of the
-    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops.
-    """
-    poses = run.poses[np.isfinite(run.poses).all(axis=1)]
-    sweep = abs(sensor.sweep_time)
-    if sweep == 0 or len(poses) < SCAN.intake.min_scans:
-        return 0.0, 0.0
-    count = sweep / max(float(np.median(np.diff(run.pose_stamps))), 1e-6)  # of references in a sweep
-    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
-    bent = np.abs(np.diff(unwrapped, n=2, axis=0))
-    noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
-    # between two poses errors average to 2/3 of the variance; what is common to the sweep is no wobble
-    x, y, phi = noise * np.sqrt(2 / 3 * max(0.0, 1 - 1 / count))
-    return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
 
 
 def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:

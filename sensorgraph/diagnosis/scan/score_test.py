@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem
-from sensorgraph.diagnosis.scan.fit import Fitted, as_laid, columns_of, slopes
+from sensorgraph.diagnosis.scan.cast_place import as_cast
+from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, slopes
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.normal_equations import System, boxed, limits, with_prior
 from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
@@ -58,7 +59,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
     ----------
     broad : weigh readings far off as well (effects far outside the noise)
     """
-    data, solver, state = as_laid(data, fitted), fitted.solver, fitted.state
+    data, solver, state = as_cast(data, fitted.state), fitted.solver, fitted.state
     y = solver.y
     if broad:
         e = y[solver.jacobian.valid & data.returned]

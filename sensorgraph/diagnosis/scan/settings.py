@@ -197,6 +197,10 @@ class FitSettings:
     """[nats] of another cast, below which it is the last."""
     map_casts: int = 4
     """Casts at most of a map of pixels without effects, whose walls are laid on the readings."""
+    pose_casts: int = 3
+    """Casts from which the likely poses are found where the reference's tolerances are wide."""
+    pose_rounds: int = 5
+    """Rounds of the fit at each of them."""
     settled_step: float = 0.2
     """Standard errors below which a step is too small for another cast."""
     profile_tolerance: float = 0.02
@@ -507,6 +511,9 @@ class OddScanSettings:
     """[m] standard deviations of an offset of each scan."""
     n_replicates: int = 4
     """Replicates drawn from the model; scans must differ more than in each of them."""
+    replicate_factor: float = 2.0
+    """Times the gain of a replicate that scans which differ must bring: by how much a reference's error varies within a sweep
+    is known to a third of it, and gains go with the square."""
     min_roughness: float = 1.2
     """Ratio of von Neumann from which on offsets belong to single scans, and not to the place."""
     max_changes_share: float = 0.3

@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.wander import wander_widths
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.set_up import SetUp
@@ -171,16 +172,16 @@ def _by_block(data: ScanData, slope: Floats) -> float:
 
 
 def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return what a careful set-up may hide of an effect, by parameter."""
+    """Return what a careful set-up may hide of an effect, by parameter, and what a reference that wanders adds to it."""
     data = fitted.solver.data
-    nuisances = prior_widths(data.tolerances)
+    nuisances, wanders = prior_widths(data.tolerances), wander_widths(fitted)
     set_up = set_up_of(data)
     out = {}
     for p in amendment.effect.parameters:
         if p.hidden is not None:
             out[p.name] = p.hidden(set_up)
         elif p.nuisance is not None:
-            out[p.name] = float(nuisances[p.nuisance])
+            out[p.name] = float(np.hypot(nuisances[p.nuisance], wanders.get(p.nuisance, 0.0)))
     return out
 
 

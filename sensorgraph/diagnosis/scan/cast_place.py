@@ -1,0 +1,73 @@
+"""Where casts are made: errors of map and reference are of first order in a reading, but they move outlines, too.
+
+A cell of a map of pixels leaves open where in it a wall is, and a reference that is off by more than a reading's noise leaves
+open which wall a ray meets. There casts are made at the likely walls and poses; their errors count from map and reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.gauss_newton import State
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.types import Floats
+
+MOUNT = [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
+
+
+def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanData:
+    """Return data with walls and poses where the cast of a state had them, or where the state has them now if it has none.
+
+    Parameters
+    ----------
+    same_scans : the state is of these scans; False: their poses stay
+    """
+    laid = data.laid_by(state.corners if state.laid is None else state.laid)
+    if data.posed is None or not same_scans:
+        return laid
+    return laid.posed_by(errors_of_laser(data, state) if state.posed is None else state.posed)
+
+
+def is_cast_at(data: ScanData, state: State) -> bool:
+    """Tell whether a cast of this data is at the walls and poses of a state, but for a small share of their tolerances."""
+    if not data.is_laid_by(state.corners):
+        return False
+    if data.posed is None:
+        return True
+    t = data.tolerances
+    off = np.abs(errors_of_laser(data, state) - data.posed) / [t.pose_xy, t.pose_xy, t.pose_yaw]
+    return bool(off.max() <= SCAN.fit.settled_step)
+
+
+def errors_of_laser(data: ScanData, state: State) -> Floats:
+    """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
+    x, y, yaw = state.g[MOUNT]
+    c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
+    mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
+    return np.asarray(state.delta + mounted)
+
+
+def is_reference_wide(data: ScanData) -> bool:
+    """Tell whether a usual error of the reference is more than the noise of a reading."""
+    t, far = data.tolerances, data.ranges[data.returned]
+    usual = float(np.median(far)) if len(far) else 0.0
+    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > data.sensor.sigma)
+
+
+def thin(data: ScanData, every: int) -> ScanData:
+    """Return every n-th scan; the same data each time, with its casts."""
+    if every == 1:
+        return data
+    return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
+
+
+def thin_state(state: State, every: int) -> State:
+    """Return the state for every n-th scan."""
+    posed = None if state.posed is None else state.posed[::every]
+    return replace(
+        state, g=state.g.copy(), delta=state.delta[::every].copy(), posed=posed, noise=replace(state.noise)
+    )

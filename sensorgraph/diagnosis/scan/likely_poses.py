@@ -1,0 +1,38 @@
+"""The likely poses of a run whose reference may be off by more than the noise of a reading: where its casts begin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.cast_place import errors_of_laser, is_reference_wide
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.types import Bools
+
+
+def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: bool = False) -> ScanData:
+    """Return scans whose casts are made where a fit without effects has the laser, if the reference is that wide.
+
+    Parameters
+    ----------
+    even_rays : the poses are found from every other ray, and the others judge them
+    """
+    if not is_reference_wide(data):
+        return data
+    data = data.posed_by(np.zeros((data.n_scans, 3)))
+    odd = np.arange(data.n_rays) % 2 == 1
+    seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), memo={}) if even_rays else data
+    state = start_state(seen, noise_bounds)
+    got = fit(seen, (), state, noise_bounds, outer=SCAN.fit.pose_casts, inner=SCAN.fit.pose_rounds)
+    return data.posed_by(errors_of_laser(data, got.state))
+
+
+def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:
+    """Part scans into those that fits see and those (n_scans,) that prove them, each at its likely poses."""
+    return (
+        at_likely_poses(data.subset(~held), noise_bounds),
+        at_likely_poses(data.subset(held), noise_bounds, even_rays=True),
+    )

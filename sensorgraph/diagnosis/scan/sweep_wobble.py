@@ -1,0 +1,82 @@
+"""The error of a reference that varies while the laser sweeps: its size, what readings have of it, and how it is drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.run import RangeSensor, Run
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Floats
+from sensorgraph.world.robot import Tolerances
+
+MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal."""
+
+
+def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
+    """Estimate how much the error of the reference varies within a sweep [m, rad].
+
+    Second differences of the poses hold six times the variance of noise that is new in every pose, and hardly any of the
+    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops.
+    """
+    poses = run.poses[np.isfinite(run.poses).all(axis=1)]
+    sweep = abs(sensor.sweep_time)
+    if sweep == 0 or len(poses) < SCAN.intake.min_scans:
+        return 0.0, 0.0
+    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    bent = np.abs(np.diff(unwrapped, n=2, axis=0))
+    noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
+    x, y, phi = noise * np.sqrt(_share(sweep / references_apart(run.pose_stamps)))
+    return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
+
+
+def references_apart(stamps: Floats) -> float:
+    """Return the usual time between two references [s]."""
+    return max(float(np.median(np.diff(stamps))), 1e-6)
+
+
+def _share(count: float) -> float:
+    """Return the share of a reference's variance that varies within a sweep of so many references.
+
+    Between two poses errors average to 2/3 of the variance; what is common to the sweep is no wobble.
+    """
+    return 2 / 3 * max(0.0, 1 - 1 / count)
+
+
+def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
+    """Return the standard deviation (n_scans, n_rays) [m] of readings by what the reference's error varies within a sweep.
+
+    Parameters
+    ----------
+    wobble : [m, rad] standard deviation of the error, along each axis and in heading
+    pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi; one pose error per scan holds what is common to its rays
+    """
+    if not any(wobble):
+        return np.zeros(pose[:, 0].shape)
+    xy, yaw = wobble
+    spread = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
+    return np.minimum(spread, SCAN.nuisance.max_grazing_sigma)
+
+
+def drawn_wobble(
+    wobble: tuple[float, float], count: float, when: Floats, pose: Floats, rng: np.random.Generator
+) -> Floats:
+    """Draw by what readings (n_scans, n_rays) are off [m] while the reference's error varies: neighbouring rays share it.
+
+    Between two references the error is interpolated, as the poses are. The mean of a scan is its pose error.
+
+    Parameters
+    ----------
+    wobble : [m, rad] standard deviation of the error, along each axis and in heading
+    count : references in a sweep, more than one
+    when : (n_rays,) 0 to 1, of the sweep
+    pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi
+    """
+    sizes = np.array(wobble)[[0, 0, 1]] / np.sqrt(_share(count))
+    known = sizes[:, None] * rng.normal(size=(len(pose), 3, int(count) + 3))
+    at = rng.random((len(pose), 1)) + count * when
+    before, part = at.astype(np.intp)[:, None, :], (at % 1)[:, None, :]
+    error = np.take_along_axis(known, before, axis=2) * (1 - part)
+    error += np.take_along_axis(known, before + 1, axis=2) * part
+    error -= error.mean(axis=2, keepdims=True)
+    return np.asarray(np.einsum("nkm,nkm->nm", pose, error))

@@ -1,0 +1,87 @@
+"""Casts at likely poses: errors count from the reference, and outlines are where the laser is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import polygon_arena
+from scan_samples import drive
+
+from planners.arena import Arena, wrap
+from sensorgraph.diagnosis.scan.cast_place import errors_of_laser, is_reference_wide
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Floats
+from sensorgraph.world.robot import parse_robot
+
+TEXT = "sensor: {n_rays: 61}\ntolerances: {pose_xy: 0.03, pose_yaw: 0.01}"
+
+
+@pytest.fixture(scope="module")
+def legs() -> Arena:
+    """Return a hall of many thin legs: outlines everywhere."""
+    corners = [(x, y) for x in (1.0, 2.0, 4.0, 5.0) for y in (0.8, 2.3, 4.2)]
+    things = [[(x, y), (x + 0.12, y), (x + 0.12, y + 0.12), (x, y + 0.12)] for x, y in corners]
+    return polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *things)
+
+
+@pytest.fixture(scope="module")
+def wide(legs: Arena) -> tuple[ScanData, Floats]:
+    """Return scans whose reference wanders by 3 cm and 10 mrad, and its errors at the scans."""
+    run, rng = drive(legs, n=120), np.random.default_rng(3)
+    knots = np.linspace(run.pose_stamps[0], run.pose_stamps[-1], 14)
+    off = rng.normal(size=(14, 3)) * [0.03, 0.03, 0.01]
+    errors = np.stack([np.interp(run.pose_stamps, knots, c) for c in off.T], axis=1)
+    poses = run.poses + errors
+    run = replace(run, poses=np.column_stack([poses[:, :2], wrap(poses[:, 2])]))
+    data = prepare_scans(run, legs, parse_robot(TEXT))[0]
+    return data, np.stack([np.interp(data.stamps, run.pose_stamps, c) for c in errors.T], axis=1)
+
+
+def fitted(data: ScanData) -> Fitted:
+    return fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=3, inner=7)
+
+
+def test_poses_are_found_again_and_count_from_the_reference(wide: tuple[ScanData, Floats]) -> None:
+    data, errors = wide
+    posed = at_likely_poses(data, SCAN.noise)
+    assert posed.posed is not None
+    got = fitted(posed)
+    off = errors_of_laser(posed, got.state) + errors  # the fit takes the reference back
+    assert np.sqrt((off[:, :2] ** 2).mean()) < 0.004 and np.sqrt((off[:, 2] ** 2).mean()) < 0.003
+    np.testing.assert_allclose(posed.poses - posed.posed, data.poses)
+
+
+def test_outlines_that_rays_pass_are_where_the_laser_is(wide: tuple[ScanData, Floats]) -> None:
+    data, _ = wide
+    plain, posed = fitted(data), fitted(at_likely_poses(data, SCAN.noise))
+    assert posed.j > plain.j + 500
+    assert posed.state.noise.stray < 0.3 * plain.state.noise.stray + 1e-3
+
+
+def test_where_there_are_no_outlines_it_makes_no_difference(wide: tuple[ScanData, Floats]) -> None:
+    room = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)])
+    run = drive(room, n=80)
+    data = prepare_scans(run, room, parse_robot(TEXT))[0]
+    one, other = fitted(data), fitted(at_likely_poses(data, SCAN.noise))
+    assert abs(one.j - other.j) < 3.0
+    np.testing.assert_allclose(one.state.delta, other.state.delta, atol=2e-3)
+
+
+def test_poses_that_others_judge_are_found_from_every_other_ray(wide: tuple[ScanData, Floats]) -> None:
+    data, _ = wide
+    odd = np.arange(data.n_rays) % 2 == 1
+    spoilt = replace(data, ranges=np.where(odd, 1.0, data.ranges), memo={})
+    one, other = (at_likely_poses(d, SCAN.noise, even_rays=True) for d in (data, spoilt))
+    assert one.posed is not None and other.posed is not None
+    np.testing.assert_array_equal(one.posed, other.posed)
+
+
+def test_a_usual_reference_keeps_its_casts(legs: Arena) -> None:
+    data = prepare_scans(drive(legs, n=60), legs, parse_robot("sensor: {n_rays: 61}"))[0]
+    assert not is_reference_wide(data)
+    assert at_likely_poses(data, SCAN.noise) is data

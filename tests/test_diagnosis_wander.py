@@ -1,0 +1,53 @@
+"""The mean of a reference's error that lasts: how far it may be off, against draws of an autoregression."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sensorgraph.diagnosis.scan.wander import error_of_mean, wander_widths
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.types import Floats
+
+
+def wandering(n: int, memory: float, rng: np.random.Generator) -> Floats:
+    """Draw an autoregression of first order with variance 1."""
+    out = rng.normal(size=n)
+    for k in range(1, n):
+        out[k] = memory * out[k - 1] + np.sqrt(1 - memory**2) * out[k]
+    return out
+
+
+@pytest.mark.parametrize("memory", [0.5, 0.9, 0.97])
+def test_the_error_of_the_mean_is_that_of_many_draws(memory: float) -> None:
+    """What a fit already has, as if errors were independent, is not counted twice. A finite run shows a little less."""
+    rng, n = np.random.default_rng(0), 400
+    draws = [wandering(n, memory, rng) for _ in range(300)]
+    true = np.sqrt(np.var([d.mean() for d in draws]) - 1 / n)
+    told = np.sqrt(np.mean([error_of_mean(d) ** 2 for d in draws]))
+    assert 0.7 * true < told < 1.1 * true
+
+
+def test_errors_that_do_not_last_add_little() -> None:
+    rng = np.random.default_rng(1)
+    told = [error_of_mean(rng.normal(size=400)) for _ in range(100)]
+    assert np.sqrt(np.mean(np.square(told))) < 0.7 / np.sqrt(400)
+
+
+def test_an_error_that_turns_with_the_robot_is_one_of_the_mount_and_one_of_the_map_is_none() -> None:
+    rng, n = np.random.default_rng(2), 600
+    turning = np.linspace(0.0, 40 * np.pi, n)
+    error = 0.02 * wandering(n, 0.995, rng)
+    c, s = np.cos(turning), np.sin(turning)
+    on_robot, on_map = np.column_stack([c * error, s * error, 0 * c]), np.column_stack([error, 0 * c, 0 * c])
+    widths = []
+    for delta in (on_robot, on_map):
+        data = SimpleNamespace(poses=np.column_stack([c, s, turning]), speed=np.full(n, 0.5))
+        fitted: Any = SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
+        widths.append(wander_widths(fitted))
+    assert widths[0][Nuisance.MOUNT_X] > 3 * widths[1][Nuisance.MOUNT_X]
+    assert widths[0][Nuisance.DELAY] == pytest.approx(widths[0][Nuisance.MOUNT_X] / 0.5)
+    assert widths[0][Nuisance.MOUNT_YAW] == 0.0
