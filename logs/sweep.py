@@ -19,6 +19,8 @@ class SweepLimits:
     """Times between scans that a sweep cannot be longer than: `time_increment` is wrong."""
     max_difference: float = 0.05
     """Share by which two statements of one sweep may differ."""
+    most_thinned: float = 10.5
+    """Times that a sweep fits into the time between scans, up to which the log may keep every so many-th scan."""
 
 
 LIMITS = SweepLimits()
@@ -46,7 +48,8 @@ def sweep_line(sensor: RangeSensor) -> str:
 def sweep_warnings(run: Run) -> list[str]:
     """Return what is odd about the sweep that a driver stated: `time_increment` against `scan_time` and the rate.
 
-    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans.
+    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans, or a whole
+    fraction of it where every n-th scan was kept.
     Logs that state the sensor themselves, as those of `sensorgraph.record`, are taken at their word.
     """
     sensor = run.sensor
@@ -55,6 +58,10 @@ def sweep_warnings(run: Run) -> list[str]:
     stated = float(run.meta["scan_time"])
     turn, source = (stated, "scan_time") if stated > 0 else (1.0 / sensor.rate, "the rate of the scans")
     if not differs(abs(sensor.sweep_time), turn):
+        return []
+    kept = turn / abs(sensor.sweep_time) if sensor.sweep_time else 0.0
+    is_thinned = 1.5 < kept < LIMITS.most_thinned and abs(kept - round(kept)) < LIMITS.max_difference
+    if is_thinned:  # the driver's time_increment is right
         return []
     return [
         f"time_increment says that a sweep takes {abs(sensor.sweep_time):.3g} s, {source} that a turn takes "
