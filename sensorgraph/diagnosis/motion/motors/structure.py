@@ -38,6 +38,10 @@ ROLLING_SPEED = 0.05
 SLOWED_DOWN = 3.0
 """Time constants after which a base that brakes stands: 5 % of its speed are left."""
 
+TRIMMED = 0.15
+"""Share of the run, at its begin and its end, within which no change is looked for: few commands would tell it (Andrews 1993,
+section 4)."""
+
 
 def jump_of(column: int) -> str:
     """Return the kind of the families of a number of the motors that changes once; empty: it is not looked for."""
@@ -282,6 +286,8 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
     n, out = DRIVE.structure.n_jumps, list[StructureFamily]()
     price = float(np.log(3 * n))
     for k in range(1, n + 1):
+        if not TRIMMED <= k / (n + 1) <= 1 - TRIMMED:
+            continue
         later = share > k / (n + 1)
         when = f"that changes once, {passed[later][0]:.0f} s into the run"
         out.append(_gains("jump", f"by a gain {when}", model, fit, [later], [later], price))
