@@ -9,12 +9,16 @@ import pytest
 from conftest import polygon_arena
 from scan_samples import drive
 
+from logs.run import Run
 from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.scan.cast_place import errors_of_laser, is_reference_wide
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
+from sensorgraph.diagnosis.scan.propose import proposed_candidates
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import parse_robot
 
@@ -29,17 +33,23 @@ def legs() -> Arena:
     return polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *things)
 
 
-@pytest.fixture(scope="module")
-def wide(legs: Arena) -> tuple[ScanData, Floats]:
-    """Return scans whose reference wanders by 3 cm and 10 mrad, and its errors at the scans."""
-    run, rng = drive(legs, n=120), np.random.default_rng(3)
+def wandering(run: Run) -> tuple[Run, Floats]:
+    """Return a run whose reference wanders by 3 cm and 10 mrad, and its errors at the scans."""
+    rng = np.random.default_rng(3)
     knots = np.linspace(run.pose_stamps[0], run.pose_stamps[-1], 14)
     off = rng.normal(size=(14, 3)) * [0.03, 0.03, 0.01]
     errors = np.stack([np.interp(run.pose_stamps, knots, c) for c in off.T], axis=1)
     poses = run.poses + errors
-    run = replace(run, poses=np.column_stack([poses[:, :2], wrap(poses[:, 2])]))
+    at_scans = np.stack([np.interp(run.stamps, run.pose_stamps, c) for c in errors.T], axis=1)
+    return replace(run, poses=np.column_stack([poses[:, :2], wrap(poses[:, 2])])), at_scans
+
+
+@pytest.fixture(scope="module")
+def wide(legs: Arena) -> tuple[ScanData, Floats]:
+    run, errors = wandering(drive(legs, n=120))
     data = prepare_scans(run, legs, parse_robot(TEXT))[0]
-    return data, np.stack([np.interp(data.stamps, run.pose_stamps, c) for c in errors.T], axis=1)
+    assert len(data.stamps) == len(errors)
+    return data, errors
 
 
 def fitted(data: ScanData) -> Fitted:
@@ -79,6 +89,18 @@ def test_poses_that_others_judge_are_found_from_every_other_ray(wide: tuple[Scan
     one, other = (at_likely_poses(d, SCAN.noise, even_rays=True) for d in (data, spoilt))
     assert one.posed is not None and other.posed is not None
     np.testing.assert_array_equal(one.posed, other.posed)
+
+
+def test_a_cone_is_found_though_the_likely_poses_have_taken_what_they_could_of_it(legs: Arena) -> None:
+    cone = EFFECTS["sonar_cone"](gamma=0.1, alpha_max=0.9)
+    run, _ = wandering(drive(legs, (cone,), n=120))
+    data = at_likely_poses(prepare_scans(run, legs, parse_robot(TEXT))[0], SCAN.noise)
+    null = fitted(data)
+    best = max(
+        (c for c in proposed_candidates(FitResiduals(data, null)) if c.amendment.name == "sonar_cone"),
+        key=lambda c: c.gain,
+    )
+    assert best.gain > 300 and 0.05 < best.amendment["gamma"] < 0.15
 
 
 def test_a_usual_reference_keeps_its_casts(legs: Arena) -> None:

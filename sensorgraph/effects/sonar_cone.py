@@ -15,9 +15,9 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Scene
 
-GAMMAS = np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
+GAMMAS = np.radians([2.0, 4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 """[rad] that are tried, ..."""
-ALPHAS = np.radians([20.0, 30.0, 45.0, 89.9])
+ALPHAS = np.radians([20.0, 30.0, 45.0, 65.0, 89.9])
 """... with each of these largest incidences [rad]."""
 MIN_SHARE = 0.1
 """Of short and lost readings; a thin ray reads most walls as a cone does not."""
