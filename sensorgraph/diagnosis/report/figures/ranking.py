@@ -35,7 +35,7 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     height = max(0.27 * lines + 0.5, 1.5)
     figure = new_figure(10.0, height, layout=None)
     axes = figure.subplots()
-    figure.subplots_adjust(left=0.30, right=0.97, top=1 - 0.08 / height, bottom=0.42 / height)
+    figure.subplots_adjust(right=0.97, top=1 - 0.08 / height, bottom=0.42 / height)
     y = 0.0
     ticks: list[float] = []
     labels: list[str] = []
@@ -69,12 +69,15 @@ def ranking_picture(finding: Finding, path: Path) -> None:
             labels.append(", ".join(filter(None, [a.effect.title, place_text(a)])))
             y -= 1.0
     axes.set_yticks(ticks, labels, fontsize=8.5, color=INK)
+    widest = max(label.get_window_extent().width for label in axes.get_yticklabels())
+    figure.subplots_adjust(left=max(0.30, widest / figure.bbox.width + 0.015))
     axes.set(xlim=(0, 1.25 * top), ylim=(y + 0.4, 0.6))
     axes.axvline(SCAN.selection.threshold, color=ALARM, lw=0.9, ls=(0, (4, 3)))
     axes.set_xlabel(
         f"evidence [nats] beyond the price of the parameters; dashed: the {SCAN.selection.threshold:g} that a name takes",
         fontsize=8,
         color=INK,
+        loc="right",
     )
     reduce_frame(axes)
     axes.tick_params(axis="y", length=0)
