@@ -48,8 +48,8 @@ def sweep_line(sensor: RangeSensor) -> str:
 def sweep_warnings(run: Run) -> list[str]:
     """Return what is odd about the sweep that a driver stated: `time_increment` against `scan_time` and the rate.
 
-    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans, or a whole
-    fraction of it where every n-th scan was kept.
+    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans. Where a
+    whole number of sweeps fits into that, either is wrong by a factor, or the log keeps every so many-th scan.
     Logs that state the sensor themselves, as those of `sensorgraph.record`, are taken at their word.
     """
     sensor = run.sensor
@@ -60,10 +60,9 @@ def sweep_warnings(run: Run) -> list[str]:
     if not differs(abs(sensor.sweep_time), turn):
         return []
     kept = turn / abs(sensor.sweep_time) if sensor.sweep_time else 0.0
-    is_thinned = 1.5 < kept < LIMITS.most_thinned and abs(kept - round(kept)) < LIMITS.max_difference
-    if is_thinned:  # the driver's time_increment is right
-        return []
+    is_whole = 1.5 < kept < LIMITS.most_thinned and abs(kept - round(kept)) < LIMITS.max_difference
+    unless = f"unless the log keeps one scan in {round(kept)}" if is_whole else "if the laser spins"
     return [
         f"time_increment says that a sweep takes {abs(sensor.sweep_time):.3g} s, {source} that a turn takes "
-        f"{turn:.3g} s; if the laser spins, write sensor.sweep_time: {turn:.3g} into a robot.yaml and give it as `robot`"
+        f"{turn:.3g} s; {unless}, write sensor.sweep_time: {turn:.3g} into a robot.yaml and give it as `robot`"
     ]

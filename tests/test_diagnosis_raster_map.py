@@ -159,6 +159,23 @@ def test_a_wall_behind_which_the_room_itself_lies_mirrored_is_a_mirror_and_no_op
     assert np.isfinite(after.ranges[shown]).mean() > 0.8
 
 
+def test_a_wall_that_is_gone_before_empty_space_is_no_mirror(pixels: Arena) -> None:
+    """Nothing comes back through it, and the room mirrored in it would be out of reach as well."""
+    raster = RasterMap.of(pixels)
+    short = replace(ROBOT, sensor=replace(ROBOT.sensor, range_max=3.0))
+    run, wall = scanned(polygon_arena(ROOM)), scanned(polygon_arena(ROOM)).ranges
+    at = run.poses[:, 2:] + ROBOT.sensor.bearings
+    ends = run.poses[:, None, :2] + wall[..., None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+    c, s = np.cos(TURN), np.sin(TURN)
+    along, across = ends @ [c, s], ends @ [-s, c]
+    through = (across < 0.1) & (along > 1.0) & (along < 2.8)
+    some = np.random.default_rng(1).random(wall.shape) < 0.1
+    ranges = np.where(through, np.where(some, wall + 0.5, np.inf), np.where(wall < 3.0, wall, np.inf))
+    data, _ = prepare_scans(replace(run, ranges=ranges, sensor=short.sensor), raster.arena, short)
+    (change,) = raster.judged(data)[1]["changes"]
+    assert change["kind"] == "open"
+
+
 def test_something_small_that_is_new_is_left_to_be_named(pixels: Arena) -> None:
     _, after, notes = judged(pixels, BIN)
     assert not notes["changes"]

@@ -11,6 +11,7 @@ import pytest
 from sensorgraph.diagnosis.scan.wander import error_of_mean, wander_widths
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Tolerances
 
 
 def wandering(n: int, memory: float, rng: np.random.Generator) -> Floats:
@@ -45,9 +46,26 @@ def test_an_error_that_turns_with_the_robot_is_one_of_the_mount_and_one_of_the_m
     on_robot, on_map = np.column_stack([c * error, s * error, 0 * c]), np.column_stack([error, 0 * c, 0 * c])
     widths = []
     for delta in (on_robot, on_map):
-        data = SimpleNamespace(poses=np.column_stack([c, s, turning]), speed=np.full(n, 0.5))
+        data = SimpleNamespace(
+            poses=np.column_stack([c, s, turning]), speed=np.full(n, 0.5), twists=np.zeros((n, 3)),
+            tolerances=Tolerances(),
+        )  # fmt: skip
         fitted: Any = SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
         widths.append(wander_widths(fitted))
     assert widths[0][Nuisance.MOUNT_X] > 3 * widths[1][Nuisance.MOUNT_X]
-    assert widths[0][Nuisance.DELAY] == pytest.approx(widths[0][Nuisance.MOUNT_X] / 0.5)
     assert widths[0][Nuisance.MOUNT_YAW] == 0.0
+    assert widths[0][Nuisance.DELAY] == pytest.approx(widths[0][Nuisance.MOUNT_X] / 0.5)
+
+
+def test_a_delay_of_a_robot_that_turns_on_the_spot_is_told_by_its_turns() -> None:
+    rng, n = np.random.default_rng(3), 400
+    delta = np.column_stack(
+        [0.003 * wandering(n, 0.95, rng) for _ in range(2)] + [0.001 * wandering(n, 0.95, rng)]
+    )
+    turning = np.cumsum(np.where(np.arange(n) // 40 % 2, 0.05, -0.05))
+    data = SimpleNamespace(
+        poses=np.column_stack([np.zeros((n, 2)), turning]), speed=0.002 * rng.normal(size=n),
+        twists=np.column_stack([np.zeros((n, 2)), np.gradient(turning) / 0.1]), tolerances=Tolerances(),
+    )  # fmt: skip
+    fitted: Any = SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
+    assert wander_widths(fitted)[Nuisance.DELAY] < 0.002

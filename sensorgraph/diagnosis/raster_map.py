@@ -244,10 +244,11 @@ class _Sight:
 
     def is_mirror(self, own: Bools) -> bool:
         """Tell whether rays (n_scans, n_rays) that pass a wall read what the room mirrored in it has."""
-        ways = reflected(self.data.arena.walls, self.data.scene().shoot(), own)
-        most = self.data.sensor.range_max
-        off = np.abs(self.got[own] - np.minimum(self.expected[own] + ways, most))
-        return float((off < MIN_OFF).mean()) >= MIN_MIRRORED
+        ways = self.expected[own] + reflected(self.data.arena.walls, self.data.scene().shoot(), own)
+        read, most = self.z[own], self.data.sensor.range_max
+        says = np.isfinite(read) | (ways < most)  # what is out of reach in a mirror is so behind an opening
+        fits = np.isfinite(read) & (np.abs(self.got[own] - ways) < MIN_OFF)
+        return 2 * int(says.sum()) > len(says) and float(fits[says].mean()) >= MIN_MIRRORED
 
     def share(self, kind: str, place: Floats) -> float:
         """Return the share of the rays aimed at a place (2,) that show a change there."""

@@ -20,6 +20,8 @@ from sensorgraph.world.scene import Scene
 MIN_SHORT = 0.3
 """Share of the scans in which a ray must be short."""
 
+TRIED = 0.0, 0.25, 0.5, 0.75, 1.0
+"""Quantiles of the rays' own medians that are tried as the range of the robot's part."""
 CLEAR = 0.05
 """[m] beyond the robot's own part that a return is clear of it."""
 
@@ -49,9 +51,10 @@ def propose(residuals: Residuals) -> list[Proposal]:
         sector = rays[first : last + 1]
         some = np.zeros(z.shape, dtype=np.bool_)
         some[:, sector] = True
-        whole, *each = (np.median(z[:, one][short[:, one]]) for one in (sector, *sector))
+        each = [np.median(z[:, ray][short[:, ray]]) for ray in sector]
+        tried = {np.median(z[:, sector][short[:, sector]]), *np.quantile(each, TRIED, method="nearest")}
         best = max(
-            (_likeliest_run(residuals, some, sector, float(r0)) for r0 in {whole, *each}),
+            (_likeliest_run(residuals, some, sector, float(r0)) for r0 in tried),
             key=lambda p: p.gain,
         )
         found.append(best)

@@ -46,6 +46,8 @@ def is_cast_at(data: ScanData, state: State) -> bool:
 def errors_of_laser(data: ScanData, state: State) -> Floats:
     """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
     x, y, yaw = state.g[MOUNT]
+    ahead, aside = data.sensor.mount[:2]
+    x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, a pose about the base
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
     return np.asarray(state.delta + mounted)

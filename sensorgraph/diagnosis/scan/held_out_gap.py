@@ -44,8 +44,13 @@ class _HeldOutFit:
         )
         self.fitted, self.noise = fitted, noise
 
-    def e_step(self, data: ScanData) -> tuple[Responsibilities, Floats]:
-        """Return responsibilities and expected readings (n_scans, n_rays) [m], poses fitted to the even rays."""
+    def e_step(self, data: ScanData, begin: Floats | None = None) -> tuple[Responsibilities, Floats]:
+        """Return responsibilities and expected readings (n_scans, n_rays) [m], poses fitted to the even rays.
+
+        Parameters
+        ----------
+        begin : (n_scans, 3) pose errors to begin with; default: where the casts are
+        """
         solver, expected = self.solver, self.expected
         solver.data = data
         with np.errstate(invalid="ignore"):
@@ -53,7 +58,7 @@ class _HeldOutFit:
         solver.y = np.where(np.isfinite(y), y, 0.0)
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
-            delta=data.pose_start,
+            delta=data.pose_start if begin is None else begin.copy(),
             noise=self.noise,
             pose_scale=self.fitted.state.pose_scale,
             map_scale=self.fitted.state.map_scale,
@@ -108,8 +113,9 @@ def held_out_gap(
     def floor(side: _HeldOutFit, draws: np.random.Generator) -> FitQuality:
         floors = []
         for _ in range(n_replicates):
-            drawn = _drawn(data, side, side.fitted, draws)
-            responsibilities, mu = side.e_step(drawn)
+            drawn, errors = _drawn(data, side, side.fitted, draws)
+            # measured scans begin at their likely poses, too
+            responsibilities, mu = side.e_step(drawn, None if data.posed is None else errors)
             clear = seen & (responsibilities.stray <= stray)
             floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
         return FitQuality(
@@ -150,11 +156,13 @@ def _fit(
     )
 
 
-def _drawn(data: ScanData, side: _HeldOutFit, final: Fitted, rng: np.random.Generator) -> ScanData:
-    """Draw readings of the held-out scans from the final model."""
+def _drawn(
+    data: ScanData, side: _HeldOutFit, final: Fitted, rng: np.random.Generator
+) -> tuple[ScanData, Floats]:
+    """Draw readings of the held-out scans from the final model; return the pose errors (n_scans, 3), too."""
     expected, state = side.expected, final.state
     prior = pose_prior(data, state.pose_scale)
     delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(data.n_scans, 3)))
     there = State(g=np.where(side.solver.locked, 0.0, state.g), delta=delta, noise=state.noise)
     mu = expected.reading + side.solver.shift(there, np.zeros(0))
-    return replace(data, ranges=sample(data, expected, mu, state.noise, rng))
+    return replace(data, ranges=sample(data, expected, mu, state.noise, rng)), delta

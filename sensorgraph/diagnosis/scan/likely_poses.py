@@ -24,7 +24,10 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
         return data
     data = data.posed_by(np.zeros((data.n_scans, 3)))
     odd = np.arange(data.n_rays) % 2 == 1
-    seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), memo={}) if even_rays else data
+    seen = data
+    if even_rays:
+        beyond = None if data.beyond is None else data.beyond & ~odd
+        seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), beyond=beyond, memo={})
     state = start_state(seen, noise_bounds)
     got = fit(seen, (), state, noise_bounds, outer=SCAN.fit.pose_casts, inner=SCAN.fit.pose_rounds)
     return data.posed_by(errors_of_laser(data, got.state))

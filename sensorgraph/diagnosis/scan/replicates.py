@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
 from sensorgraph.diagnosis.scan.likelihood import e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.sweep_wobble import drawn_wobble, references_apart, wobble_of_readings
+from sensorgraph.diagnosis.scan.sweep_wobble import drawn_wobble, wobble_of_readings
 
 
 def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
@@ -24,9 +24,8 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
     if any(data.wobble):  # neighbouring rays share it, which they do not in the spread of each
         spread = wobble_of_readings(data.wobble, jacobian.pose)
         alone = np.sqrt(np.maximum(expected.sigma**2 - spread**2, 0.0))
-        count = abs(data.sensor.sweep_time) / references_apart(data.track[0])
         when = np.abs(data.sensor.sweep_share)
-        mu = mu + drawn_wobble(data.wobble, count, when, jacobian.pose, rng)
+        mu = mu + drawn_wobble(data.wobble, data.references_in_sweep, when, jacobian.pose, rng)
         z = sample(data, replace(expected, sigma=alone), mu, state.noise, rng)
     else:
         z = sample(data, expected, mu, state.noise, rng)
@@ -41,8 +40,8 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
         corners,
         fitted.solver.locked,
     )
-    state = solution.state.copy()
-    state.delta[:] = 0.0
+    begin = np.zeros_like(state.delta) if data.posed is None else state.delta
+    state = replace(solution.state.copy(), delta=begin.copy())
     p, optimum = solution.p, None
     for _ in range(2):
         responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)

@@ -18,7 +18,7 @@ from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
-from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
+from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble, references_in_sweep
 from sensorgraph.diagnosis.scan.thinning import thinned_out
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
@@ -82,14 +82,15 @@ class ScanData:
     """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
     wobble: tuple[float, float] = (0.0, 0.0)
     """[m, rad] standard deviation of the reference's error within one sweep of the laser, along each axis and in heading."""
+    references_in_sweep: float = 0.0
+    """References that fall into a sweep, between which their error is interpolated."""
     corners: Corners | None = None
     """Of the arena that may shift. None: all of them, unless there are too many."""
     laid: Floats | None = None
     """(2 n_corners,) [m] by which the corners of the arena have been moved; their errors count from where the map has them.
     None: not at all."""
     posed: Floats | None = None
-    """(n_scans, 3) by which `poses` have been moved from the reference [m, m, rad]; pose errors count from the reference.
-    None: not at all."""
+    """(n_scans, 3) [m, m, rad] by which `poses` are off the reference, from where pose errors count; None: not at all."""
     grain: float = 0.0
     """[m] by which a surface may leave its straight wall from place to place: half a pixel of the map; 0 of a drawn one."""
     stated_map: float = 0.0
@@ -318,6 +319,7 @@ def prepare_scans(
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
         wobble=estimated_wobble(run, sensor, robot.tolerances),
+        references_in_sweep=references_in_sweep(run, sensor),
         stated_map=robot.tolerances.map if "map" in robot.stated_tolerances else 0.0,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )

@@ -20,19 +20,22 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
     motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops.
     """
     poses = run.poses[np.isfinite(run.poses).all(axis=1)]
-    sweep = abs(sensor.sweep_time)
-    if sweep == 0 or len(poses) < SCAN.intake.min_scans:
+    count = references_in_sweep(run, sensor)
+    if count == 0:
         return 0.0, 0.0
     unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     bent = np.abs(np.diff(unwrapped, n=2, axis=0))
     noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
-    x, y, phi = noise * np.sqrt(_share(sweep / references_apart(run.pose_stamps)))
+    x, y, phi = noise * np.sqrt(_share(count))
     return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
 
 
-def references_apart(stamps: Floats) -> float:
-    """Return the usual time between two references [s]."""
-    return max(float(np.median(np.diff(stamps))), 1e-6)
+def references_in_sweep(run: Run, sensor: RangeSensor) -> float:
+    """Return how many references fall into a sweep; 0: the laser does not sweep, or there are too few."""
+    stamps = run.pose_stamps[np.isfinite(run.poses).all(axis=1)]
+    if sensor.sweep_time == 0 or len(stamps) < SCAN.intake.min_scans:
+        return 0.0
+    return float(abs(sensor.sweep_time) / max(float(np.median(np.diff(stamps))), 1e-6))
 
 
 def _share(count: float) -> float:

@@ -15,16 +15,21 @@ from sensorgraph.types import Floats
 
 
 def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
-    """Return the standard deviation [m, m, rad, s] that wandering pose errors give to what is constant on the robot."""
+    """Return the standard deviation [m, m, rad, s] that wandering pose errors give to what is constant on the robot.
+
+    A delay is told by ways and by turns, each as surely as the reference tells these.
+    """
     data, delta = fitted.solver.data, fitted.state.delta
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     ahead, aside = c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0]
-    square = float(np.mean(data.speed**2))
+    t, turning = data.tolerances, data.twists[:, 2]
+    by_delay = ahead * data.speed / t.pose_xy**2 + delta[:, 2] * turning / t.pose_yaw**2
+    square = float(np.mean((data.speed / t.pose_xy) ** 2 + (turning / t.pose_yaw) ** 2))
     return {
         Nuisance.MOUNT_X: error_of_mean(ahead),
         Nuisance.MOUNT_Y: error_of_mean(aside),
         Nuisance.MOUNT_YAW: error_of_mean(delta[:, 2]),
-        Nuisance.DELAY: error_of_mean(ahead * data.speed) / square if square > 0 else 0.0,
+        Nuisance.DELAY: error_of_mean(by_delay) / square if square > 0 else 0.0,
     }
 
 
@@ -33,7 +38,7 @@ def error_of_mean(values: Floats) -> float:
     n, off = len(values), values - values.mean()
     spectrum = np.abs(np.fft.rfft(off, 2 * n)) ** 2
     covariance = np.fft.irfft(spectrum)[:n] / n
-    pairs = covariance[1 : n - 1 : 2] + covariance[2:n:2]
+    pairs = covariance[0 : n - 1 : 2] + covariance[1:n:2]
     positive = pairs > 0
     kept = pairs[: int(positive.argmin()) if not positive.all() else len(pairs)]
-    return float(np.sqrt(2 * kept.sum() / n))
+    return float(np.sqrt(max(2 * (kept.sum() - covariance[0]), 0.0) / n))

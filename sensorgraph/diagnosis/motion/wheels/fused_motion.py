@@ -116,6 +116,8 @@ def _lasting_walk(residual: Floats) -> tuple[float, float] | None:
     Of steps that form an autoregression of first order, with memory m, variance w, and noise l of the level, rows have the
     autocovariances w + 2 l, m w - l and m² w. Sums over a block would take it for a walk that is larger by (1 + m) / (1 - m).
     """
+    if len(residual) < 3:
+        return None
     none, one, two = (float(np.mean(residual[k:] * residual[: len(residual) - k])) for k in range(3))
     of_steps = one + none / 2  # w (m + 1/2)
     if two <= 0 or of_steps <= 0:
