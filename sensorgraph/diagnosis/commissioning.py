@@ -19,6 +19,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
+from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
 from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched, shortlist
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -150,8 +151,8 @@ def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
         arena, robot = pixels.arena, pixels.widened(robot)
     data, _ = prepare_scans(run, arena, robot)
     data, _ = without_unknown_space(data) if pixels is None else pixels.judged(data)
-    data = replace(data, laser_frame=False)
     noise = SCAN.site.wide_noise
+    data = at_likely_poses(replace(data, laser_frame=False), noise)
     null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
     sensor = data.sensor
     for found in quantisation.propose(FitResiduals(data, null)):

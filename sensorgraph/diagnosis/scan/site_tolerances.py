@@ -51,7 +51,7 @@ def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> flo
     """Fit the pose of each scan to some rays (n_rays,); return the log-likelihood of the others [nats]."""
     data, expected, none = solver.data, solver.expected, np.zeros(0)
     state = state.copy()
-    state.delta = np.zeros_like(state.delta)
+    state.delta = data.pose_start
     for _ in range(4):
         responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
         weight: Floats = np.where(rays, responsibilities.weight, 0.0)
