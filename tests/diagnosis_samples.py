@@ -125,6 +125,16 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     )
 
 
+def reported(run: Run, v: Floats, omega: Floats) -> Run:
+    """Return the run with other rates (n,) in its odometry."""
+    period = np.gradient(run.odom_stamps)
+    phi = np.cumsum(omega * period)
+    middle = phi - omega * period / 2
+    steps = (v * period)[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
+    odometry = np.column_stack([np.cumsum(steps, axis=0), wrap(phi)])
+    return replace(run, odometry=odometry, odom_twists=np.column_stack([v, omega]))
+
+
 def without_odometry(run: Run) -> Run:
     """Return the run as a robot without wheel encoders logs it."""
     return replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))

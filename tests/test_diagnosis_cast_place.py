@@ -11,9 +11,9 @@ from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena, wrap
-from sensorgraph.diagnosis.scan.cast_place import errors_of_laser, is_reference_wide
+from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
+from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, is_reference_wide
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,7 @@ from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose_motion
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.increments import wheel_increments
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveModel
-from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 
@@ -281,58 +279,6 @@ def test_a_base_with_a_manner_of_its_own_is_unknown(rates: Callable[[Run], Float
     result = diagnose_drive(other, ROBOT, use_clock=False)
     assert result.unknown is not None and said in result.unknown.statement
     assert result.effects == ()
-
-
-@pytest.mark.parametrize("seed", [3, 4])
-def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
-    outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
-    result = diagnose_drive(make_run(seed, outages=outages), ROBOT)
-    assert result.effects == ()
-    assert result.unknown is not None and "by standing at times" in result.unknown.statement
-
-
-def cut_out(run: Run, times: tuple[tuple[float, float], ...], slowest: float) -> Run:
-    """Return the run of a base whose motors have no power for some times, and brake and recover by `slowest` [m/s²]."""
-    v, omega = run.odom_twists.T
-    share, out = 1.0, np.empty(len(v))
-    for k, t in enumerate(run.odom_stamps):
-        goal = 0.0 if any(begin <= t < end for begin, end in times) else 1.0
-        share += float(np.clip(goal - share, -1, 1) * min(1.0, slowest * 0.05 / max(abs(v[k]), 0.05)))
-        out[k] = share
-    run = replace(run, odom_twists=np.column_stack([v * out, omega * out]))
-    phi = np.cumsum(omega * out * 0.05)
-    way = np.cumsum((v * out * 0.05)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0)
-    return replace(run, odometry=np.column_stack([way, phi]))
-
-
-@pytest.mark.parametrize("seed", [3, 5])
-def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stands(seed: int) -> None:
-    times = tuple((begin, begin + 0.7) for begin in range(7, 78, 9))
-    result = diagnose_drive(cut_out(make_run(seed), times, 0.3), ROBOT)
-    assert result.effects == ()
-    assert result.unknown is not None and "losing speed at times" in result.unknown.statement
-
-
-@pytest.mark.parametrize(("n_late", "is_told"), [(1, False), (20, True)])
-def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay(
-    n_late: int, is_told: bool
-) -> None:
-    """Each command waits for the base by itself: a stretch of one command has the wait of that one."""
-    columns = np.zeros((200, len(Column)))
-    starts = np.arange(0, 200, 10)
-    columns[starts, Column.DELAY] = np.where(starts >= 100, 1.0 if n_late > 1 else 0.01, 1.0)
-    columns[100, Column.DELAY] = 1.0
-    values = np.repeat(np.arange(20.0) % 2, 10)[:, None] * [1.0, 0.0]
-    stamps = 0.05 * np.arange(200)
-    rows = SimpleNamespace(start=stamps, end=stamps + 0.05)
-    simulation = SimpleNamespace(commands=SimpleNamespace(stamps=stamps, values=values))
-    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=ROBOT)
-    columns = np.concatenate([columns, np.zeros_like(columns)])
-    fit: Any = SimpleNamespace(columns=columns, motors=SimpleNamespace(delay=0.0))
-    later = np.where(np.arange(400) % 200 >= 100, columns[:, Column.DELAY], 0.0)
-    waits = wait_between_stretches(model, fit, later)
-    one = delay_sigma(ROBOT.tolerances.control_period, ROBOT.tolerances.transport_jitter)
-    assert waits == pytest.approx(one * np.sqrt(1 / 10 + (1 / 10 if is_told else 1.0)), rel=0.06)
 
 
 @pytest.mark.slow

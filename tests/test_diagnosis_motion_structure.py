@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis_samples import ROBOT, make_run
+from diagnosis_samples import ROBOT, make_run, reported
 
 from logs.run import Run
 from planners.arena import wrap
@@ -43,16 +43,6 @@ def worn_half_way(run: Run, at: float = 35.0) -> Run:
     moved = np.stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]], axis=1) * grown
     odometry = np.column_stack([np.cumsum(moved, axis=0), wrap(phi)])
     return replace(run, odometry=odometry, odom_twists=run.odom_twists * grown)
-
-
-def reported(run: Run, v: Floats, omega: Floats) -> Run:
-    """Return the run with other rates (n,) in its odometry."""
-    period = np.gradient(run.odom_stamps)
-    phi = np.cumsum(omega * period)
-    middle = phi - omega * period / 2
-    steps = (v * period)[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
-    odometry = np.column_stack([np.cumsum(steps, axis=0), wrap(phi)])
-    return replace(run, odometry=odometry, odom_twists=np.column_stack([v, omega]))
 
 
 def with_wheels(run: Run, left: Floats | float, right: Floats | float) -> Run:

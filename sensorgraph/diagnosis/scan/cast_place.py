@@ -6,8 +6,6 @@ open which wall a ray meets. There casts are made at the likely walls and poses;
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from sensorgraph.diagnosis.scan.gauss_newton import State
@@ -51,25 +49,3 @@ def errors_of_laser(data: ScanData, state: State) -> Floats:
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
     return np.asarray(state.delta + mounted)
-
-
-def is_reference_wide(data: ScanData) -> bool:
-    """Tell whether a usual error of the reference is more than the noise of a reading."""
-    t, far = data.tolerances, data.ranges[data.returned]
-    usual = float(np.median(far)) if len(far) else 0.0
-    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > data.sensor.sigma)
-
-
-def thin(data: ScanData, every: int) -> ScanData:
-    """Return every n-th scan; the same data each time, with its casts."""
-    if every == 1:
-        return data
-    return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
-
-
-def thin_state(state: State, every: int) -> State:
-    """Return the state for every n-th scan."""
-    posed = None if state.posed is None else state.posed[::every]
-    return replace(
-        state, g=state.g.copy(), delta=state.delta[::every].copy(), posed=posed, noise=replace(state.noise)
-    )

@@ -17,26 +17,27 @@ class FirstGains:
     """
 
     def __init__(self) -> None:
-        self._gains: dict[tuple[str, str], list[float]] = {}
+        self._gains: dict[str, list[float]] = {}
 
     def compare(self, candidates: Sequence[Candidate], *, is_first: bool) -> None:
         """Note what is expected in the bare model; later, forget what is no longer expected of any start."""
-        for key in {_key(c.amendment) for c in candidates}:
-            now = [c.gain for c in candidates if _key(c.amendment) == key]
+        for key in {name_at_place(c.amendment) for c in candidates}:
+            now = [c.gain for c in candidates if name_at_place(c.amendment) == key]
             noted = self._gains.get(key, [])
             self._gains[key] = [*noted, *now] if is_first else [g for g in noted if _is_among(g, now)]
 
     def has(self, candidate: Candidate) -> bool:
         """Tell whether as much was expected of one start of this effect, and still was when last compared."""
-        return _is_among(candidate.gain, self._gains.get(_key(candidate.amendment), []))
+        return _is_among(candidate.gain, self._gains.get(name_at_place(candidate.amendment), []))
 
     def still_has(self, amendment: Amendment) -> bool:
         """Tell whether anything of what was expected of an effect is still."""
-        return bool(self._gains.get(_key(amendment)))
+        return bool(self._gains.get(name_at_place(amendment)))
 
 
-def _key(amendment: Amendment) -> tuple[str, str]:
-    return amendment.name, amendment.place
+def name_at_place(amendment: Amendment) -> str:
+    """Return what an effect is called with where it sits: `glass@hall/edge_2`."""
+    return f"{amendment.name}@{amendment.place}"
 
 
 def _is_among(gain: float, gains: Sequence[float]) -> bool:

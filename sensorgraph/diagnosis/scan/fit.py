@@ -378,3 +378,18 @@ def _peaked(
         options={"xatol": SCAN.fit.profile_tolerance, "maxiter": SCAN.fit.max_profile_casts},
     )
     return at(float(found.x))
+
+
+def thin(data: ScanData, every: int) -> ScanData:
+    """Return every n-th scan; the same data each time, with its casts."""
+    if every == 1:
+        return data
+    return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
+
+
+def thin_state(state: State, every: int) -> State:
+    """Return the state for every n-th scan."""
+    posed = None if state.posed is None else state.posed[::every]
+    return replace(
+        state, g=state.g.copy(), delta=state.delta[::every].copy(), posed=posed, noise=replace(state.noise)
+    )

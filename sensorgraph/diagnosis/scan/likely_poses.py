@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import errors_of_laser, is_reference_wide
+from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -31,6 +31,13 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
     state = start_state(seen, noise_bounds)
     got = fit(seen, (), state, noise_bounds, outer=SCAN.fit.pose_casts, inner=SCAN.fit.pose_rounds)
     return data.posed_by(errors_of_laser(data, got.state))
+
+
+def is_reference_wide(data: ScanData) -> bool:
+    """Tell whether a usual error of the reference is more than the noise of a reading."""
+    t, far = data.tolerances, data.ranges[data.returned]
+    usual = float(np.median(far)) if len(far) else 0.0
+    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > data.sensor.sigma)
 
 
 def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:

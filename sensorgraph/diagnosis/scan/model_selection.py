@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import thin, thin_state
-from sensorgraph.diagnosis.scan.first_gains import FirstGains
+from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
     fit,
     polish,
     start_state,
+    thin,
+    thin_state,
 )
 from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.merging import fewer_effects
@@ -119,13 +120,13 @@ def explain(
         others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
         if others:
             rival, nats = max(others, key=lambda t: t[1])
-            rivals[_key(mine)] = (rival, order[0][1] - nats)
+            rivals[name_at_place(mine)] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
         pruned = _pruned(data, best, noise_bounds, threshold, struck)
         current = _merged(data, pruned, noise_bounds)
         if current is not pruned:
             steps[-1] = replace(steps[-1], became=current.model)
-        is_same = {_key(a) for a in current.model} == {_key(a) for a in before.model}
+        is_same = {name_at_place(a) for a in current.model} == {name_at_place(a) for a in before.model}
         if is_same and current.j < before.j + threshold:
             break
         n_small += small
@@ -141,7 +142,7 @@ def explain(
             gains[index] = evidence(data, one, current, rest) - price(one, data)
         tick(n, n + 1)
         errors = standard_errors(current, noise_bounds)
-    kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
+    kept = {i: rivals[name_at_place(a)] for i, a in enumerate(current.model) if name_at_place(a) in rivals}
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
@@ -162,12 +163,8 @@ def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amend
     """Keep the best start of each effect and place, best first."""
     out: dict[str, tuple[Amendment, float]] = {}
     for a, gain in sorted(tried, key=lambda t: -t[1]):
-        out.setdefault(_key(a), (a, gain))
+        out.setdefault(name_at_place(a), (a, gain))
     return tuple(out.values())
-
-
-def _key(a: Amendment) -> str:
-    return f"{a.name}@{a.place}"
 
 
 def _least(model: Sequence[Amendment], candidate: Amendment, gained: float, stood: bool) -> float:
@@ -316,13 +313,13 @@ def shortlist(
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
     first = FirstGains() if first is None else first
     first.compare((*sharp, *rough, *broad), is_first=not current.model)
-    present = {_key(a) for a in current.model}
+    present = {name_at_place(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}
     for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
         taken = 0
         for c in group:
-            key = _key(c.amendment)
+            key = name_at_place(c.amendment)
             single = c.amendment.effect.place is None
             if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
                 continue

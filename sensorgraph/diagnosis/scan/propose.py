@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import thin, thin_state
-from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state
+from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import SCAN

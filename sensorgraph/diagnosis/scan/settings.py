@@ -198,9 +198,9 @@ class FitSettings:
     map_casts: int = 4
     """Casts at most of a map of pixels without effects, whose walls are laid on the readings."""
     pose_casts: int = 3
-    """Casts from which the likely poses are found where the reference's tolerances are wide."""
+    """Casts at most of a fit that others are compared with, each at the poses of the one before, where the reference is wide."""
     pose_rounds: int = 5
-    """Rounds of the fit at each of them."""
+    """Rounds of the fit at each of them, as the likely poses are found first."""
     settled_step: float = 0.2
     """Standard errors below which a step is too small for another cast."""
     profile_tolerance: float = 0.02

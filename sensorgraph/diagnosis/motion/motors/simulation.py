@@ -65,9 +65,19 @@ class MotorSimulation:
             del self._known[next(iter(self._known))]
         return self._mean_rates(travelled, later)
 
-    def rates_of(self, motors: MotorParameters, commands: Floats) -> Floats:
-        """Return the same for other commands (n_commands, 2) at the same stamps."""
-        return self._mean_rates(self._travelled(motors, commands), 0.0)
+    def rates_of(
+        self, motors: MotorParameters, commands: Floats, *, is_limited: bool | None = None
+    ) -> Floats:
+        """Return the same for other commands (n_commands, 2) at the same stamps.
+
+        Parameters
+        ----------
+        is_limited : whether the acceleration of the motors is; default: as it is here
+        """
+        other = copy(self)
+        if is_limited is not None:
+            other.is_limited = is_limited
+        return self._mean_rates(other._travelled(motors, commands), 0.0)
 
     def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
         """Return the same of motors whose acceleration is limited to a share of the robot's limits."""

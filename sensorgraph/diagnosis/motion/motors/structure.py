@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from sensorgraph.diagnosis.motion.motors.model import SIMULATED_TERMS, Column, D
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
 """Numbers of the motors that a load, a warm gear or a restart may change during a run."""
@@ -189,13 +188,9 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
     top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
     still = (np.abs(moved) < settings.still_share * top).all(axis=0)
     stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
-    least = round(settings.stop_time / float(np.median(rows.end - rows.start)))
     commands, motors = model.simulation.commands, fit.motors
     without = commands.values.copy()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], stands.astype(np.intp), [0]])))
-    for first, beyond in edges.reshape(-1, 2):
-        if beyond - first < least:
-            continue
+    for first, beyond in _long_stretches(model, stands):
         begin = rows.start[first] - motors.delay - SLOWED_DOWN * motors.tau
         end = rows.end[beyond - 1] - motors.delay
         without[(commands.stamps > begin) & (commands.stamps < end)] = 0.0
@@ -209,6 +204,13 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
     )
 
 
+def _long_stretches(model: DriveModel, some: Bools) -> Ints:
+    """Return first row and the row beyond (k, 2) of every stretch of some rows (n,) that lasts longer than commands wait."""
+    least = round(DRIVE.structure.stop_time / float(np.median(model.rows.end - model.rows.start)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], some.astype(np.intp), [0]]))).reshape(-1, 2)
+    return np.asarray(edges[edges[:, 1] - edges[:, 0] >= least])
+
+
 def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return families of a base that loses speed for a while though commands ask it to go on: at once, or as fast as it may.
 
@@ -219,20 +221,18 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
     top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
     short = np.where(rows.valid, ((asked - moved) * np.sign(asked) / top).max(axis=0), 0.0)
-    is_short = (short > settings.asked_share).astype(np.intp)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_short, [0]]))).reshape(-1, 2)
-    least = round(settings.stop_time / float(np.median(rows.end - rows.start)))
-    times = [(k, k + int(np.argmax(short[k:beyond]))) for k, beyond in edges if beyond - k >= least]
+    times = [
+        (first, first + int(np.argmax(short[first:beyond])))
+        for first, beyond in _long_stretches(model, short > settings.asked_share)
+    ]
     out = []
     for is_limited in (False, True) if times else ():
-        simulation = copy(model.simulation)
-        simulation.is_limited = is_limited
-        slowest = float((top[:, 0] / simulation.slew).max()) if is_limited else motors.tau
-        stamps, without = simulation.commands.stamps, simulation.commands.values.copy()
+        slowest = float((top[:, 0] / model.simulation.slew).max()) if is_limited else motors.tau
+        stamps, without = model.simulation.commands.stamps, model.simulation.commands.values.copy()
         for first, most in times:
             begin = rows.start[first] - motors.delay - settings.asked_share * slowest
             without[(stamps > begin) & (stamps < rows.start[most] - motors.delay)] = 0.0
-        columns = simulation.rates_of(motors, without) - fit.simulated
+        columns = model.simulation.rates_of(motors, without, is_limited=is_limited) - fit.simulated
         out.append(
             StructureFamily(
                 kind="drops",

@@ -1,0 +1,64 @@
+"""Bases that do not do what they are told for a moment: a link that drops out, motors that cut out, commands that wait."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnosis_samples import ROBOT, make_run, reported
+
+from logs.run import Run
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.motors.model import Column
+from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma, wait_between_stretches
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
+    outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
+    result = diagnose_drive(make_run(seed, outages=outages), ROBOT)
+    assert result.effects == ()
+    assert result.unknown is not None and "by standing at times" in result.unknown.statement
+
+
+def cut_out(run: Run, times: tuple[tuple[float, float], ...], slowest: float) -> Run:
+    """Return the run of a base whose motors have no power for some times, and brake and recover by `slowest` [m/s²]."""
+    v, omega = run.odom_twists.T
+    share, out = 1.0, np.empty(len(v))
+    for k, t in enumerate(run.odom_stamps):
+        goal = 0.0 if any(begin <= t < end for begin, end in times) else 1.0
+        share += float(np.clip(goal - share, -1, 1) * min(1.0, slowest * 0.05 / max(abs(v[k]), 0.05)))
+        out[k] = share
+    return reported(run, v * out, omega * out)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stands(seed: int) -> None:
+    times = tuple((begin, begin + 0.7) for begin in range(7, 78, 9))
+    result = diagnose_drive(cut_out(make_run(seed), times, 0.3), ROBOT)
+    assert result.effects == ()
+    assert result.unknown is not None and "losing speed at times" in result.unknown.statement
+
+
+@pytest.mark.parametrize(("n_late", "is_told"), [(1, False), (20, True)])
+def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay(
+    n_late: int, is_told: bool
+) -> None:
+    """Each command waits for the base by itself: a stretch of one command has the wait of that one."""
+    columns = np.zeros((200, len(Column)))
+    starts = np.arange(0, 200, 10)
+    columns[starts, Column.DELAY] = np.where(starts >= 100, 1.0 if n_late > 1 else 0.01, 1.0)
+    columns[100, Column.DELAY] = 1.0
+    values = np.repeat(np.arange(20.0) % 2, 10)[:, None] * [1.0, 0.0]
+    stamps = 0.05 * np.arange(200)
+    rows = SimpleNamespace(start=stamps, end=stamps + 0.05)
+    simulation = SimpleNamespace(commands=SimpleNamespace(stamps=stamps, values=values))
+    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=ROBOT)
+    columns = np.concatenate([columns, np.zeros_like(columns)])
+    fit: Any = SimpleNamespace(columns=columns, motors=SimpleNamespace(delay=0.0))
+    later = np.where(np.arange(400) % 200 >= 100, columns[:, Column.DELAY], 0.0)
+    waits = wait_between_stretches(model, fit, later)
+    one = delay_sigma(ROBOT.tolerances.control_period, ROBOT.tolerances.transport_jitter)
+    assert waits == pytest.approx(one * np.sqrt(1 / 10 + (1 / 10 if is_told else 1.0)), rel=0.06)
