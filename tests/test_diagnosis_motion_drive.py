@@ -357,6 +357,19 @@ def test_what_every_base_does_is_no_reason_to_doubt(base: dict[str, float]) -> N
     assert result.effects == () and result.unknown is None
 
 
+def test_error_of_a_lag_holds_a_second_one_in_series() -> None:
+    """Whether robot.yaml's time constant of 20 ms is that of the first lag or of both is nobody's to know."""
+    stated = replace(ROBOT, actuators=replace(ROBOT.actuators, tau=0.02))
+    errors = []
+    for second in (0.0, 0.025):
+        (lag,) = diagnose_drive(real_base(1, second=second), stated).effects
+        assert lag.name == "actuator_lag"
+        for truth in (0.08, 0.08 - second):
+            assert abs(lag["tau"] - truth) < 2.2 * lag.stderr["tau"]
+        errors.append(lag.stderr["tau"])
+    assert errors[0] < 0.005 < 2 * errors[0] < errors[1]
+
+
 def test_noise_of_coarse_ticks_is_not_cut() -> None:
     """Nine readings in ten are 0 and so is the robust scale, while robot.yaml states the noise: it is taken whole."""
     run, sigma = make_run(1, duration=30.0), ROBOT.wheels.sigma_v

@@ -179,7 +179,7 @@ class DriveModel:
         base = rates(motors)
         least, share = FIT.tau_quotient
         d_tau, d_delay, d_v_max = max(least, share * motors.tau), FIT.delay_quotient, FIT.v_max_quotient
-        second = min(DRIVE.second_lag, motors.tau / 2)
+        second = _second_lag(motors)
         in_series = replace(motors, tau=motors.tau - second, second=second)
         v, omega = both_kinds(base, self.rows.n)
         nothing = np.zeros(self.rows.n)
@@ -278,6 +278,17 @@ class DriveModel:
         """Return the parameter of an effect in a fit."""
         return float(term.size(fit.motors, self.nominal, fit.solution.theta[term.column]))
 
+    def blur_of(self, term: MotorTerm, fit: DriveFit) -> float:
+        """Return by how much [unit of the parameter] an effect is unsure however well it fits.
+
+        Nobody knows whether the time constant of robot.yaml holds a second lag in series, which bends the start of a
+        step: none of it, all of it, or any share is as likely, which is off by the second lag over sqrt 3 (rms).
+        """
+        if term.column is not Column.LAG:
+            return term.blur
+        second = abs(float(fit.solution.theta[Column.SECOND_LAG])) * _second_lag(fit.motors)
+        return float(np.hypot(term.blur, second / np.sqrt(3)))
+
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it from now on."""
         first, second = (
@@ -305,6 +316,11 @@ class DriveModel:
     def residual(self, fit: DriveFit) -> Floats:
         """Return what a fit leaves (2 n,)."""
         return self.rows.masked(self.rows.y - fit.simulated - fit.columns @ fit.solution.theta)
+
+
+def _second_lag(motors: MotorParameters) -> float:
+    """Return the second lag in series [s] that a share of 1 stands for."""
+    return min(DRIVE.second_lag, motors.tau / 2)
 
 
 def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:

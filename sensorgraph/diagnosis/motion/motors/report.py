@@ -45,7 +45,7 @@ def drive_result(
     """
     fit, rows = selected.fit, model.rows
     covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
-    found, rivals = [], []
+    found, rivals, material = [], [], set()
     for term in sorted(selected.terms, key=lambda term: -evidence[term]):
         alternatives = _alternatives(model, term, selected)
         error = float(np.sqrt(covariance[term.column, term.column]))
@@ -55,6 +55,8 @@ def drive_result(
             evidence=evidence[term],
         )
         found.append((amendment, term))
+        if _is_material(model, amendment, float(np.hypot(error, term.blur))):
+            material.add(term.effect)
         rival = strongest_rival(term.effect, alternatives, EVIDENCE)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
@@ -70,8 +72,8 @@ def drive_result(
         steady = [a for a in steady if a.effect not in TIMING or (a.evidence or 0.0) > least]
     return ChannelResult(
         channel="drive",
-        effects=tuple(a for a in steady if _is_material(model, a)),
-        within_tolerance=tuple(a for a in steady if not _is_material(model, a)),
+        effects=tuple(a for a in steady if a.effect in material),
+        within_tolerance=tuple(a for a in steady if a.effect not in material),
         unknown=None if structure is None else _unknown(model, structure),
         rivals=tuple(rivals),
         deviations=deviations,
@@ -91,7 +93,7 @@ def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> A
     """Return an effect with its size, and its standard error."""
     key = term.effect.parameters[0].name
     value = model.size_of(term, fit)
-    return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, term.blur))})
+    return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, model.blur_of(term, fit)))})
 
 
 def _alternatives(model: DriveModel, term: MotorTerm, selected: MotorSelection) -> dict[Effect, float]:
@@ -116,13 +118,19 @@ def _late_clock(evidence: float) -> Rival:
     )
 
 
-def _is_material(model: DriveModel, a: Amendment) -> bool:
+def _is_material(model: DriveModel, a: Amendment, error: float) -> bool:
+    """Tell whether an effect is larger than its limit, and than what waits for the base's loop make of commands.
+
+    Parameters
+    ----------
+    error : [unit of its parameter] standard error of the fit
+    """
     if a.effect is SPEED_SATURATION:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
-    if a.effect is DEAD_TIME and abs(a["L"]) - 2 * a.stderr.get("L", 0.0) < longest_wait(model.robot):
+    if a.effect is DEAD_TIME and abs(a["L"]) - 2 * error < longest_wait(model.robot):
         return False
     smear = stated_smear(model.robot)
-    if a.effect is ACTUATOR_LAG and smear and 0 < a["tau"] < smear + 2 * a.stderr.get("tau", 0.0):
+    if a.effect is ACTUATOR_LAG and smear and 0 < a["tau"] < smear + 2 * error:
         return False
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 
