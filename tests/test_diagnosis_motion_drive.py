@@ -53,8 +53,8 @@ def test_a_lag_that_waits_for_the_stated_loop_make_has_no_name(
 ) -> None:
     """Waits spread evenly over 0.1 s smear a step as a lag of 0.029 s does."""
     tolerances = ROBOT.tolerances if period is None else replace(ROBOT.tolerances, control_period=period)
-    stated = frozenset[str]() if period is None else frozenset({"control_period"})
-    robot = replace(ROBOT, tolerances=tolerances, stated_tolerances=stated)
+    stated = frozenset[str]() if period is None else frozenset({"tolerances.control_period"})
+    robot = replace(ROBOT, tolerances=tolerances, stated=stated)
     result = diagnose_drive(make_run(3, lag=lag), robot)
     assert [a.name for a in result.effects] == named
 
@@ -77,7 +77,7 @@ def test_a_base_that_keeps_step_with_commands_may_make_them_wait(
     robot = replace(
         ROBOT,
         tolerances=replace(ROBOT.tolerances, control_period=period),
-        stated_tolerances=frozenset({"control_period"} if is_stated else ()),
+        stated=frozenset({"tolerances.control_period"} if is_stated else ()),
         actuators=replace(ROBOT.actuators, delay=told),
     )
     result = diagnose_drive(make_run(3, dead=told + 0.03), robot)

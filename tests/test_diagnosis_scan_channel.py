@@ -1,17 +1,20 @@
-"""What the scans say to the other channels."""
+"""What the scan channel takes from the run, and what it says to the other channels."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import data_of, drive, hall_arena
 
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, shows_straight_reference
+from sensorgraph.world.robot import parse_robot
 
 
 @pytest.fixture(scope="module")
@@ -53,3 +56,12 @@ def test_scans_that_fit_the_arena_show_a_straight_reference(
         odometry = ChannelResult(channel="odometry", unknown=told)
         assert shows_straight_reference(scans, odometry) == (is_straight and kind == "reference place")
     assert not shows_straight_reference(scans, ChannelResult(channel="odometry"))
+
+
+@pytest.mark.parametrize(("stated", "height"), [("", 0.45), (", height: 0.2", 0.2)])
+def test_height_of_the_laser_is_the_logs_unless_robot_yaml_says_it(stated: str, height: float) -> None:
+    hall = hall_arena()
+    run = drive(hall, n=60)
+    run = replace(run, sensor=replace(run.sensor, height=0.45))
+    data, _ = prepare_scans(run, hall, parse_robot(f"sensor: {{n_rays: 61{stated}}}"))
+    assert data.sensor.height == height

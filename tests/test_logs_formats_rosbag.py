@@ -59,6 +59,16 @@ def test_bag_of_any_kind_gives_the_same_run(tmp_path: Path, kind: str) -> None:
     assert run.epoch_ns == EPOCH
 
 
+def test_height_counts_from_the_floor(tmp_path: Path) -> None:
+    """REP 120: base_footprint is on the floor, base_link may be at the height of the axle."""
+    tree = [
+        transform(0, "base_footprint", "base_link", 0, 0, 0, z=0.06, static=True),
+        transform(0, "base_link", "laser", 0.1, 0, 0, z=0.2, static=True),
+    ]
+    run = read(tmp_path, [*tree, scan(0, [1.0, 2.0, 3.0, 4.0, 5.0])])
+    assert run.sensor.height == pytest.approx(0.26)
+
+
 def test_missing_returns_follow_rep_117(tmp_path: Path) -> None:
     run = read(
         tmp_path, [scan(0, [0.0, 0.05, 11.0, np.inf, -np.inf]), scan(0.1, [np.nan, 10.0, 0.1, -1.0, 5.0])]

@@ -33,6 +33,8 @@ from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import to_planar
 from logs.types import Floats, Mounts
 
+FLOOR_FRAME = "base_footprint"
+"""On the floor (REP 120); base_link may be anywhere on the robot, at the height of its axle for instance."""
 MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", "base_footprint", "base")
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
 
@@ -202,7 +204,7 @@ def _odometry(recording: Recording, name: str | None) -> Track | None:
 
 
 def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
-    """Return the laser in base_link (3,), its height [m] and whether it hangs upside down."""
+    """Return the laser in base_link (3,), its height [m] over the floor, as far as known, and whether it hangs upside down."""
     if scans.frame in BASE_FRAMES:
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
@@ -215,7 +217,8 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
         scans.notes.append("the laser moves on the robot; its first place was taken")
-    return place.poses[0], place.height, place.up < 0
+    above_floor = tree.place(FLOOR_FRAME, scans.frame) or place
+    return place.poses[0], above_floor.height, place.up < 0
 
 
 def _reference(

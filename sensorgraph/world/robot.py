@@ -89,8 +89,8 @@ class Robot(Vehicle):
     wheels: Wheels = field(default_factory=Wheels)
     actuators: Actuators = field(default_factory=Actuators)
     tolerances: Tolerances = field(default_factory=Tolerances)
-    stated_tolerances: frozenset[str] = frozenset()
-    """Those that the file states; the others are what is usual."""
+    stated: frozenset[str] = frozenset()
+    """Keys of sections that the file states, as `tolerances.map`; the others are what is usual."""
     mounts: Mapping[str, Floats] = field(default_factory=dict)
     """Name of each of several sensors, its topic or frame in logs -> (3,) [m, m, rad] in base_link."""
     text: str = ""
@@ -216,7 +216,7 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
             wheels=Wheels(**values["wheels"]),
             actuators=Actuators(**values["actuators"]),
             tolerances=Tolerances(**values["tolerances"]),
-            stated_tolerances=frozenset(data.get("tolerances") or {}),
+            stated=frozenset(f"{key}.{name}" for key in SECTIONS for name in data.get(key) or ()),
             mounts={part.name: part.mount for part in sensors or [] if part.name},
             text=text,
         )

@@ -320,7 +320,7 @@ def prepare_scans(
         laser_frame=laser_frame,
         wobble=estimated_wobble(run, sensor, robot.tolerances),
         references_in_sweep=references_in_sweep(run, sensor),
-        stated_map=robot.tolerances.map if "map" in robot.stated_tolerances else 0.0,
+        stated_map=robot.tolerances.map if "tolerances.map" in robot.stated else 0.0,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
@@ -363,7 +363,7 @@ def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
 
 
 def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
-    """Return the sensor of robot.yaml, its rays numbered as those of the run.
+    """Return the sensor of robot.yaml, its rays numbered as those of the run; as high as the run says, if the file does not.
 
     Raises
     ------
@@ -394,6 +394,8 @@ def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
         described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
     if several or run.sensor.cones.any() or described.cones.any():
         described = replace(described, cones=run.sensor.cones)
+    if "sensor.height" not in robot.stated and run.sensor.height > 0:
+        described = replace(described, height=run.sensor.height)
     mount = np.zeros(3) if laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
     sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))

@@ -40,7 +40,7 @@ def longest_wait(robot: Robot) -> float:
     period is stated beside a delay that is too short to hold it, it does not.
     """
     period = robot.tolerances.control_period
-    is_beside = "control_period" in robot.stated_tolerances and robot.actuators.delay < period / 2
+    is_beside = "tolerances.control_period" in robot.stated and robot.actuators.delay < period / 2
     return period if is_beside else period / 2
 
 
@@ -49,7 +49,7 @@ def stated_smear(robot: Robot) -> float:
 
     Waits that are spread evenly over a period smear a step as a lag of their standard deviation does. 0: no period is stated.
     """
-    is_stated = "control_period" in robot.stated_tolerances
+    is_stated = "tolerances.control_period" in robot.stated
     return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0
 
 

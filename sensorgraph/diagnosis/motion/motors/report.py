@@ -93,7 +93,9 @@ def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> A
     """Return an effect with its size, and its standard error."""
     key = term.effect.parameters[0].name
     value = model.size_of(term, fit)
-    return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, model.blur_of(term, fit)))})
+    return replace(
+        term.effect(**{key: value}), stderr={key: float(np.hypot(error, model.blur_of(term, fit)))}
+    )
 
 
 def _alternatives(model: DriveModel, term: MotorTerm, selected: MotorSelection) -> dict[Effect, float]:
