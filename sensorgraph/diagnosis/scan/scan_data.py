@@ -16,6 +16,7 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.described_sensor import described_sensor
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble, references_in_sweep
@@ -25,7 +26,6 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.cast_memory import CastMemory
-from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
@@ -303,7 +303,7 @@ def prepare_scans(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
             "record a longer run, or name the topic of its poses with `topics` pose=..."
         )
-    sensor = _sensor(run, robot, laser_frame := run.pose_frame == "laser")
+    sensor = described_sensor(run, robot, laser_frame := run.pose_frame == "laser")
     motion = motion_of(run, use_odometry=sensor.has_ray_delays)
     when = run.stamps[kept]
     data = ScanData(
@@ -360,43 +360,3 @@ def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
     return replace(
         tolerances, **{name: max(getattr(tolerances, name), value) for name, value in vars(least).items()}
     )
-
-
-def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
-    """Return the sensor of robot.yaml, its rays numbered as those of the run; as high as the run says, if the file does not.
-
-    Raises
-    ------
-    SensorgraphError
-        The run is of another sensor, or the sensor has too few rays.
-    """
-    settings, recorded = SCAN.intake, run.sensor.bearings
-    described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
-    if described is None:
-        raise SensorgraphError(
-            "the run has other rays than robot.yaml describes "
-            f"({bearings_text(recorded, robot.sensor.bearings)}); give the robot that recorded it"
-        )
-    if described.n_rays < settings.min_rays:
-        raise SensorgraphError(
-            f"the sensor has {described.n_rays} rays, expected {settings.min_rays} or more to tell effects apart"
-        )
-    factor, slack = settings.range_max_slack
-    returned = np.where(np.isfinite(run.ranges), run.ranges, 0.0)
-    beyond = float((returned > factor * described.range_max + slack).mean())
-    if beyond > settings.max_share_beyond_range:
-        raise SensorgraphError(
-            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
-            "robot.yaml; give the robot that recorded the run"
-        )
-    several = run.sensor.is_composite or described.is_composite
-    if several:  # the places of the run: its transforms, or those of the robot file it was read with
-        described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
-    if several or run.sensor.cones.any() or described.cones.any():
-        described = replace(described, cones=run.sensor.cones)
-    if "sensor.height" not in robot.stated and run.sensor.height > 0:
-        described = replace(described, height=run.sensor.height)
-    mount = np.zeros(3) if laser_frame else described.mount
-    sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
-    sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))
-    return replace(described, mount=mount, sigma=float(sigma), sweep_time=sweep)

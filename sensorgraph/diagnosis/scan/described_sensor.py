@@ -1,0 +1,53 @@
+"""The sensor of a run, as robot.yaml and the log describe it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.run import RangeSensor, Run
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.world.ray_order import bearings_text, with_rays_like
+from sensorgraph.world.robot import Robot
+
+
+def described_sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
+    """Return the sensor of robot.yaml, its rays numbered as those of the run; as high as the run says, if the file does not.
+
+    Raises
+    ------
+    SensorgraphError
+        The run is of another sensor, or the sensor has too few rays.
+    """
+    settings, recorded = SCAN.intake, run.sensor.bearings
+    described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
+    if described is None:
+        raise SensorgraphError(
+            "the run has other rays than robot.yaml describes "
+            f"({bearings_text(recorded, robot.sensor.bearings)}); give the robot that recorded it"
+        )
+    if described.n_rays < settings.min_rays:
+        raise SensorgraphError(
+            f"the sensor has {described.n_rays} rays, expected {settings.min_rays} or more to tell effects apart"
+        )
+    factor, slack = settings.range_max_slack
+    returned = np.where(np.isfinite(run.ranges), run.ranges, 0.0)
+    beyond = float((returned > factor * described.range_max + slack).mean())
+    if beyond > settings.max_share_beyond_range:
+        raise SensorgraphError(
+            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
+            "robot.yaml; give the robot that recorded the run"
+        )
+    several = run.sensor.is_composite or described.is_composite
+    if several:  # the places of the run: its transforms, or those of the robot file it was read with
+        described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
+    if several or run.sensor.cones.any() or described.cones.any():
+        described = replace(described, cones=run.sensor.cones)
+    if "sensor.height" not in robot.stated and run.sensor.height > 0:
+        described = replace(described, height=run.sensor.height)
+    mount = np.zeros(3) if laser_frame else described.mount
+    sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
+    sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))
+    return replace(described, mount=mount, sigma=float(sigma), sweep_time=sweep)
