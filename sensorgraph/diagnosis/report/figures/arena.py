@@ -56,7 +56,7 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
     factor = compared.magnification
     top = float(f"{100 * max(1.2 * compared.typical_residual, 2.5 * compared.sigma):.1g}")
     colours = _diverging()
-    enlarged = f" (differences drawn {factor} times as large)" if factor > 1 else ""
+    enlarged = f"\ndifferences drawn {factor} times as large" if factor > 1 else ""
     for axes, (title, model) in zip(charts, models, strict=False):
         draw_floor(axes, compared.arena)
         axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
