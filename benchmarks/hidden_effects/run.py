@@ -22,7 +22,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def diagnose_case(folder: Path, name: str, *, second: bool = False) -> str:
-    """Diagnose one case in this process; keep report.json, what was printed and the time."""
+    """Diagnose one case in this process; keep report.json, timing.json, what was printed and the time."""
     from sensorgraph.cli import run  # in the worker, after its threads are set
 
     case, result = folder / "cases" / name, folder / "results" / name
@@ -45,9 +45,9 @@ def diagnose_case(folder: Path, name: str, *, second: bool = False) -> str:
         "cpu_s": time.process_time() - cpu,
         "wall_s": time.perf_counter() - wall,
     }
-    report = result / "out" / "report.json"
-    if report.exists():
-        shutil.copy(report, result / "report.json")
+    for kept in ("report.json", "timing.json"):
+        if (result / "out" / kept).exists():
+            shutil.copy(result / "out" / kept, result / kept)
     (result / "run.json").write_text(json.dumps(spent | {"printed": printed.getvalue()[-4000:]}, indent=1))
     shutil.rmtree(result / "out", ignore_errors=True)
     said = printed.getvalue().strip().splitlines()
