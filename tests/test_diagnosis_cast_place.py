@@ -107,3 +107,16 @@ def test_a_usual_reference_keeps_its_casts(legs: Arena) -> None:
     data = prepare_scans(drive(legs, n=60), legs, parse_robot("sensor: {n_rays: 61}"))[0]
     assert not is_reference_wide(data)
     assert at_likely_poses(data, SCAN.noise) is data
+
+
+@pytest.mark.parametrize(
+    ("pose_xy", "fov", "is_wide"), [(0.02, 3.14, True), (0.009, 3.14, False), (0.009, 0.2, True)]
+)
+def test_a_reference_is_wide_beyond_the_noise_or_the_next_ray(
+    legs: Arena, pose_xy: float, fov: float, is_wide: bool
+) -> None:
+    """At some 2 m neighbours of 61 rays are 10 cm apart over a half turn, and less than 9 mm over 11 degrees: noise is 1 cm."""
+    text = f"sensor: {{n_rays: 61}}\ntolerances: {{pose_xy: {pose_xy}, pose_yaw: 0.0001}}"
+    data = prepare_scans(drive(legs, n=60), legs, parse_robot(text))[0]
+    data = replace(data, sensor=replace(data.sensor, bearings=np.linspace(-fov / 2, fov / 2, 61)))
+    assert is_reference_wide(data) is is_wide

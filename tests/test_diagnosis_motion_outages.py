@@ -42,23 +42,39 @@ def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stan
     assert result.unknown is not None and "losing speed at times" in result.unknown.statement
 
 
-@pytest.mark.parametrize(("n_late", "is_told"), [(1, False), (20, True)])
-def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay(
-    n_late: int, is_told: bool
-) -> None:
-    """Each command waits for the base by itself: a stretch of one command has the wait of that one."""
+def wait_between_halves(n_late: int, *, in_step: bool) -> float:
+    """Return by how much [s] the delay of a run of 20 changes may differ from that of its later half, as commands wait.
+
+    Parameters
+    ----------
+    n_late : changes of the later half that tell of its delay
+    in_step : changes come at multiples of the loop's period
+    """
     columns = np.zeros((200, len(Column)))
     starts = np.arange(0, 200, 10)
-    columns[starts, Column.DELAY] = np.where(starts >= 100, 1.0 if n_late > 1 else 0.01, 1.0)
-    columns[100, Column.DELAY] = 1.0
-    values = np.repeat(np.arange(20.0) % 2, 10)[:, None] * [1.0, 0.0]
-    stamps = 0.05 * np.arange(200)
-    rows = SimpleNamespace(start=stamps, end=stamps + 0.05)
-    simulation = SimpleNamespace(commands=SimpleNamespace(stamps=stamps, values=values))
-    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=ROBOT)
+    columns[starts, Column.DELAY] = np.where(starts >= 100 + 10 * n_late, 0.01, 1.0)
     columns = np.concatenate([columns, np.zeros_like(columns)])
+    values = np.repeat(np.arange(20.0) % 2, 10)[:, None] * [1.0, 0.0]
+    at = ROBOT.tolerances.control_period * 2 * np.arange(200)
+    late = np.zeros(200) if in_step else np.random.default_rng(0).uniform(0, 0.05, 200)
+    rows = SimpleNamespace(start=at, end=at + at[1])
+    simulation = SimpleNamespace(commands=SimpleNamespace(stamps=at + late, values=values))
+    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=ROBOT)
     fit: Any = SimpleNamespace(columns=columns, motors=SimpleNamespace(delay=0.0))
     later = np.where(np.arange(400) % 200 >= 100, columns[:, Column.DELAY], 0.0)
-    waits = wait_between_stretches(model, fit, later)
+    return wait_between_stretches(model, fit, Column.DELAY, later)
+
+
+def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay() -> None:
+    """Each command waits for the base by itself: a stretch of one command has the wait of that one."""
     one = delay_sigma(ROBOT.tolerances.control_period, ROBOT.tolerances.transport_jitter)
-    assert waits == pytest.approx(one * np.sqrt(1 / 10 + (1 / 10 if is_told else 1.0)), rel=0.06)
+    single, many = (wait_between_halves(n, in_step=False) for n in (1, 10))
+    assert single == pytest.approx(3 * one * np.sqrt(1 + 1 / 10), rel=0.06)
+    assert 3 * one * np.sqrt(2 / 10) <= many < 0.75 * single
+
+
+def test_commands_in_step_with_the_base_may_all_wait_longer_after_a_while() -> None:
+    """Commands every two periods of a loop that keeps its own to a per cent: the phase drifts through most of one."""
+    period = ROBOT.tolerances.control_period
+    assert 0.4 * period < wait_between_halves(10, in_step=True) <= period
+    assert wait_between_halves(10, in_step=True) > 1.3 * wait_between_halves(10, in_step=False)

@@ -1,4 +1,4 @@
-"""The likely poses of a run whose reference may be off by more than the noise of a reading: where its casts begin."""
+"""The likely poses of a run whose reference may be off by much: where its casts begin."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.standard_errors import spacing
 from sensorgraph.types import Bools
 
 
@@ -34,10 +35,13 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
 
 
 def is_reference_wide(data: ScanData) -> bool:
-    """Tell whether a usual error of the reference is more than the noise of a reading."""
+    """Tell whether a usual error of the reference is more than the noise of a reading, or the way from a ray to the next.
+
+    Then outlines are met by other rays than at the reference.
+    """
     t, far = data.tolerances, data.ranges[data.returned]
     usual = float(np.median(far)) if len(far) else 0.0
-    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > data.sensor.sigma)
+    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > min(data.sensor.sigma, spacing(data) * usual))
 
 
 def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:

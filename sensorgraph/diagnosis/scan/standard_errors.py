@@ -83,7 +83,7 @@ def lattice_error(data: ScanData, q: float) -> float:
 def spacing(data: ScanData) -> float:
     """Return the angle [rad] between neighbouring rays."""
     bearings = data.sensor.bearings
-    return float(np.median(np.diff(bearings))) if len(bearings) > 1 else 0.01
+    return float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else 0.01
 
 
 def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, step: float) -> float:

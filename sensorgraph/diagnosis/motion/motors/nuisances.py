@@ -5,6 +5,8 @@ Columns of these are part of every model that structure is tested in, each in un
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
@@ -14,6 +16,10 @@ from sensorgraph.world.robot import Robot
 
 WAIT_SIGMAS = 3.0
 """Standard deviations of the waits of commands, by which delays of two stretches must differ to be no matter of these."""
+LOOP_ERROR = 0.01
+"""Share of its period by which a base's loop may be off: robot.yaml says 33 ms of one that runs 30 times a second."""
+BEAT_PHASES, BEAT_PERIODS = 20, 41
+"""Phases and periods of the loop that are tried."""
 CHANGE = 0.1
 """Of the largest command, by which commands have changed in all when they count as another one."""
 
@@ -53,25 +59,58 @@ def stated_smear(robot: Robot) -> float:
     return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0
 
 
-def wait_between_stretches(model: DriveModel, fit: DriveFit, later: Floats) -> float:
-    """Return the standard deviation [s] by which delays before and in a later stretch differ, as commands wait for the base.
+@dataclass(frozen=True, kw_only=True)
+class _AnsweredCommands:
+    """How much each change of a command tells of a delay, or lag, in two stretches of a run."""
 
-    Each change of a command waits by itself; a stretch in which the base answers to few of them has the wait of these.
+    stamps: Floats
+    """(n,) [s] of the changes."""
+    weights: Floats
+    """(2, n) what a wait of each adds to the number told of the stretch before, and of the later one; of a delay, shares."""
+
+
+def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> float:
+    """Return by how much [s] delays, or lags, before and in a later stretch may differ, as commands wait for the base's loop.
+
+    Each change of a command waits for the next tick: by itself, so that a stretch in which the base answers to few of them
+    has the wait of these; or in step with the loop, where commands come at about a multiple of its period and the two beat.
 
     Parameters
     ----------
-    later : (2 n,) what a delay of the later stretch does to the rates; 0 elsewhere
+    column : of the regression, that of the delay or of the lag
+    later : (2 n,) what it does to the rates in the later stretch; 0 elsewhere
     """
+    answered = _answered_commands(model, fit, column, later)
+    tolerances = model.robot.tolerances
+    by_itself = delay_sigma(tolerances.control_period, tolerances.transport_jitter) * np.linalg.norm(
+        answered.weights
+    )
+    return float(max(WAIT_SIGMAS * by_itself, _beat(answered, tolerances.control_period)))
+
+
+def _answered_commands(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> _AnsweredCommands:
     rows, commands = model.rows, model.simulation.commands
     top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
     asked = np.cumsum(np.abs(np.diff(commands.values, axis=0) / top).max(axis=1))
     changes = commands.stamps[1:][np.diff(np.floor(asked / CHANGE), prepend=0.0) > 0]
     answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
-    whole = np.square(fit.columns[:, Column.DELAY]).reshape(2, -1).sum(axis=0)
-    second = np.square(later).reshape(2, -1).sum(axis=0)
-    shares = 0.0
-    for one in (np.maximum(whole - second, 0.0), second):
-        of_change = np.bincount(answered, one)
-        shares += float(np.square(of_change).sum() / max(float(of_change.sum()) ** 2, 1e-300))
-    tolerances = model.robot.tolerances
-    return float(delay_sigma(tolerances.control_period, tolerances.transport_jitter) * np.sqrt(shares))
+    by_wait = fit.columns[:, Column.DELAY]
+    weights = []
+    for one in (fit.columns[:, column] - later, later):
+        told = np.bincount(answered, (one * by_wait).reshape(2, -1).sum(axis=0), minlength=len(changes) + 1)
+        weights.append(told[1:] / max(float((one**2).sum()), 1e-300))
+    return _AnsweredCommands(stamps=changes, weights=np.stack(weights))
+
+
+def _beat(answered: _AnsweredCommands, period: float) -> float:
+    """Return by how much [s] two stretches differ at the worst phase of a loop that keeps its period to a per cent."""
+    if period == 0 or not len(answered.stamps):
+        return 0.0
+    before, later = answered.weights / np.maximum(answered.weights.sum(axis=1, keepdims=True), 1e-9)
+    scale = float(answered.weights.sum(axis=1).max())
+    phases = np.arange(BEAT_PHASES) / BEAT_PHASES
+    worst = 0.0
+    for true in period * (1 + np.linspace(-LOOP_ERROR, LOOP_ERROR, BEAT_PERIODS)):
+        waits = true * ((phases[:, None] - answered.stamps / true) % 1.0)
+        worst = max(worst, float(np.abs(waits @ (later - before)).max()))
+    return worst * scale

@@ -9,12 +9,13 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.nuisances import WAIT_SIGMAS, drive_nuisances, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
 from sensorgraph.diagnosis.motion.motors.structure import (
     OTHER_MOTORS,
     ROLLS_ON,
     SLOWED_DOWN,
     TIMING_OF_STRETCHES,
+    WHAT_CHANGES,
     drive_families,
     jump_of,
 )
@@ -155,16 +156,9 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
-    # a command waits up to a period for the base's loop: where the two beat, halves of the run differ by half of it, and
-    # shorter stretches by all of it
-    period = model.robot.tolerances.control_period
-    if family.kind == TIMING_OF_STRETCHES and sure_change < period:
+    if sure_change < _change_by_waits(model, here, family):
         return selected
-    if family.kind == jump_of(Column.DELAY):
-        waits = wait_between_stretches(model, here, family.columns[:, 0])
-        if sure_change < WAIT_SIGMAS * waits:
-            return selected
-    if not is_material and sure_change < max(family.materiality, period / 2):
+    if not is_material and sure_change < max(family.materiality, model.robot.tolerances.control_period / 2):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
     if np.isfinite(family.materiality):
@@ -185,6 +179,17 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
             rivals=rivals[:2],
         ),
     )
+
+
+def _change_by_waits(model: DriveModel, here: DriveFit, family: StructureFamily) -> float:
+    """Return by how much [s] a delay, or lag, may change as commands wait for the base's loop; 0 for other families.
+
+    Where commands and loop beat, short stretches differ by up to a period.
+    """
+    if family.kind == TIMING_OF_STRETCHES:
+        return model.robot.tolerances.control_period
+    changed = [column for column in WHAT_CHANGES if family.kind == jump_of(column)]
+    return wait_between_stretches(model, here, changed[0], family.columns[:, 0]) if changed else 0.0
 
 
 def _each_time(family: StructureFamily, missing: Floats) -> float:
