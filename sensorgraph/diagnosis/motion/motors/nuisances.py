@@ -85,7 +85,7 @@ def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later:
     by_itself = delay_sigma(tolerances.control_period, tolerances.transport_jitter) * np.linalg.norm(
         answered.weights
     )
-    return float(max(WAIT_SIGMAS * by_itself, _beat(answered, tolerances.control_period)))
+    return max(WAIT_SIGMAS * float(by_itself), _beat(answered, tolerances.control_period))
 
 
 def _answered_commands(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> _AnsweredCommands:
