@@ -70,11 +70,10 @@ def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay() -
     one = delay_sigma(ROBOT.tolerances.control_period, ROBOT.tolerances.transport_jitter)
     single, many = (wait_between_halves(n, in_step=False) for n in (1, 10))
     assert single == pytest.approx(3 * one * np.sqrt(1 + 1 / 10), rel=0.06)
-    assert 3 * one * np.sqrt(2 / 10) <= many < 0.75 * single
+    assert many == pytest.approx(3 * one * np.sqrt(2 / 10), rel=0.06)
 
 
 def test_commands_in_step_with_the_base_may_all_wait_longer_after_a_while() -> None:
-    """Commands every two periods of a loop that keeps its own to a per cent: the phase drifts through most of one."""
+    """Commands every two periods: where the phase drifts past a tick, all that come after wait for the next one."""
     period = ROBOT.tolerances.control_period
-    assert 0.4 * period < wait_between_halves(10, in_step=True) <= period
-    assert wait_between_halves(10, in_step=True) > 1.3 * wait_between_halves(10, in_step=False)
+    assert 0.9 * period < wait_between_halves(10, in_step=True) <= period

@@ -19,7 +19,7 @@ GAMMAS = np.radians([2.0, 4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 """[rad] that are tried, ..."""
 ALPHAS = np.radians([20.0, 30.0, 45.0, 65.0, 89.9])
 """... with each of these largest incidences [rad]."""
-MIN_SHARE = 0.1
+MIN_SHARE = 0.03
 """Of short and lost readings; a thin ray reads most walls as a cone does not."""
 MIN_SHORT = 0.005
 """Of short readings: a cone that loses walls seen at a slant still finds nearer ones beside the ray."""

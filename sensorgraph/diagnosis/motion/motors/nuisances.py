@@ -18,8 +18,10 @@ WAIT_SIGMAS = 3.0
 """Standard deviations of the waits of commands, by which delays of two stretches must differ to be no matter of these."""
 LOOP_ERROR = 0.01
 """Share of its period by which a base's loop may be off: robot.yaml says 33 ms of one that runs 30 times a second."""
-BEAT_PHASES, BEAT_PERIODS = 20, 41
-"""Phases and periods of the loop that are tried."""
+LEAST_DRIFT = 1e-5
+"""The same of two crystals, by which the phases of loop and commands drift at least: a millisecond in a run."""
+BEAT_PHASES, BEAT_PERIODS = 20, 20
+"""Phases, and periods above and below the stated one, that are tried."""
 CHANGE = 0.1
 """Of the largest command, by which commands have changed in all when they count as another one."""
 
@@ -109,8 +111,8 @@ def _beat(answered: _AnsweredCommands, period: float) -> float:
     before, later = answered.weights / np.maximum(answered.weights.sum(axis=1, keepdims=True), 1e-9)
     scale = float(answered.weights.sum(axis=1).max())
     phases = np.arange(BEAT_PHASES) / BEAT_PHASES
-    worst = 0.0
-    for true in period * (1 + np.linspace(-LOOP_ERROR, LOOP_ERROR, BEAT_PERIODS)):
+    worst, drifts = 0.0, np.geomspace(LEAST_DRIFT, LOOP_ERROR, BEAT_PERIODS)
+    for true in period * (1 + np.concatenate([-drifts, drifts])):
         waits = true * ((phases[:, None] - answered.stamps / true) % 1.0)
         worst = max(worst, float(np.abs(waits @ (later - before)).max()))
     return worst * scale
