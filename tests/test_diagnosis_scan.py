@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
+from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -340,6 +341,14 @@ def test_the_groups_of_a_sweep_begin_with_the_weakest_value() -> None:
     for group in sonar_cone.sweep(view):  # type: ignore[arg-type]
         values = [value["gamma"] for value in group]
         assert values == sorted(values)
+
+
+def test_a_narrow_cone_is_tried_though_few_readings_are_short(hall: Arena) -> None:
+    """2.9 degrees shorten what is met at a slant by less than the scatter of most readings."""
+    data = data_of(hall, (EFFECTS["sonar_cone"](gamma=0.05, alpha_max=1.25),))
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
+    best = max(proposed_candidates(FitResiduals(data, null)), key=lambda c: c.gain)
+    assert best.amendment.name == "sonar_cone" and best.amendment["gamma"] < 0.08
 
 
 @pytest.mark.parametrize("start", [1.5, 0.45])
