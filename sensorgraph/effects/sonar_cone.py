@@ -19,10 +19,8 @@ GAMMAS = np.radians([2.0, 4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 """[rad] that are tried, ..."""
 ALPHAS = np.radians([20.0, 30.0, 45.0, 65.0, 89.9])
 """... with each of these largest incidences [rad]."""
-MIN_SHARE = 0.03
-"""Of short and lost readings; a thin ray reads most walls as a cone does not."""
 MIN_SHORT = 0.005
-"""Of short readings: a cone that loses walls seen at a slant still finds nearer ones beside the ray."""
+"""Share of short readings: a cone finds what is nearer beside the ray, and walls that are met at a slant."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -75,9 +73,8 @@ def _chosen(whole: Beams, at: Ints) -> Beams:
 
 
 def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
-    """Try half angles at several largest incidences, where many readings are short or lost."""
-    short = float(residuals.short.mean())
-    if short < MIN_SHORT or short + residuals.lost.mean() <= MIN_SHARE:
+    """Try half angles at several largest incidences, where readings are short."""
+    if residuals.short.mean() < MIN_SHORT:
         return []
     return [[{"gamma": float(gamma), "alpha_max": float(alpha)} for gamma in GAMMAS] for alpha in ALPHAS]
 
