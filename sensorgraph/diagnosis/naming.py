@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.scan.ranking import n_parameters
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
-from sensorgraph.diagnosis.scan.standard_errors import material_probability
+from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -156,6 +156,7 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         _is_blurred_corner(amendment)
         or is_within_baseline(fitted, amendment)
         or not is_measured(amendment)
+        or evidence_beside_wander(fitted, amendment) < SCAN.selection.threshold
         or is_map_error(fitted, amendment)
         or changes_too_few(fitted, amendment)
     ) and (

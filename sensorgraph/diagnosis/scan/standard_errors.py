@@ -185,6 +185,22 @@ def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     return out
 
 
+def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
+    """Return how much [nats] a size tells beside the mean of a wandering reference; inf where that does not look alike.
+
+    Half of chi square, by the error of the fit and of that mean. Evidence that counts the pose errors of all scans for
+    independent is more.
+    """
+    nuisances, wanders = prior_widths(fitted.solver.data.tolerances), wander_widths(fitted)
+    total, is_mimicked = 0.0, False
+    for p in amendment.effect.parameters:
+        if p.nuisance is not None and p.nuisance in wanders:
+            is_mimicked = True
+            variance = amendment.stderr.get(p.name, 0.0) ** 2 - float(nuisances[p.nuisance]) ** 2
+            total += amendment[p.name] ** 2 / max(variance, 1e-18)
+    return total / 2 if is_mimicked else np.inf
+
+
 def set_up_of(data: ScanData) -> SetUp:
     """Return how exact the set-up of a run is."""
     walls = np.diff(data.arena.walls, axis=1)[:, 0]
