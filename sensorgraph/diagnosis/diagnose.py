@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
+    as_one_doubt,
     name_motion_effects,
     without_echoes_of_doubted_wheels,
 )
@@ -242,7 +243,7 @@ def diagnose_motion(
             named_wheels=odometry.effects,
         )
         drive = name_motion_effects(without_echoes_of_doubted_wheels(driven, odometry), known)
-    return odometry, drive
+    return as_one_doubt(odometry, drive)
 
 
 def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.structure import CLOCK
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
@@ -24,8 +25,11 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
+CANCELS = 4.0
+"""Standard errors that a clock offset has at least which a dead time cancels; by chance one of two cancels the other rarely."""
 WRONG_BY_HALF = 0.5
 """Scale error of a wheel beyond which odometry and reference do not belong together."""
 
@@ -260,6 +264,38 @@ def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResu
         return drive
     kept = tuple(a for a in drive.effects if a.effect not in echoes)
     return replace(drive, effects=kept, not_observable={**drive.not_observable, **left_out})
+
+
+def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
+    """Leave no name to a clock of the odometry and a dead time that cancel: wheels then follow commands as robot.yaml says.
+
+    Whatever lets both come before the reference is one cause, and the effects are two.
+    """
+    clocks = [a for a in odometry.effects if a.effect is POSE_CLOCK_OFFSET]
+    delays = [a for a in drive.effects if a.effect is DEAD_TIME]
+    if not (clocks and delays) or odometry.unknown is not None:
+        return odometry, drive
+    (clock,), (delay,) = clocks, delays
+    error = float(np.hypot(clock.stderr["tau"], delay.stderr["L"]))
+    if abs(clock["tau"] + delay["L"]) > 2 * error or abs(clock["tau"]) < CANCELS * error:
+        return odometry, drive
+    words = f"poses come {1000 * abs(clock['tau']):.0f} ms {'after' if clock['tau'] < 0 else 'before'} both"
+    unknown = Unknown(
+        statement=f"wheels follow the commands as robot.yaml says, and the {words}, which no single effect of the library explains",
+        statistic=clock.evidence or 0.0,
+        threshold=EVIDENCE.threshold,
+        consequence=words,
+        families=(
+            "the clock of the base, which stamps commands and odometry",
+            "wheels that slip while the speed changes",
+            "poses that are filtered",
+        ),
+    )
+    rest = tuple(a for a in odometry.effects if a is not clock)
+    return (
+        replace(odometry, effects=rest, unknown=unknown),
+        replace(drive, effects=tuple(a for a in drive.effects if a is not delay)),
+    )
 
 
 def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:
