@@ -90,7 +90,7 @@ def test_a_slow_loop_of_the_base_may_make_as_much_of_a_change() -> None:
     assert diagnose_drive(make_run(3, lag=0.06, since=50.0), slow).unknown is None
 
 
-@pytest.mark.parametrize(("lag", "since"), [(0.12, 30.0), (0.06, 50.0)])
+@pytest.mark.parametrize(("lag", "since"), [(0.12, 30.0), (0.06, 50.0), (0.04, 40.0)])
 def test_a_lag_that_comes_during_the_run_is_no_lag_of_the_robot(lag: float, since: float) -> None:
     """A load put on half-way: over the whole run it looks like a smaller lag that was always there."""
     result = diagnose_drive(make_run(3, lag=lag, since=since), ROBOT)
@@ -365,9 +365,9 @@ def test_error_of_a_lag_holds_a_second_one_in_series() -> None:
         (lag,) = diagnose_drive(real_base(1, second=second), stated).effects
         assert lag.name == "actuator_lag"
         for truth in (0.08, 0.08 - second):
-            assert abs(lag["tau"] - truth) < 2.2 * lag.stderr["tau"]
+            assert abs(lag["tau"] - truth) < 2 * lag.stderr["tau"]
         errors.append(lag.stderr["tau"])
-    assert errors[0] < 0.005 < 2 * errors[0] < errors[1]
+    assert errors[1] ** 2 - errors[0] ** 2 == pytest.approx(0.025**2 / 3, rel=0.3)
 
 
 def test_noise_of_coarse_ticks_is_not_cut() -> None:

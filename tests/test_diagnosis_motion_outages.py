@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,8 @@ from diagnosis_samples import ROBOT, make_run, reported
 from logs.run import Run
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.motors.model import Column
-from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma, is_in_step, wait_between_stretches
+from sensorgraph.world.robot import Robot
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -42,7 +44,7 @@ def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stan
     assert result.unknown is not None and "losing speed at times" in result.unknown.statement
 
 
-def wait_between_halves(n_late: int, *, in_step: bool) -> float:
+def wait_between_halves(n_late: int, *, in_step: bool, robot: Robot = ROBOT) -> float:
     """Return by how much [s] the delay of a run of 20 changes may differ from that of its later half, as commands wait.
 
     Parameters
@@ -55,11 +57,11 @@ def wait_between_halves(n_late: int, *, in_step: bool) -> float:
     columns[starts, Column.DELAY] = np.where(starts >= 100 + 10 * n_late, 0.01, 1.0)
     columns = np.concatenate([columns, np.zeros_like(columns)])
     values = np.repeat(np.arange(20.0) % 2, 10)[:, None] * [1.0, 0.0]
-    at = ROBOT.tolerances.control_period * 2 * np.arange(200)
+    at = robot.tolerances.control_period * 2 * np.arange(200)
     late = np.zeros(200) if in_step else np.random.default_rng(0).uniform(0, 0.05, 200)
-    rows = SimpleNamespace(start=at, end=at + at[1])
+    rows = SimpleNamespace(start=at, end=at + at[1], masked=lambda column: column)
     simulation = SimpleNamespace(commands=SimpleNamespace(stamps=at + late, values=values))
-    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=ROBOT)
+    model: Any = SimpleNamespace(rows=rows, simulation=simulation, robot=robot)
     fit: Any = SimpleNamespace(columns=columns, motors=SimpleNamespace(delay=0.0))
     later = np.where(np.arange(400) % 200 >= 100, columns[:, Column.DELAY], 0.0)
     return wait_between_stretches(model, fit, Column.DELAY, later)
@@ -73,7 +75,33 @@ def test_a_single_command_that_waits_longer_is_no_change_of_the_motors_delay() -
     assert many == pytest.approx(3 * one * np.sqrt(2 / 10), rel=0.06)
 
 
-def test_commands_in_step_with_the_base_may_all_wait_longer_after_a_while() -> None:
-    """Commands every two periods: where the phase drifts past a tick, all that come after wait for the next one."""
-    period = ROBOT.tolerances.control_period
-    assert 0.9 * period < wait_between_halves(10, in_step=True) <= period
+def test_commands_in_step_with_a_stated_loop_may_all_wait_a_period_longer_after_a_while() -> None:
+    stated = replace(ROBOT, stated=frozenset({"tolerances.control_period"}))
+    whole = ROBOT.tolerances.control_period
+    assert wait_between_halves(10, in_step=True, robot=stated) == whole
+    assert wait_between_halves(10, in_step=True) < 0.5 * whole
+    assert wait_between_halves(10, in_step=False, robot=stated) < 0.5 * whole
+
+
+@pytest.mark.parametrize(
+    ("interval", "period", "jitter", "is_so"),
+    [
+        (0.1, 0.05, 0.004, True),
+        (0.1, 0.033, 0.0, True),
+        (1 / 15, 0.02, 0.0, False),
+        (0.1, 0.05, 0.03, False),
+        (0.1, 0.04, 0.0, False),
+    ],
+)
+def test_commands_are_in_step_with_a_loop_that_divides_their_interval(
+    interval: float, period: float, jitter: float, is_so: bool
+) -> None:
+    """33 ms are said of a loop that runs 30 times a second, of which commands at 10 Hz come every third time."""
+    rng = np.random.default_rng(0)
+    stamps = interval * np.sort(rng.choice(1000, 60, replace=False)) + rng.normal(size=60) * jitter
+    assert is_in_step(stamps, period) is is_so
+
+
+def test_stamps_at_random_are_in_step_with_no_loop() -> None:
+    rng = np.random.default_rng(1)
+    assert not any(is_in_step(np.sort(rng.uniform(0, 100, 20)), 0.05) for _ in range(200))

@@ -5,8 +5,6 @@ Columns of these are part of every model that structure is tested in, each in un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
@@ -15,13 +13,11 @@ from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
 WAIT_SIGMAS = 3.0
-"""Standard deviations of the waits of commands, by which delays of two stretches must differ to be no matter of these."""
-LOOP_ERROR = 0.01
+"""Standard deviations of the waits of commands, by which delays, or lags, of two stretches must differ to be no matter of these."""
+PERIOD_ERROR = 0.01
 """Share of its period by which a base's loop may be off: robot.yaml says 33 ms of one that runs 30 times a second."""
-LEAST_DRIFT = 1e-5
-"""The same of two crystals, by which the phases of loop and commands drift at least: a millisecond in a run."""
-BEAT_PHASES, BEAT_PERIODS = 20, 20
-"""Phases, and periods above and below the stated one, that are tried."""
+IN_STEP = 0.7
+"""Mean resultant length of phases, above which commands are in step with the loop."""
 CHANGE = 0.1
 """Of the largest command, by which commands have changed in all when they count as another one."""
 
@@ -61,58 +57,45 @@ def stated_smear(robot: Robot) -> float:
     return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class _AnsweredCommands:
-    """How much each change of a command tells of a delay, or lag, in two stretches of a run."""
-
-    stamps: Floats
-    """(n,) [s] of the changes."""
-    weights: Floats
-    """(2, n) what a wait of each adds to the number told of the stretch before, and of the later one; of a delay, shares."""
-
-
 def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> float:
     """Return by how much [s] delays, or lags, before and in a later stretch may differ, as commands wait for the base's loop.
 
-    Each change of a command waits for the next tick: by itself, so that a stretch in which the base answers to few of them
-    has the wait of these; or in step with the loop, where commands come at about a multiple of its period and the two beat.
+    Each change of a command waits by itself, so that a stretch in which the base answers to few of them has the wait of these.
+    Where the changes are in step with a stated loop, all of a stretch may wait a period longer than those before.
 
     Parameters
     ----------
     column : of the regression, that of the delay or of the lag
     later : (2 n,) what it does to the rates in the later stretch; 0 elsewhere
     """
-    answered = _answered_commands(model, fit, column, later)
-    tolerances = model.robot.tolerances
-    by_itself = delay_sigma(tolerances.control_period, tolerances.transport_jitter) * np.linalg.norm(
-        answered.weights
-    )
-    return max(WAIT_SIGMAS * float(by_itself), _beat(answered, tolerances.control_period))
-
-
-def _answered_commands(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> _AnsweredCommands:
-    rows, commands = model.rows, model.simulation.commands
+    rows, commands, tolerances = model.rows, model.simulation.commands, model.robot.tolerances
     top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
     asked = np.cumsum(np.abs(np.diff(commands.values, axis=0) / top).max(axis=1))
     changes = commands.stamps[1:][np.diff(np.floor(asked / CHANGE), prepend=0.0) > 0]
+    is_stated = "tolerances.control_period" in model.robot.stated
+    if is_stated and is_in_step(changes, tolerances.control_period):
+        return tolerances.control_period
     answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
-    by_wait = fit.columns[:, Column.DELAY]
-    weights = []
-    for one in (fit.columns[:, column] - later, later):
-        told = np.bincount(answered, (one * by_wait).reshape(2, -1).sum(axis=0), minlength=len(changes) + 1)
-        weights.append(told[1:] / max(float((one**2).sum()), 1e-300))
-    return _AnsweredCommands(stamps=changes, weights=np.stack(weights))
+    by_wait, square = rows.masked(fit.columns[:, Column.DELAY]), 0.0
+    for stretch in (rows.masked(fit.columns[:, column]) - later, later):
+        told = np.bincount(answered, (stretch * by_wait).reshape(2, -1).sum(axis=0))
+        square += float(np.square(told).sum() / max(float(np.square(stretch).sum()) ** 2, 1e-300))
+    return (
+        WAIT_SIGMAS
+        * delay_sigma(tolerances.control_period, tolerances.transport_jitter)
+        * float(np.sqrt(square))
+    )
 
 
-def _beat(answered: _AnsweredCommands, period: float) -> float:
-    """Return by how much [s] two stretches differ at the worst phase of a loop that keeps its period to a per cent."""
-    if period == 0 or not len(answered.stamps):
-        return 0.0
-    before, later = answered.weights / np.maximum(answered.weights.sum(axis=1, keepdims=True), 1e-9)
-    scale = float(answered.weights.sum(axis=1).max())
-    phases = np.arange(BEAT_PHASES) / BEAT_PHASES
-    worst, drifts = 0.0, np.geomspace(LEAST_DRIFT, LOOP_ERROR, BEAT_PERIODS)
-    for true in period * (1 + np.concatenate([-drifts, drifts])):
-        waits = true * ((phases[:, None] - answered.stamps / true) % 1.0)
-        worst = max(worst, float(np.abs(waits @ (later - before)).max()))
-    return worst * scale
+def is_in_step(stamps: Floats, period: float) -> bool:
+    """Tell whether stamps (n,) [s] keep about one phase of a loop of a period [s], which is known to a per cent.
+
+    The mean resultant length of their phases (Mardia and Jupp 2000, Directional Statistics, section 2.3.1), at the period
+    where it is largest; of 20 stamps or more at random it stays below 0.7.
+    """
+    if period == 0 or len(stamps) < 2:
+        return False
+    cycles = float(np.ptp(stamps)) / period
+    shares = np.linspace(-PERIOD_ERROR, PERIOD_ERROR, 2 * int(np.ceil(4 * PERIOD_ERROR * cycles)) + 1)
+    phases = np.exp(2j * np.pi * stamps / (period * (1 + shares))[:, None])
+    return bool(np.abs(phases.mean(axis=1)).max() > IN_STEP)

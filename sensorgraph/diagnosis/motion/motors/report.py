@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
 from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
-from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, jump_of
+from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, column_of_jump
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -65,8 +65,8 @@ def drive_result(
     # a lag or a delay that changes has no one size, and the other one takes a part of the change
     structure = selected.structure
     kind = "" if structure is None else structure.family.kind
-    is_change = kind in map(jump_of, WHAT_CHANGES)
-    steady = [a for a, term in found if not (is_change and jump_of(term.column))]
+    is_change = column_of_jump(kind) is not None
+    steady = [a for a, term in found if not (is_change and term.column in WHAT_CHANGES)]
     if structure is not None and kind in OTHER_MOTORS:
         least = np.inf if kind != ANSWER else DRIVE.structure.lead_over_answer * structure.evidence
         steady = [a for a in steady if a.effect not in TIMING or (a.evidence or 0.0) > least]

@@ -15,9 +15,8 @@ from sensorgraph.diagnosis.motion.motors.structure import (
     ROLLS_ON,
     SLOWED_DOWN,
     TIMING_OF_STRETCHES,
-    WHAT_CHANGES,
+    column_of_jump,
     drive_families,
-    jump_of,
 )
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
@@ -157,7 +156,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
     if sure_change < _change_by_waits(model, here, family):
-        return selected
+        return _without_smaller(model, selected, family, sure_change)
     if not is_material and sure_change < max(family.materiality, model.robot.tolerances.control_period / 2):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
@@ -188,8 +187,23 @@ def _change_by_waits(model: DriveModel, here: DriveFit, family: StructureFamily)
     """
     if family.kind == TIMING_OF_STRETCHES:
         return model.robot.tolerances.control_period
-    changed = [column for column in WHAT_CHANGES if family.kind == jump_of(column)]
-    return wait_between_stretches(model, here, changed[0], family.columns[:, 0]) if changed else 0.0
+    column = column_of_jump(family.kind)
+    return 0.0 if column is None else wait_between_stretches(model, here, column, family.columns[:, 0])
+
+
+def _without_smaller(
+    model: DriveModel, selected: MotorSelection, family: StructureFamily, change: float
+) -> MotorSelection:
+    """Return effects without a delay, or lag, of the whole run that is smaller than what waits may change it by [s]."""
+    column = column_of_jump(family.kind)
+    terms = [
+        term
+        for term in selected.terms
+        if term.column != column or abs(model.size_of(term, selected.fit)) > change
+    ]
+    if len(terms) == len(selected.terms):
+        return selected
+    return MotorSelection(terms=tuple(terms), fit=model.fit(terms, selected.fit.motors))
 
 
 def _each_time(family: StructureFamily, missing: Floats) -> float:

@@ -47,6 +47,11 @@ def jump_of(column: int) -> str:
     return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
 
 
+def column_of_jump(kind: str) -> int | None:
+    """Return the column of the number that changes once in families of a kind; None: they are of another kind."""
+    return next((column for column in WHAT_CHANGES if kind == jump_of(column)), None)
+
+
 TIMING_OF_STRETCHES = "timing"
 """Kind of the family of a delay that changes during the run, as a base's own loop makes it change, too."""
 
