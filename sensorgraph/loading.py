@@ -138,5 +138,6 @@ def robot_for(run: Run, source: str | Path | None = None) -> Robot:
     """Open a robot.yaml; without a source, the shipped robot with the sensor that the run itself describes."""
     robot = load_robot(source)
     if source is None and ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
-        return replace(robot, sensor=replace(run.sensor, height=robot.sensor.height))
+        height = run.sensor.height or robot.sensor.height
+        return replace(robot, sensor=replace(run.sensor, height=height), stated=frozenset())
     return robot

@@ -370,6 +370,17 @@ def test_error_of_a_lag_holds_a_second_one_in_series() -> None:
     assert errors[1] ** 2 - errors[0] ** 2 == pytest.approx(0.025**2 / 3, rel=0.3)
 
 
+def test_a_second_lag_in_series_does_not_hide_a_lag_that_is_longer_than_the_smear() -> None:
+    """35 ms beside a smear of 14 ms: the fit is sure by 2 ms, though the ± with a second lag of 25 ms is 15 ms."""
+    stated = replace(
+        ROBOT,
+        actuators=replace(ROBOT.actuators, tau=0.065),
+        tolerances=replace(ROBOT.tolerances, control_period=0.05),
+        stated=frozenset({"tolerances.control_period"}),
+    )
+    assert [a.name for a in diagnose_drive(real_base(1, second=0.025), stated).effects] == ["actuator_lag"]
+
+
 def test_noise_of_coarse_ticks_is_not_cut() -> None:
     """Nine readings in ten are 0 and so is the robust scale, while robot.yaml states the noise: it is taken whole."""
     run, sigma = make_run(1, duration=30.0), ROBOT.wheels.sigma_v

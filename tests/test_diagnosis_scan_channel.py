@@ -8,12 +8,16 @@ from typing import Any, cast
 import pytest
 from scan_samples import data_of, drive, hall_arena
 
+from sensorgraph.diagnosis import naming
+from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, shows_straight_reference
+from sensorgraph.effects import EFFECTS
+from sensorgraph.loading import robot_for
 from sensorgraph.world.robot import parse_robot
 
 
@@ -65,3 +69,22 @@ def test_height_of_the_laser_is_the_logs_unless_robot_yaml_says_it(stated: str, 
     run = replace(run, sensor=replace(run.sensor, height=0.45))
     data, _ = prepare_scans(run, hall, parse_robot(f"sensor: {{n_rays: 61{stated}}}"))
     assert data.sensor.height == height
+
+
+@pytest.mark.parametrize("evidence", [0.0, 100.0])
+def test_a_mount_that_the_reference_may_be_is_neither_found_nor_within_tolerance(
+    monkeypatch: pytest.MonkeyPatch, evidence: float
+) -> None:
+    monkeypatch.setattr(naming, "evidence_beside_wander", lambda fitted, a: evidence)
+    hall = hall_arena()
+    run = drive(hall, (EFFECTS["mount_xy"](dx=0.03, dy=0.0),))
+    found = diagnose(run, hall, parse_robot("sensor: {n_rays: 61}"), plan_next=False).channels["scan"]
+    assert [a.name for a in found.effects] == (["mount_xy"] if evidence > 12 else [])
+    assert "mount_xy" not in [a.name for a in found.within_tolerance]
+    assert ("wanders" in found.not_observable.get("mount_xy", "")) is (evidence < 12)
+
+
+def test_without_a_robot_file_nothing_is_stated_and_the_height_is_the_logs() -> None:
+    run = drive(hall_arena(), n=60)
+    robot = robot_for(replace(run, sensor=replace(run.sensor, height=0.45)))
+    assert robot.sensor.height == 0.45 and robot.stated == frozenset()

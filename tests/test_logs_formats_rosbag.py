@@ -59,10 +59,12 @@ def test_bag_of_any_kind_gives_the_same_run(tmp_path: Path, kind: str) -> None:
     assert run.epoch_ns == EPOCH
 
 
-def test_height_counts_from_the_floor(tmp_path: Path) -> None:
-    """REP 120: base_footprint is on the floor, base_link may be at the height of the axle."""
+@pytest.mark.parametrize("is_root", [True, False])
+def test_height_counts_from_the_floor(tmp_path: Path, is_root: bool) -> None:
+    """REP 120: base_footprint is on the floor, above or below base_link in the tree; that may be at the axle's height."""
+    ends = ("base_footprint", "base_link") if is_root else ("base_link", "base_footprint")
     tree = [
-        transform(0, "base_footprint", "base_link", 0, 0, 0, z=0.06, static=True),
+        transform(0, *ends, 0, 0, 0, z=0.06 if is_root else -0.06, static=True),
         transform(0, "base_link", "laser", 0.1, 0, 0, z=0.2, static=True),
     ]
     run = read(tmp_path, [*tree, scan(0, [1.0, 2.0, 3.0, 4.0, 5.0])])

@@ -187,7 +187,7 @@ def _placed(
         scans=rays.scans,
         base=base,
         mount=np.zeros(3),
-        height=float(np.median(heights)),
+        height=float(np.median([height for height in heights if height] or [0.0])),
         origins=rays.origins,
         cones=rays.cones,
         rate=1e9 / min(periods) if periods and min(periods) > 0 else None,
@@ -217,8 +217,9 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
         scans.notes.append("the laser moves on the robot; its first place was taken")
+    below = tree.place(base, FLOOR_FRAME) if base is not None else None
     above_floor = tree.place(FLOOR_FRAME, scans.frame) or place
-    return place.poses[0], above_floor.height, place.up < 0
+    return place.poses[0], above_floor.height - (below.height if below else 0.0), place.up < 0
 
 
 def _reference(

@@ -10,6 +10,7 @@ from scipy.special import expit
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.structure import CLOCK
+from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
@@ -83,13 +84,23 @@ def name_scan_effects(
         and is_material(final, a)
         and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
     }
+    imitated = {
+        i for i in material if evidence_beside_wander(final, final.model[i]) < SCAN.selection.threshold
+    }
+    material -= imitated
     accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
     result = ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
-        within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material),
+        within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
+        not_observable={
+            complete[
+                i
+            ].name: f"{brief(complete[i])} is what the mean of a reference that wanders may be off by"
+            for i in sorted(imitated)
+        },
         unknown=_unknown(fit),
         rivals=tuple(
             Rival(
@@ -160,7 +171,6 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         _is_blurred_corner(amendment)
         or is_within_baseline(fitted, amendment)
         or not is_measured(amendment)
-        or evidence_beside_wander(fitted, amendment) < SCAN.selection.threshold
         or is_map_error(fitted, amendment)
         or changes_too_few(fitted, amendment)
     ) and (

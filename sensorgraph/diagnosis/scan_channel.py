@@ -78,7 +78,8 @@ def diagnose_scans(
         gap = held_out_gap(unseen, null, final, names.named, rng=rng)
         second_gap = None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
     with clock.stage("observable"):
-        result = replace(names.result, gap=gap, not_observable=not_observable(train, final))
+        unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
+        result = replace(names.result, gap=gap, not_observable=unseen_effects)
         pairs = [asdict(pair) for pair in alike(train, final)]
     return ScanDiagnosis(
         result=result,

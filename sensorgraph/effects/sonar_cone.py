@@ -20,7 +20,8 @@ GAMMAS = np.radians([2.0, 4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 ALPHAS = np.radians([20.0, 30.0, 45.0, 65.0, 89.9])
 """... with each of these largest incidences [rad]."""
 MIN_SHORT = 0.005
-"""Share of short readings: a cone finds what is nearer beside the ray, and walls that are met at a slant."""
+"""Share of short readings: a cone finds what is nearer beside the ray, and reads walls short that are met at a slant. Runs
+without any effect have less, people and strays of less than 0.2 % among it."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:

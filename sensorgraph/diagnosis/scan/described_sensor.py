@@ -13,8 +13,12 @@ from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot
 
 
-def described_sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
-    """Return the sensor of robot.yaml, its rays numbered as those of the run; as high as the run says, if the file does not.
+def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSensor:
+    """Return robot.yaml's sensor, its rays numbered as those of the run.
+
+    Parameters
+    ----------
+    is_laser_frame : the poses are the laser's own, and its mount is none
 
     Raises
     ------
@@ -45,9 +49,10 @@ def described_sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
         described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
     if several or run.sensor.cones.any() or described.cones.any():
         described = replace(described, cones=run.sensor.cones)
+    # robot.yaml's default height is nobody's; 0: the log does not know it either
     if "sensor.height" not in robot.stated and run.sensor.height > 0:
         described = replace(described, height=run.sensor.height)
-    mount = np.zeros(3) if laser_frame else described.mount
+    mount = np.zeros(3) if is_laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
     sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))
     return replace(described, mount=mount, sigma=float(sigma), sweep_time=sweep)

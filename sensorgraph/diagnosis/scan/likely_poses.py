@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from planners.arena import wrap
 from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.standard_errors import spacing
 from sensorgraph.types import Bools
+from sensorgraph.world.ray_order import neighbouring_rays
 
 
 def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: bool = False) -> ScanData:
@@ -40,8 +41,12 @@ def is_reference_wide(data: ScanData) -> bool:
     Then outlines are met by other rays than at the reference.
     """
     t, far = data.tolerances, data.ranges[data.returned]
-    usual = float(np.median(far)) if len(far) else 0.0
-    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > min(data.sensor.sigma, spacing(data) * usual))
+    if not len(far):
+        return False
+    usual, (right, left) = float(np.median(far)), neighbouring_rays(data.sensor)
+    apart = wrap(data.sensor.bearings[left] - data.sensor.bearings[right])
+    to_the_next = usual * float(np.median(apart)) if len(apart) else np.inf
+    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > min(data.sensor.sigma, to_the_next))
 
 
 def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:

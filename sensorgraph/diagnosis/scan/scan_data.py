@@ -303,7 +303,9 @@ def prepare_scans(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
             "record a longer run, or name the topic of its poses with `topics` pose=..."
         )
-    sensor = described_sensor(run, robot, laser_frame := run.pose_frame == "laser")
+    laser_frame = run.pose_frame == "laser"
+    sensor = described_sensor(run, robot, is_laser_frame=laser_frame)
+    notes["laser_height_m"] = sensor.height
     motion = motion_of(run, use_odometry=sensor.has_ray_delays)
     when = run.stamps[kept]
     data = ScanData(

@@ -83,7 +83,7 @@ def lattice_error(data: ScanData, q: float) -> float:
 def spacing(data: ScanData) -> float:
     """Return the angle [rad] between neighbouring rays."""
     bearings = data.sensor.bearings
-    return float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else 0.01
+    return float(np.median(np.diff(bearings))) if len(bearings) > 1 else 0.01
 
 
 def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, step: float) -> float:
@@ -186,19 +186,21 @@ def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
 
 
 def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
-    """Return how much [nats] a size tells beside the mean of a wandering reference; inf where that does not look alike.
+    """Return the evidence [nats] of a size whose error is that of the fit and of the mean of a wandering reference.
 
-    Half of chi square, by the error of the fit and of that mean. Evidence that counts the pose errors of all scans for
-    independent is more.
+    Half of chi square, less the price of the parameters; inf for effects that no pose error imitates. The gains of a search
+    are larger, as they take the pose errors of different scans for independent.
     """
     nuisances, wanders = prior_widths(fitted.solver.data.tolerances), wander_widths(fitted)
-    total, is_mimicked = 0.0, False
+    total, imitated = 0.0, 0
     for p in amendment.effect.parameters:
-        if p.nuisance is not None and p.nuisance in wanders:
-            is_mimicked = True
-            variance = amendment.stderr.get(p.name, 0.0) ** 2 - float(nuisances[p.nuisance]) ** 2
-            total += amendment[p.name] ** 2 / max(variance, 1e-18)
-    return total / 2 if is_mimicked else np.inf
+        if p.nuisance is None or p.nuisance not in wanders:
+            continue
+        set_up = float(nuisances[p.nuisance])  # what `standard_errors` adds for a careful set-up
+        variance = amendment.stderr.get(p.name, np.inf) ** 2 - set_up**2
+        total += amendment[p.name] ** 2 / max(variance, 1e-18)
+        imitated += 1
+    return total / 2 - SCAN.selection.price * imitated if imitated else np.inf
 
 
 def set_up_of(data: ScanData) -> SetUp:

@@ -13,6 +13,9 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 
+LEAST_SEEN = 0.1
+"""Share of the square of an error that a run shows at least, however long it lasts."""
+
 
 def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
     """Return the standard deviation [m, m, rad, s] that wandering pose errors give to what is constant on the robot.
@@ -34,11 +37,17 @@ def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
 
 
 def error_of_mean(values: Floats) -> float:
-    """Return by how much the standard error of the mean of values (n,) exceeds, in squares, that of independent ones."""
+    """Return by how much the standard error of the mean of values (n,) exceeds, in squares, that of independent ones.
+
+    Autocovariances about the mean of the values themselves are too small by the square of that error, each of them, which
+    is given back. Of what lasts longer than a tenth of the run this tells only a part.
+    """
     n, off = len(values), values - values.mean()
     spectrum = np.abs(np.fft.rfft(off, 2 * n)) ** 2
     covariance = np.fft.irfft(spectrum)[:n] / n
     pairs = covariance[0 : n - 1 : 2] + covariance[1:n:2]
     positive = pairs > 0
-    kept = pairs[: int(positive.argmin()) if not positive.all() else len(pairs)]
-    return float(np.sqrt(max(2 * (kept.sum() - covariance[0]), 0.0) / n))
+    kept = int(positive.argmin()) if not positive.all() else len(pairs)
+    summed = 2 * float(pairs[:kept].sum()) - float(covariance[0])
+    square = summed / n / max(1 - (4 * kept - 1) / n, LEAST_SEEN)
+    return float(np.sqrt(max(square - (float(covariance[0]) + square) / n, 0.0)))
