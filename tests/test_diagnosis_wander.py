@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander
 from sensorgraph.diagnosis.scan.wander import error_of_mean, wander_widths
 from sensorgraph.effects import EFFECTS
@@ -101,7 +102,7 @@ def test_the_mean_of_a_wandering_reference_tells_no_mount(memory: float) -> None
     told = 0
     for _ in range(200):
         delta = 0.02 * np.stack([wandering(300, memory, rng) for _ in range(3)], axis=1)
-        told += mount_by(delta - delta.mean(axis=0), float(delta[:, 0].mean())) > 12.0
+        told += mount_by(delta - delta.mean(axis=0), float(delta[:, 0].mean())) > SCAN.naming.rival_margin
     assert told <= 2
 
 

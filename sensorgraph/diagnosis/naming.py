@@ -84,9 +84,9 @@ def name_scan_effects(
         and is_material(final, a)
         and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
     }
-    imitated = {
-        i for i in material if evidence_beside_wander(final, final.model[i]) < SCAN.selection.threshold
-    }
+    # the mean of a reference that wanders is a rival, too
+    margin = SCAN.naming.rival_margin
+    imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
     material -= imitated
     accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
