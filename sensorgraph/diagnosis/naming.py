@@ -29,6 +29,8 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
+AT_MOST = 0.99
+"""Share of the largest scale of map and poses from which they have been widened as far as they may be."""
 CANCELS = 4.0
 """Standard errors that a clock offset has at least which a dead time cancels; by chance one of two cancels the other rarely."""
 WRONG_BY_HALF = 0.5
@@ -88,7 +90,8 @@ def name_scan_effects(
     margin = SCAN.naming.rival_margin
     imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
     material -= imitated
-    accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
+    fits_nowhere = _fits_nowhere(final)
+    accepted = [i for i in sorted(material) if not (fits_nowhere or is_doubted(explained, i, fit))]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
     result = ChannelResult(
@@ -214,6 +217,11 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
         p *= naming.doubted_factor
     amendment = fitted.model[index]
     return float(p * material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
+
+
+def _fits_nowhere(fitted: Fitted) -> bool:
+    """Tell whether map and poses were both widened as far as they may be: then no name tells what the room is."""
+    return min(fitted.state.pose_scale, fitted.state.map_scale) > AT_MOST * SCAN.noise.max_scale
 
 
 def _unknown(fit: GoodnessOfFit) -> Unknown | None:
