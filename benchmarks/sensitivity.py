@@ -197,7 +197,7 @@ def scaled(name: str, value: Any, factor: float) -> Any:
     if isinstance(value, int):
         return max(1, round(value * factor))
     if isinstance(value, float):
-        if SHARE.search(name) and value < 1.0 <= value * factor:
+        if SHARE.search(name.lower()) and value < 1.0 <= value * factor:
             return (1.0 + value) / 2
         return value * factor
     if isinstance(value, tuple):
