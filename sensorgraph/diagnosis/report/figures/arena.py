@@ -49,8 +49,10 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
     stacked = aspect < 0.5
     across, down = (1, len(models)) if stacked else (len(models), 1)
     wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
+    lines = 2 if compared.magnification > 1 else 1
     figure = new_figure(
-        max(wide * across + 1.5, 5.5), wide * aspect * down + 0.5 + 0.4 * down + 0.35 * _loses_rays(compared)
+        max(wide * across + 1.5, 5.5),
+        wide * aspect * down + 0.5 + (0.3 + 0.2 * lines) * down + 0.35 * _loses_rays(compared),
     )
     charts = list(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel())
     factor = compared.magnification
