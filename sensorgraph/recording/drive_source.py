@@ -162,7 +162,7 @@ def is_same_arena(a: Arena, b: Arena) -> bool:
 
 def differing_keys(a: Robot, b: Robot) -> list[str]:
     """Return the keys of robot.yaml that differ between two robots, their names and comments aside."""
-    return _differing(a, b, "", skip=("name", "text", "mounts"))
+    return _differing(a, b, "", skip=("name", "text", "mounts", "stated"))
 
 
 def _differing(a: Any, b: Any, where: str, skip: tuple[str, ...] = ()) -> list[str]:
