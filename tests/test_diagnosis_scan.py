@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,15 +17,13 @@ from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, polish, solver_for
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
-from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
-from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.effects import EFFECTS, sonar_cone
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import parse_robot
 
@@ -330,52 +327,6 @@ def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Ar
     assert abs(box["x"] - 1.35) < 0.05
     assert abs(box["y"] - 1.35) < 0.05
     assert 0.13 < box["r"] < 0.23
-
-
-def test_the_groups_of_a_sweep_begin_with_the_weakest_value() -> None:
-    view = SimpleNamespace(
-        short=np.full((3, 61), 1.0),
-        lost=np.full((3, 61), 0.0),
-        sensor=parse_robot("sensor: {n_rays: 61}").sensor,
-    )
-    for group in sonar_cone.sweep(view):  # type: ignore[arg-type]
-        values = [value["gamma"] for value in group]
-        assert values == sorted(values)
-
-
-def test_a_narrow_cone_is_tried_though_few_readings_are_short(hall: Arena) -> None:
-    """2.9 degrees shorten what is met at a slant by less than the scatter of most readings."""
-    data = data_of(hall, (EFFECTS["sonar_cone"](gamma=0.05, alpha_max=1.25),))
-    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
-    best = max(proposed_candidates(FitResiduals(data, null)), key=lambda c: c.gain)
-    assert best.amendment.name == "sonar_cone" and best.amendment["gamma"] < 0.08
-
-
-@pytest.mark.parametrize("start", [1.5, 0.45])
-def test_a_search_goes_on_as_long_as_it_strides(hall: Arena, start: float) -> None:
-    """Four rounds ended 0.15 rad off the largest incidence, and a dropout was found beside the cone."""
-    cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)
-    data, noise_bounds = data_of(hall, (cone,)), NoiseBounds()
-    far = (EFFECTS["sonar_cone"](gamma=0.12, alpha_max=start),)
-    state = start_state(data, noise_bounds)
-    (found,) = polish(data, far, 0, state, noise_bounds, rounds=4, first=1.0)
-    assert found["alpha_max"] == pytest.approx(0.98, abs=0.03)
-    assert found["gamma"] == pytest.approx(0.12, abs=0.01)
-
-
-def test_where_tolerances_have_stretched_a_search_begins_at_fresh_ones_too(hall: Arena) -> None:
-    cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)
-    data, noise_bounds = data_of(hall, (cone,)), NoiseBounds()
-    off = fit(
-        data,
-        (EFFECTS["sonar_cone"](gamma=0.16, alpha_max=0.98),),
-        start_state(data, noise_bounds),
-        noise_bounds,
-    )
-    assert max(off.state.pose_scale, off.state.map_scale) > SCAN.nuisance.stretched_scale
-    found = searched(data, off, noise_bounds, rounds=4, first=1.0, turns=1)
-    assert found.model[0]["gamma"] == pytest.approx(0.12, abs=0.01)
-    assert max(found.state.pose_scale, found.state.map_scale) < SCAN.nuisance.stretched_scale
 
 
 def test_a_share_is_searched_between_none_and_all(quiet: ScanData) -> None:

@@ -27,6 +27,28 @@ def wandering(n: int, memory: float, rng: np.random.Generator) -> Floats:
     return out
 
 
+def fitted_of(
+    delta: Floats, poses: Floats | None = None, speed: Floats | float = 0.5, turning: Floats | float = 0.0
+) -> Any:
+    """Return what `wander` reads of a fit with pose errors (n, 3) [m, m, rad].
+
+    Parameters
+    ----------
+    poses : (n, 3) of the reference; default: the heading is held
+    speed, turning : (n,) or of all scans [m/s, rad/s]
+    """
+    n = len(delta)
+    twists = np.zeros((n, 3))
+    twists[:, 2] = turning
+    data = SimpleNamespace(
+        poses=np.zeros((n, 3)) if poses is None else poses,
+        speed=np.broadcast_to(speed, n),
+        twists=twists,
+        tolerances=Tolerances(),
+    )
+    return SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
+
+
 @pytest.mark.parametrize("memory", [0.5, 0.9, 0.97])
 def test_the_error_of_the_mean_is_that_of_many_draws(memory: float) -> None:
     """What a fit already has, as if errors were independent, is not counted twice."""
@@ -49,14 +71,8 @@ def test_an_error_that_turns_with_the_robot_is_one_of_the_mount_and_one_of_the_m
     error = 0.02 * wandering(n, 0.995, rng)
     c, s = np.cos(turning), np.sin(turning)
     on_robot, on_map = np.column_stack([c * error, s * error, 0 * c]), np.column_stack([error, 0 * c, 0 * c])
-    widths = []
-    for delta in (on_robot, on_map):
-        data = SimpleNamespace(
-            poses=np.column_stack([c, s, turning]), speed=np.full(n, 0.5), twists=np.zeros((n, 3)),
-            tolerances=Tolerances(),
-        )  # fmt: skip
-        fitted: Any = SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
-        widths.append(wander_widths(fitted))
+    poses = np.column_stack([c, s, turning])
+    widths = [wander_widths(fitted_of(delta, poses)) for delta in (on_robot, on_map)]
     assert widths[0][Nuisance.MOUNT_X] > 3 * widths[1][Nuisance.MOUNT_X]
     assert widths[0][Nuisance.MOUNT_YAW] == 0.0
     assert widths[0][Nuisance.DELAY] == pytest.approx(widths[0][Nuisance.MOUNT_X] / 0.5)
@@ -68,21 +84,9 @@ def test_a_delay_of_a_robot_that_turns_on_the_spot_is_told_by_its_turns() -> Non
         [0.003 * wandering(n, 0.95, rng) for _ in range(2)] + [0.001 * wandering(n, 0.95, rng)]
     )
     turning = np.cumsum(np.where(np.arange(n) // 40 % 2, 0.05, -0.05))
-    data = SimpleNamespace(
-        poses=np.column_stack([np.zeros((n, 2)), turning]), speed=0.002 * rng.normal(size=n),
-        twists=np.column_stack([np.zeros((n, 2)), np.gradient(turning) / 0.1]), tolerances=Tolerances(),
-    )  # fmt: skip
-    fitted: Any = SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
+    poses = np.column_stack([np.zeros((n, 2)), turning])
+    fitted = fitted_of(delta, poses, speed=0.002 * rng.normal(size=n), turning=np.gradient(turning) / 0.1)
     assert wander_widths(fitted)[Nuisance.DELAY] < 0.002
-
-
-def fitted_of(delta: Floats) -> Any:
-    """Return what `wander` reads of a fit with pose errors (n, 3), of a robot that drives ahead."""
-    n = len(delta)
-    data = SimpleNamespace(
-        poses=np.zeros((n, 3)), speed=np.full(n, 0.5), twists=np.zeros((n, 3)), tolerances=Tolerances()
-    )
-    return SimpleNamespace(solver=SimpleNamespace(data=data), state=SimpleNamespace(delta=delta))
 
 
 def mount_by(delta: Floats, dx: float) -> float:

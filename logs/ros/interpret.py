@@ -35,7 +35,7 @@ from logs.types import Floats, Mounts
 
 FLOOR_FRAME = "base_footprint"
 """On the floor (REP 120); base_link may be anywhere on the robot, at the height of its axle for instance."""
-MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", "base_footprint", "base")
+MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
 
 
@@ -217,6 +217,7 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
         scans.notes.append("the laser moves on the robot; its first place was taken")
+    # the floor's frame may be the root of the tree, above base_link, or a leaf below it
     below = tree.place(base, FLOOR_FRAME) if base is not None else None
     above_floor = tree.place(FLOOR_FRAME, scans.frame) or place
     return place.poses[0], above_floor.height - (below.height if below else 0.0), place.up < 0

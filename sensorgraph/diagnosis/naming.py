@@ -90,8 +90,7 @@ def name_scan_effects(
     margin = SCAN.naming.rival_margin
     imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
     material -= imitated
-    fits_nowhere = _fits_nowhere(final)
-    accepted = [i for i in sorted(material) if not (fits_nowhere or is_doubted(explained, i, fit))]
+    accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
     result = ChannelResult(
@@ -99,10 +98,8 @@ def name_scan_effects(
         effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
         not_observable={
-            complete[
-                i
-            ].name: f"{brief(complete[i])} is what the mean of a reference that wanders may be off by"
-            for i in sorted(imitated)
+            a.name: f"{brief(a)} is what the mean of a reference that wanders may be off by"
+            for a in (complete[i] for i in sorted(imitated))
         },
         unknown=_unknown(fit),
         rivals=tuple(
@@ -196,8 +193,8 @@ def is_measured(amendment: Amendment) -> bool:
 
 
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
-    """Tell whether an effect loses its name because too much of its own kind is left unexplained."""
-    if index in fit.failed:
+    """Tell whether an effect loses its name because too much of its own kind, or the room as a whole, is left unexplained."""
+    if index in fit.failed or _fits_nowhere(explained.final):
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False

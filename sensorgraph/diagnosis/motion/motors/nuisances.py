@@ -44,7 +44,7 @@ def longest_wait(robot: Robot) -> float:
     period is stated beside a delay that is too short to hold it, it does not.
     """
     period = robot.tolerances.control_period
-    is_beside = "tolerances.control_period" in robot.stated and robot.actuators.delay < period / 2
+    is_beside = _is_period_stated(robot) and robot.actuators.delay < period / 2
     return period if is_beside else period / 2
 
 
@@ -53,8 +53,11 @@ def stated_smear(robot: Robot) -> float:
 
     Waits that are spread evenly over a period smear a step as a lag of their standard deviation does. 0: no period is stated.
     """
-    is_stated = "tolerances.control_period" in robot.stated
-    return robot.tolerances.control_period / float(np.sqrt(12)) if is_stated else 0.0
+    return robot.tolerances.control_period / float(np.sqrt(12)) if _is_period_stated(robot) else 0.0
+
+
+def _is_period_stated(robot: Robot) -> bool:
+    return "tolerances.control_period" in robot.stated
 
 
 def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> float:
@@ -72,19 +75,15 @@ def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later:
     top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
     asked = np.cumsum(np.abs(np.diff(commands.values, axis=0) / top).max(axis=1))
     changes = commands.stamps[1:][np.diff(np.floor(asked / CHANGE), prepend=0.0) > 0]
-    is_stated = "tolerances.control_period" in model.robot.stated
-    if is_stated and is_in_step(changes, tolerances.control_period):
+    if _is_period_stated(model.robot) and is_in_step(changes, tolerances.control_period):
         return tolerances.control_period
     answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
     by_wait, square = rows.masked(fit.columns[:, Column.DELAY]), 0.0
     for stretch in (rows.masked(fit.columns[:, column]) - later, later):
         told = np.bincount(answered, (stretch * by_wait).reshape(2, -1).sum(axis=0))
         square += float(np.square(told).sum() / max(float(np.square(stretch).sum()) ** 2, 1e-300))
-    return (
-        WAIT_SIGMAS
-        * delay_sigma(tolerances.control_period, tolerances.transport_jitter)
-        * float(np.sqrt(square))
-    )
+    one = delay_sigma(tolerances.control_period, tolerances.transport_jitter)
+    return WAIT_SIGMAS * one * float(np.sqrt(square))
 
 
 def is_in_step(stamps: Floats, period: float) -> bool:

@@ -49,16 +49,16 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
     stacked = aspect < 0.5
     across, down = (1, len(models)) if stacked else (len(models), 1)
     wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
-    lines = 2 if compared.magnification > 1 else 1
+    factor = compared.magnification
+    enlarged = f"\ndifferences drawn {factor} times as large" if factor > 1 else ""
+    lines = 1 + enlarged.count("\n")
     figure = new_figure(
         max(wide * across + 1.5, 5.5),
         wide * aspect * down + 0.5 + (0.3 + 0.2 * lines) * down + 0.35 * _loses_rays(compared),
     )
     charts = list(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel())
-    factor = compared.magnification
     top = float(f"{100 * max(1.2 * compared.typical_residual, 2.5 * compared.sigma):.1g}")
     colours = _diverging()
-    enlarged = f"\ndifferences drawn {factor} times as large" if factor > 1 else ""
     for axes, (title, model) in zip(charts, models, strict=False):
         draw_floor(axes, compared.arena)
         axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
