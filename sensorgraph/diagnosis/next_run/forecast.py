@@ -78,6 +78,14 @@ class EvidenceQuadratic:
             constant=self.constant * factor,
         )
 
+    def __add__(self, other: EvidenceQuadratic) -> EvidenceQuadratic:
+        return EvidenceQuadratic(
+            matrix=self.matrix + other.matrix,
+            right=self.right + other.right,
+            squares=self.squares + other.squares,
+            constant=self.constant + other.constant,
+        )
+
     def at(self, x: Floats) -> float:
         """Return the nats that remain at refitted values x (k,)."""
         return self.constant + 0.5 * float(self.squares - 2 * self.right @ x + x @ self.matrix @ x)

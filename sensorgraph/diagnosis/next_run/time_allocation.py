@@ -28,20 +28,26 @@ def allocate_time(
     duration : [s] of the run
     """
     n = len(allowed)
-    if not allowed.any():
-        allowed = np.ones(n, dtype=np.bool_)
-    stacks = [_StackedQuadratics(quadratics) for quadratics in per_second]
-    time: Floats = np.where(allowed, duration / allowed.sum(), 0.0)
+    some = np.flatnonzero(allowed) if allowed.any() else np.arange(n)
+    stacks = [_StackedQuadratics([quadratics[i] for i in some]) for quadratics in per_second]
+    time = np.full(len(some), duration / len(some))
+    totals = [stack.mean() * duration for stack in stacks]
     for step in range(NEXT_RUN.forecast.n_allocation_steps):
-        slope = np.zeros(n)
-        for forecast, stack in zip(forecasts, stacks, strict=True):
-            total = stack.total(time)
+        slope = np.zeros(len(some))
+        for forecast, stack, total in zip(forecasts, stacks, totals, strict=True):
             x = forecast.refitted(total)
             slope += stack.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(total.at(x), 0.0))
         size = 2.0 / (step + 3.0)  # of Frank and Wolfe
+        best = int(slope.argmax())
         time *= 1 - size
-        time[int(np.where(allowed, slope, -np.inf).argmax())] += size * duration
-    return time
+        time[best] += size * duration
+        totals = [
+            total * (1 - size) + quadratics[some[best]] * (size * duration)
+            for total, quadratics in zip(totals, per_second, strict=True)
+        ]
+    out = np.zeros(n)
+    out[some] = time
+    return out
 
 
 class _StackedQuadratics:
@@ -53,13 +59,13 @@ class _StackedQuadratics:
         self.squares = np.array([q.squares for q in quadratics])
         self.constant = np.array([q.constant for q in quadratics])
 
-    def total(self, time: Floats) -> EvidenceQuadratic:
-        """Return the evidence of a drive that gives each motion this time (n,) [s]."""
+    def mean(self) -> EvidenceQuadratic:
+        """Return the mean of the motions."""
         return EvidenceQuadratic(
-            matrix=np.tensordot(time, self.matrix, 1),
-            right=time @ self.right,
-            squares=float(time @ self.squares),
-            constant=float(time @ self.constant),
+            matrix=self.matrix.mean(axis=0),
+            right=self.right.mean(axis=0),
+            squares=float(self.squares.mean()),
+            constant=float(self.constant.mean()),
         )
 
     def at(self, x: Floats) -> Floats:
