@@ -12,8 +12,15 @@ from scipy.signal import lfilter
 from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
+from sensorgraph.diagnosis.motion.noise_kernels import robust_misfit
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
+from sensorgraph.diagnosis.motion.reference_noise import (
+    difference_autocovariance,
+    robust_log_likelihood,
+)
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.fused_motion import _lasting_walk, _variances
+from sensorgraph.diagnosis.motion.whitening import filter_of
 
 STEP = 0.02
 
@@ -71,3 +78,19 @@ def test_ticks_and_slip_that_lasts_are_no_wheels_that_spin(seed: int, tick: floa
     """Where the noisy speed itself chose the moments at which wheels gain speed, they seemed to lose way then."""
     result = diagnose_odometry(counted(seed, tick), ROBOT)
     assert result.unknown is None, result.unknown.statement
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_compiled_misfit_and_filter_equal_the_plain_ones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    white, wander, memory, walk = rng.uniform([1e-3, 1e-3, 0.1, 1e-3], [5e-3, 5e-3, 0.9, 5e-3])
+    gamma = difference_autocovariance(white, wander, memory, walk, period=0.05)
+    gamma[0] *= 1 + 1e-6
+    rows, valid = 0.01 * rng.standard_t(3, size=700), rng.random(700) > 0.1
+    plain = filter_of(gamma, min_innovation=1e-6)
+    misfit = robust_misfit(gamma, 1e-6, rows, valid, EVIDENCE.huber_limit)
+    assert misfit == pytest.approx(-robust_log_likelihood(plain, rows, valid), abs=1e-6)
+    columns = rng.normal(size=(9000, 3))
+    expected = lfilter(plain.taps, [1.0], columns, axis=0) / plain.sigma
+    np.testing.assert_allclose(plain(columns), expected, rtol=1e-9, atol=1e-9)
+    assert plain(columns[:, :0]).shape == (9000, 0)

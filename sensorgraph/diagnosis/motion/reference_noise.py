@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.noise_kernels import robust_misfit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss
 from sensorgraph.types import Bools, Floats
@@ -26,6 +27,8 @@ FIRST_GUESS = (-0.5, -2.0, 0.0, -0.7)
 """Of log white, and the logits of wander, memory and walk."""
 FIRST_SIMPLEX = (0.7, 1.5, 1.5, 1.0)
 """Edges of the first simplex."""
+MIN_INNOVATION = 1e-6
+"""Least share of the variance that the past does not predict."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +84,17 @@ def fit_limited_noise(
     """Return the likeliest noise within limits, and its parameters (4,) to start the next fit from."""
     settings = ODOMETRY.noise
 
-    def noise(p: Floats) -> WhiteningFilter:
+    def autocovariance(p: Floats) -> Floats:
         white = limits.wander * np.exp(np.clip(p[0], -MAX_LOGIT, MAX_LOGIT))
         wander = limits.wander * settings.max_wander / (1 + np.exp(-p[1]))
         memory = np.exp(-limits.period / settings.max_memory) / (1 + np.exp(-p[2]))
         walk = limits.walk * settings.max_walk / (1 + np.exp(-p[3]))
         gamma = difference_autocovariance(white, wander, memory, walk, limits.period)
-        return filter_of(gamma + np.eye(1, len(gamma))[0] * 1e-6 * gamma[0], min_innovation=1e-6)
+        gamma[0] *= 1 + MIN_INNOVATION
+        return gamma
 
     def misfit(p: Floats) -> float:
-        return -robust_log_likelihood(noise(p), residual, valid)
+        return robust_misfit(autocovariance(p), MIN_INNOVATION, residual, valid, EVIDENCE.huber_limit)
 
     first: Floats = np.array(FIRST_GUESS) if start is None else start
     options: Any = {
@@ -101,7 +105,7 @@ def fit_limited_noise(
     }
     found = minimize(misfit, first, method="Nelder-Mead", options=options)
     p = np.clip(found.x, -MAX_LOGIT, MAX_LOGIT)
-    return noise(p), p
+    return filter_of(autocovariance(p), MIN_INNOVATION), p
 
 
 def robust_log_likelihood(noise: WhiteningFilter, residual: Floats, valid: Bools) -> float:

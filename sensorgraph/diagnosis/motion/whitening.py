@@ -8,11 +8,13 @@ tolerances change the weights and not the names.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.noise_kernels import filtered
 from sensorgraph.types import Bools, Floats
 
 ROWS_AT_A_TIME = 4096
@@ -45,11 +47,10 @@ class WhiteningFilter:
 
     def block(self, columns: Floats, rows: slice) -> Floats:
         """Return some rows of the filtered columns (n, ...)."""
-        out = np.zeros((rows.stop - rows.start, *columns.shape[1:]))
-        for lag, tap in enumerate(self.taps[: rows.stop].tolist()):
-            begin = max(rows.start, lag)
-            out[begin - rows.start :] += tap * columns[begin - lag : rows.stop - lag]
-        return out / self.sigma
+        first = max(rows.start - len(self.taps) + 1, 0)
+        some = np.ascontiguousarray(columns[first : rows.stop])
+        out = filtered(some.reshape(len(some), math.prod(some.shape[1:])), self.taps, self.sigma)
+        return out.reshape(some.shape)[rows.start - first :]
 
     @classmethod
     def white(cls, order: int, sigma: float) -> WhiteningFilter:

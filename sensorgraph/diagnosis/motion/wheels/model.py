@@ -57,8 +57,14 @@ def share_inside(positions: Floats, discs: Floats) -> Floats:
     positions : (n_increments, 2 or more) [m, map]
     discs : (n_discs, 3) x, y, r [m, map]
     """
-    far = np.hypot(positions[:, 0, None] - discs[None, :, 0], positions[:, 1, None] - discs[None, :, 1])
-    return np.clip((discs[None, :, 2] - far) / ODOMETRY.patch.rim + 0.5, 0.0, 1.0)
+    dx, dy = (positions[:, axis, None] - discs[None, :, axis] for axis in (0, 1))
+    dx *= dx
+    dy *= dy
+    dx += dy
+    far = np.sqrt(dx, out=dx)  # much quicker than np.hypot
+    far *= -1 / ODOMETRY.patch.rim
+    far += discs[None, :, 2] / ODOMETRY.patch.rim + 0.5
+    return np.clip(far, 0.0, 1.0, out=far)
 
 
 def clock_sigma(robot: Robot, settings: EvidenceSettings) -> float:
