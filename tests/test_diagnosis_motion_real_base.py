@@ -10,6 +10,7 @@ from diagnosis_samples import ROBOT, make_run, profile
 from scipy.signal import lfilter
 
 from logs.run import Run
+from planners.types import Floats
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 
 
@@ -21,6 +22,8 @@ def real_base(
     second: float = 0.0,
     sigma: float = 1.0,
     drag: tuple[float, float] = (0.0, 0.0),
+    ramp: tuple[float, float] | None = None,
+    late: float = 0.0,
 ) -> Run:
     """Return a run whose base acts at ticks of its own loop, through two lags in series; commands come at 20 Hz.
 
@@ -29,18 +32,22 @@ def real_base(
     tick, jitter, second : [s] of the base, of the transport of commands, of the second lag
     sigma : times the nominal noise of the encoders
     drag : share of the speed that is lost, and the command [m/s] below which it is
+    ramp : [m/s², rad/s²] by which the base brings commands to its motors
+    late : [s] that the transport takes
     """
     rng, fine = np.random.default_rng(seed), 0.005
     run = make_run(seed, duration=1.0)
     commands = profile(rng, 90.0)
     stamps = 0.05 * np.arange(len(commands))
     t = fine * np.arange(len(commands) * 10)
-    arrival = stamps + np.abs(rng.normal(size=len(stamps))) * jitter
+    arrival = stamps + late + np.abs(rng.normal(size=len(stamps))) * jitter
     if tick:
         arrival = np.ceil(arrival / tick) * tick - tick / 2  # robot.yaml's delay holds the mean
     held = commands[np.maximum(np.searchsorted(np.maximum.accumulate(arrival), t, side="right") - 1, 0)]
     share, below = drag
     held = np.where(np.abs(held) < below, held * (1 - share), held)
+    if ramp is not None:
+        held = np.stack([ramped(c, a * fine) for c, a in zip(held.T, ramp, strict=True)], axis=1)
     for tau in (0.10 - second, second):
         if tau > 0:
             keep = np.exp(-fine / tau)
@@ -59,6 +66,14 @@ def real_base(
     )
 
 
+def ramped(asked: Floats, most: float) -> Floats:
+    """Return set points (n,) that follow what is asked by at most so much a step."""
+    out, last = np.empty_like(asked), 0.0
+    for k, value in enumerate(asked):
+        out[k] = last = min(max(value, last - most), last + most)
+    return out
+
+
 @pytest.mark.parametrize(
     "base",
     [
@@ -73,6 +88,16 @@ def real_base(
 def test_what_every_base_does_is_no_reason_to_doubt(base: dict[str, float]) -> None:
     result = diagnose_drive(real_base(1, **base), ROBOT)
     assert result.effects == () and result.unknown is None
+
+
+@pytest.mark.parametrize("late", [0.0, 0.06])
+def test_a_base_that_brings_commands_to_its_motors_by_a_ramp_is_not_late_for_that(late: float) -> None:
+    """The ramp keeps the limits of robot.yaml, the lag follows it; a dead time beside it is found as it is."""
+    limits = replace(ROBOT.limits, a=0.5, alpha=1.5)
+    result = diagnose_drive(real_base(3, ramp=(0.5, 1.5), late=late), replace(ROBOT, limits=limits))
+    assert result.unknown is None
+    found = {a.name: a.parameters for a in result.effects}
+    assert found == ({"dead_time": {"L": pytest.approx(late, abs=0.012)}} if late else {})
 
 
 def test_error_of_a_lag_holds_a_second_one_in_series() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import polygon_arena
 from scan_samples import data_of, drive, hall_arena
 
 from planners.arena import Arena
@@ -70,8 +71,8 @@ def test_a_mount_that_is_stated_to_be_coarse_takes_more_for_a_name(
     assert is_material(null, turned) == is_named
 
 
-@pytest.mark.parametrize(("share", "is_named"), [(2.2, False), (2.9, True)])
-def test_a_wall_has_moved_from_two_and_a_half_times_the_stated_tolerance_on(
+@pytest.mark.parametrize(("share", "is_named"), [(2.9, False), (3.6, True)])
+def test_one_wall_of_many_may_be_off_by_more_than_the_stated_tolerance(
     hall: Arena, share: float, is_named: bool
 ) -> None:
     robot = parse_robot("sensor: {n_rays: 61}\ntolerances: {map: 0.008}")
@@ -79,6 +80,22 @@ def test_a_wall_has_moved_from_two_and_a_half_times_the_stated_tolerance_on(
     null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
     moved = replace(EFFECTS["moved_wall"](d=0.008 * share).at(hall.names[0]), stderr={"d": 0.001})
     assert is_material(null, moved) == is_named
+
+
+def test_one_post_of_many_may_be_off_by_more_than_the_stated_tolerance() -> None:
+    """Of forty posts whose errors are normal with 8 mm along each axis, one is 2.8 cm off in one map of twelve."""
+    corners = np.array([(0, 0), (0.06, 0), (0.06, 0.06), (0, 0.06)])
+    posts = [corners + [0.3 + 0.27 * k, y] for k in range(20) for y in (0.2, 4.7)]
+    many = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *posts)
+    many = replace(
+        many, names=tuple(f"{'room' if k < 4 else f'post_{k // 4}'}/edge_{k % 4}" for k in range(164))
+    )
+    robot = parse_robot("sensor: {n_rays: 61}\ntolerances: {map: 0.008}")
+    data, _ = prepare_scans(drive(many), many, robot)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    for moved, is_named in ((0.028, False), (0.036, True)):
+        there = EFFECTS["moved_obstacle"](dx=moved, dy=0.0).at("post_40")
+        assert is_material(null, replace(there, stderr={"dx": 0.001, "dy": 0.001})) == is_named
 
 
 @pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])

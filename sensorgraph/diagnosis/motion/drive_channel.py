@@ -7,6 +7,7 @@ what the wheels say they did.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
@@ -14,9 +15,10 @@ from sensorgraph.diagnosis.motion.motors.constant_gain import select_under_any_g
 from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming, drive_result
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
-from sensorgraph.diagnosis.motion.motors.selection import confirmed, with_structure
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, confirmed, with_structure
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
-from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, MotionDifference
 from sensorgraph.effects import Amendment
 from sensorgraph.world.robot import Robot
 
@@ -46,9 +48,32 @@ def diagnose_drive(
         rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
-    model = DriveModel(commands, rows, robot, wheels)
+    explained = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
+    if explained.selected.terms or explained.selected.structure is not None:
+        ramped = _explain(explained.model.with_ramped_set_point(), named_wheels)
+        explained = (
+            ramped if ramped.log_likelihood > explained.log_likelihood + EVIDENCE.threshold else explained
+        )
+    model = explained.model
+    selected, evidence = confirmed(model, explained.selected)
+    return drive_result(model, selected, evidence, explained.deviations)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Explained:
+    """What makes commands and odometry differ, if the acceleration is limited where the model has it."""
+
+    model: DriveModel
+    selected: MotorSelection
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def log_likelihood(self) -> float:
+        return self.selected.log_likelihood(self.model)
+
+
+def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained:
     model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
     selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
-    selected, evidence = confirmed(model, selected)
-    return drive_result(model, selected, evidence, deviations)
+    return _Explained(model=model, selected=selected, deviations=deviations)

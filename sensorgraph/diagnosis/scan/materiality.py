@@ -38,11 +38,16 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
 
 
 def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a move is within the stated tolerance of the map, at the confidence at which one number is bounded."""
+    """Tell whether a move is within the stated tolerance of the map, at the confidence at which one number is bounded.
+
+    Of a map of many things the one that is off the most is asked about, so each may be off by more (Bonferroni).
+    """
     effect = amendment.effect
     if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
         return False
-    chance = chi2.sf(SCAN.nuisance.max_tolerances**2, 1)
+    names = data.arena.names
+    n_things = len(names) if effect.place == "wall" else len({name.split("/")[0] for name in names}) - 1
+    chance = chi2.sf(SCAN.nuisance.max_tolerances**2, 1) / max(n_things, 1)
     moved = np.hypot.reduce([amendment[name] for name in effect.steps])
     return bool(moved < data.stated_map * np.sqrt(chi2.isf(chance, len(effect.steps))))
 

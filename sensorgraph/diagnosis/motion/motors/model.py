@@ -14,7 +14,11 @@ from enum import IntEnum
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
-from sensorgraph.diagnosis.motion.motors.simulation import MotorParameters, MotorSimulation
+from sensorgraph.diagnosis.motion.motors.simulation import (
+    AccelerationLimit,
+    MotorParameters,
+    MotorSimulation,
+)
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, RegressionFit
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
@@ -155,6 +159,14 @@ class DriveModel:
         self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
         self.has_any_gain = False
         """The gains have no bounds."""
+        self.limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.MOTORS, AccelerationLimit.NOWHERE)
+        """Where the acceleration may be limited."""
+
+    def with_ramped_set_point(self) -> DriveModel:
+        """Return a model, with noise of its own, of a base that brings commands to its motors by a ramp."""
+        model = self.with_any_gain(False)
+        model.structure, model.limits = None, (AccelerationLimit.SET_POINT,)
+        return model
 
     def with_any_gain(self, has_any: bool = True) -> DriveModel:
         """Return the same model, with noise of its own, whose gains have no bounds, or have them again."""

@@ -10,6 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import (
     OTHER_MOTORS,
     ROLLS_ON,
@@ -38,6 +39,10 @@ class MotorSelection:
     fit: DriveFit
     structure: AcceptedStructure | None = None
 
+    def log_likelihood(self, model: DriveModel) -> float:
+        """Return how likely the run is under noise as fitted, less the price of the effects, without constants [nats]."""
+        return self.fit.log_posterior + model.whitener.log_likelihood - EVIDENCE.price * len(self.terms)
+
 
 def select(model: DriveModel) -> MotorSelection:
     """Start from all effects free, for the noise; then add and take back by evidence."""
@@ -59,14 +64,13 @@ def select(model: DriveModel) -> MotorSelection:
 
 
 def _fit_noise_with_all_effects(model: DriveModel) -> None:
-    """Choose whether the motors' acceleration is limited, and fit the noise with all effects free."""
-    full = model.fit(model.terms)
-    model.simulation.is_limited = False  # some robots limit their commands, and not their motors
-    unlimited = model.fit(model.terms)
-    if unlimited.log_posterior < full.log_posterior:
-        model.simulation.is_limited = True
-    else:
-        full = unlimited
+    """Choose where the acceleration is limited, and fit the noise with all effects free."""
+    fits: dict[AccelerationLimit, DriveFit] = {}
+    for limit in model.limits:
+        model.simulation.limit = limit
+        fits[limit] = model.fit(model.terms)
+    model.simulation.limit = max(fits, key=lambda limit: fits[limit].log_posterior)
+    full = fits[model.simulation.limit]
     for _ in range(2):
         model.fit_noise(model.residual(full))
         full = model.fit(model.terms, full.motors)

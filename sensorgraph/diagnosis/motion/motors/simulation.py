@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -19,6 +20,17 @@ AT_ONCE = 1e-6
 """[s] a shorter time constant is none."""
 SLEW_MARGIN = 1.02
 """Times the robot's acceleration that the plain lag may ask for before the limit is simulated."""
+
+
+class AccelerationLimit(Enum):
+    """Where the limits of acceleration in robot.yaml hold, if the base has not been given commands that keep them."""
+
+    MOTORS = "motors"
+    """The speed changes no faster: the lag is clipped."""
+    SET_POINT = "set point"
+    """The base brings commands to its motors by a ramp, which these follow with their lag."""
+    NOWHERE = "nowhere"
+    """Who commands keeps to them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,13 +62,12 @@ class MotorSimulation:
         begin = stamps[0] - 1.0
         n_steps = int((min(stamps[-1] + 1.0, rows.end[-1] + 0.1) - begin) / STEP) + 2
         self.grid = begin + STEP * np.arange(n_steps)
-        self.is_limited = True
-        """The motors' acceleration is limited; some robots limit their commands instead."""
-        self._known: dict[tuple[MotorParameters, bool], Floats] = {}
+        self.limit = AccelerationLimit.MOTORS
+        self._known: dict[tuple[MotorParameters, AccelerationLimit], Floats] = {}
 
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
         """Return mean rates (2 n,) of the motors over each row, all `later` [s] than commanded; 0 where not valid."""
-        key = (motors, self.is_limited)
+        key = (motors, self.limit)
         travelled = self._known.pop(key, None)
         if travelled is None:
             travelled = self._travelled(motors, self.commands.values)
@@ -66,23 +77,23 @@ class MotorSimulation:
         return self._mean_rates(travelled, later)
 
     def rates_of(
-        self, motors: MotorParameters, commands: Floats, *, is_limited: bool | None = None
+        self, motors: MotorParameters, commands: Floats, *, limit: AccelerationLimit | None = None
     ) -> Floats:
         """Return the same for other commands (n_commands, 2) at the same stamps.
 
         Parameters
         ----------
-        is_limited : whether the acceleration of the motors is; default: as it is here
+        limit : where the acceleration is limited; default: where it is here
         """
         other = copy(self)
-        if is_limited is not None:
-            other.is_limited = is_limited
+        if limit is not None:
+            other.limit = limit
         return self._mean_rates(other._travelled(motors, commands), 0.0)
 
     def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
         """Return the same of motors whose acceleration is limited to a share of the robot's limits."""
         slower = copy(self)
-        slower.slew, slower.is_limited = share * self.slew, True
+        slower.slew, slower.limit = share * self.slew, AccelerationLimit.MOTORS
         return self._mean_rates(slower._travelled(motors, self.commands.values), 0.0)
 
     def _mean_rates(self, travelled: Floats, later: float) -> Floats:
@@ -103,8 +114,16 @@ class MotorSimulation:
         held = held + share[:, None] * (before - held)
         held[:, 0] = np.clip(held[:, 0], -motors.v_max, motors.v_max)
         keep = float(np.exp(-STEP / motors.tau)) if motors.tau > AT_ONCE else 0.0
+        if self.limit is AccelerationLimit.SET_POINT:
+            held = np.stack(
+                [
+                    _with_limited_change(c.copy(), 0.0, a * STEP)
+                    for c, a in zip(held.T, self.slew, strict=True)
+                ],
+                axis=1,
+            )
         speed = _lagged((1 - keep) * held, keep)
-        if self.is_limited:
+        if self.limit is AccelerationLimit.MOTORS:
             for i, most in enumerate(self.slew):
                 if np.abs(np.diff(speed[:, i])).max(initial=0.0) > SLEW_MARGIN * most * STEP:
                     speed[:, i] = _with_limited_change(held[:, i].copy(), keep, most * STEP)

@@ -8,6 +8,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.motors.model import SIMULATED_TERMS, Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
@@ -231,13 +232,14 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         for first, beyond in _long_stretches(model, short > settings.asked_share)
     ]
     out = []
-    for is_limited in (False, True) if times else ():
+    for limit in (AccelerationLimit.NOWHERE, AccelerationLimit.MOTORS) if times else ():
+        is_limited = limit is AccelerationLimit.MOTORS
         slowest = float((top[:, 0] / model.simulation.slew).max()) if is_limited else motors.tau
         stamps, without = model.simulation.commands.stamps, model.simulation.commands.values.copy()
         for first, most in times:
             begin = rows.start[first] - motors.delay - settings.asked_share * slowest
             without[(stamps > begin) & (stamps < rows.start[most] - motors.delay)] = 0.0
-        columns = model.simulation.rates_of(motors, without, is_limited=is_limited) - fit.simulated
+        columns = model.simulation.rates_of(motors, without, limit=limit) - fit.simulated
         out.append(
             StructureFamily(
                 kind="drops",
