@@ -105,3 +105,39 @@ def test_commands_are_in_step_with_a_loop_that_divides_their_interval(
 def test_stamps_at_random_are_in_step_with_no_loop() -> None:
     rng = np.random.default_rng(1)
     assert not any(is_in_step(np.sort(rng.uniform(0, 100, 20)), 0.05) for _ in range(200))
+
+
+def heard(run: Run, silent: float, seed: int = 0) -> Run:
+    """Return the run of a base that goes on as told last while its link loses commands, for up to `silent` [s] at a time."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(0.0, run.odom_stamps[-1], 0.01)
+    told = run.commands[np.searchsorted(run.cmd_stamps, fine, side="right") - 1]
+    out, is_lost_until = np.zeros((len(fine), 2)), 0.0
+    last = told[0]
+    for k in range(1, len(fine)):
+        if fine[k] > is_lost_until and silent > 0 and rng.random() < 0.004:
+            is_lost_until = fine[k] + rng.uniform(0.3, 1.0) * silent
+        last = last if fine[k] < is_lost_until else told[k]
+        out[k] = out[k - 1] + 0.1 * (last - out[k - 1])
+    v, omega = (np.interp(run.odom_stamps - 0.025, fine, c) for c in out.T)
+    return reported(run, v, omega)
+
+
+@pytest.mark.parametrize("silent", [0.0, 1.2])
+def test_a_link_that_loses_commands_is_no_lag(silent: float) -> None:
+    result = diagnose_drive(heard(make_run(3), silent), ROBOT)
+    assert result.effects == () and (result.unknown is not None) == (silent > 0)
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.08, True), (0.004, False)])
+def test_a_speed_that_is_off_for_seconds_at_a_time_is_unknown_though_it_looks_like_noise(
+    share: float, is_told: bool
+) -> None:
+    run = make_run(5)
+    t = run.odom_stamps
+    wander = np.sqrt(2 / 3) * sum(np.sin(2 * np.pi * t / period + period) for period in (5.3, 7.9, 11.7))
+    v, omega = run.odom_twists.T
+    result = diagnose_drive(reported(run, v * (1 + share * wander), omega), ROBOT)
+    assert result.effects == () and (result.unknown is not None) == is_told
+    if result.unknown is not None:
+        assert result.unknown.size is not None and result.unknown.size["speed_m_s"] > 0.005

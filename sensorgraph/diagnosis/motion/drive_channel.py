@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming, drive_result
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, confirmed, with_structure
+from sensorgraph.diagnosis.motion.motors.slow_leftover import with_slow_leftover
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, MotionDifference
@@ -76,4 +77,5 @@ def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained
     model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
     selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
+    selected = with_slow_leftover(model, selected)
     return _Explained(model=model, selected=selected, deviations=deviations)

@@ -1,0 +1,162 @@
+"""What effects and structure leave for seconds at a time: the noise of the regression takes it, a user would mind.
+
+Noise is fitted to the run, so that what is smooth in time costs little: a floor that slopes, or a link that loses commands,
+may hide in it. No base's speed is off for two seconds by more than its wheels' noise and the waits of its commands make.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
+from sensorgraph.diagnosis.motion.motors.model import DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
+from sensorgraph.diagnosis.motion.motors.structure import drive_families
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
+from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.types import Floats, Ints
+
+SURE_SIGMAS = 2.0
+"""Standard deviations of the mean of a block that are no matter."""
+TIMES_LARGER = 2.0
+"""How much larger what an effect does must be than what is left for a while, or it may be a part of that."""
+TOLD_SHARE = 0.5
+"""Share of what is left that a family of structure must explain for its words to be used."""
+
+
+def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSelection:
+    """Let a doubt stand where, without other structure, speeds are off for seconds by more than a user minds.
+
+    Effects that do less than twice as much as what is left are dropped: they may be a part of it.
+    """
+    if selected.structure is not None:
+        return selected
+    left = _slow_part(model, selected)
+    size = replace(left.size, drift=0.0)
+    if not size.is_material(model.robot.limits.v, left.evidence):
+        return selected
+    terms = tuple(
+        term for term in selected.terms if _speed_of(model, selected, term) > TIMES_LARGER * size.speed
+    )
+    kept = (
+        replace(selected, terms=terms, fit=model.fit(terms, selected.fit.motors))
+        if terms != selected.terms
+        else selected
+    )
+    likely = _likely_families(left, drive_families(model, kept.fit))
+    words = [family.statement for family in likely[:2]]
+    statement = "for seconds at a time, by what noise of the wheels and waits of commands do not make"
+    return replace(
+        kept,
+        structure=AcceptedStructure(
+            family=StructureFamily(
+                kind="slow",
+                columns=np.zeros((2 * model.rows.n, 0)),
+                labels=[],
+                sigma=1.0,
+                statement=f"{words[0]}" if words else statement,
+            ),
+            evidence=left.evidence,
+            threshold=EVIDENCE.threshold,
+            size=left.size,
+            rivals=words[1:],
+        ),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _SlowPart:
+    """The means of what is left over blocks of two seconds."""
+
+    block: Ints
+    """(n,) of each row; -1 where it does not count."""
+    means: Floats
+    """(2, n_blocks) [m/s, rad/s]"""
+    evidence: float
+    """[nats] over noise of the wheels and waits."""
+    size: SimulationError
+
+
+def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
+    rows, robot = model.rows, model.robot
+    left = np.stack(both_kinds(model.residual(selected.fit), rows.n))
+    dt = rows.end - rows.start
+    cluster = model.clusters[: rows.n].astype(np.intp)
+    block = np.where(rows.valid, cluster, -1)
+    n_rows = np.bincount(cluster, rows.valid, minlength=cluster.max() + 1)
+    sums = [np.bincount(cluster, np.where(rows.valid, part, 0.0), minlength=len(n_rows)) for part in left]
+    means = np.stack(sums) / np.maximum(n_rows, 1)
+    noise = np.array([robot.wheels.sigma_v, robot.wheels.sigma_omega])[:, None] / np.sqrt(
+        np.maximum(n_rows, 1)
+    )
+    sigma = np.hypot(noise, _by_waits(model, len(n_rows)))
+    z2 = np.square(means / np.maximum(sigma, 1e-12))
+    beyond = np.square(means) - np.square(SURE_SIGMAS * sigma)
+    sure = np.sign(means) * np.sqrt(np.maximum(beyond, 0.0))
+    enough = n_rows > 0.5 * np.median(n_rows[n_rows > 0])
+    sure = np.where(enough, sure, 0.0)
+    excess = np.maximum(z2, 1.0)[:, enough]
+    missing = np.concatenate([part[cluster] * dt for part in sure])
+    distance, turn = both_kinds(selected.fit.simulated, rows.n)
+    return _SlowPart(
+        block=block,
+        means=np.where(enough, means, 0.0),
+        evidence=0.5 * float((excess - 1 - np.log(excess)).sum()),
+        size=simulation_error(distance * dt, turn * dt, missing, dt, robot.wheels.base),
+    )
+
+
+def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
+    """Return the standard deviation of the mean of each block (2, n_blocks) that the waits of its commands make."""
+    commands, tolerances = model.simulation.commands, model.robot.tolerances
+    wait = delay_sigma(tolerances.control_period, tolerances.transport_jitter)
+    later = commands.stamps[1:] - model.rows.start[0]
+    block = np.clip((later / EVIDENCE.cluster).astype(np.intp), 0, n_blocks - 1)
+    steps = np.square(np.diff(commands.values, axis=0))
+    return np.stack(
+        [wait * np.sqrt(np.bincount(block, s, minlength=n_blocks)) / EVIDENCE.cluster for s in steps.T]
+    )
+
+
+def _speed_of(model: DriveModel, selected: MotorSelection, term: MotorTerm) -> float:
+    """Return how much an effect changes the wheels' speed [m/s], root mean square."""
+    rest = [other for other in selected.terms if other is not term]
+    without = model.fit(rest, selected.fit.motors)
+    v, omega = both_kinds(model.rows.masked(selected.fit.simulated - without.simulated), model.rows.n)
+    return float(np.sqrt(np.mean(v**2 + (model.robot.wheels.base / 2 * omega) ** 2)))
+
+
+def _likely_families(left: _SlowPart, families: Sequence[StructureFamily]) -> list[StructureFamily]:
+    """Return the families that explain most of what is left for seconds, the likeliest first."""
+    n_blocks, counts = left.means.shape[1], left.block >= 0
+    y = left.means.ravel()
+    told: list[tuple[float, StructureFamily]] = []
+    for family in families:
+        columns = [
+            np.concatenate(
+                [
+                    np.bincount(left.block[counts], part[counts], minlength=n_blocks)
+                    for part in both_kinds(c, len(counts))
+                ]
+            )
+            for c in family.columns.T
+        ]
+        A = np.stack(columns, axis=1)
+        coefficients = np.linalg.lstsq(A, y, rcond=1e-9)[0]
+        freedom = max(len(y) - A.shape[1], 1) / len(y)
+        share = (
+            1
+            - float(np.square(y - A @ coefficients).sum()) / max(float(np.square(y).sum()), 1e-300) / freedom
+        )
+        if share > TOLD_SHARE:
+            told.append((share, family))
+    best = sorted(told, key=lambda one: -one[0])
+    out: dict[str, StructureFamily] = {}
+    for _, family in best:
+        out.setdefault(family.kind, family)
+    return list(out.values())
