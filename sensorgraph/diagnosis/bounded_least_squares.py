@@ -2,8 +2,11 @@
 
     minimise  x'Hx / 2 - c'x   subject to   low <= x <= high
 
-Primal active-set method: Stark and Parker (1995), "Bounded-variable least squares: an algorithm and applications",
-Computational Statistics 10; Björck (1996), Numerical Methods for Least Squares Problems, section 5.2.
+Block principal pivoting, which changes all bounds at once that should be changed: Júdice and Pires (1994), "A block principal
+pivoting algorithm for large-scale strictly monotone linear complementarity problems", Computers & Operations Research 21.
+Where that does not come nearer, a primal active-set method, which ends for certain: Stark and Parker (1995),
+"Bounded-variable least squares: an algorithm and applications", Computational Statistics 10; Björck (1996), Numerical
+Methods for Least Squares Problems, section 5.2.
 """
 
 from __future__ import annotations
@@ -12,9 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from sensorgraph.types import Bools, Floats
 
+PATIENCE = 3
+"""Exchanges of bounds in a row that may leave as many wrong ones as the best before."""
 ROUND_OFF = 64 * float(np.finfo(np.float64).eps)
 """A slope below this share of the terms it is summed from is zero."""
 
@@ -34,9 +40,9 @@ def solve_bounded(
 ) -> BoundedOptimum:
     """Minimise x'Hx / 2 - c'x within bounds.
 
-    The start is cheap and nearly always final: solve without bounds, clamp what lies beyond them, solve for the rest
-    until nothing does. From there on a bound whose multiplier has the wrong sign is released, one at a time, and
-    every step descends, so that the method ends at the optimum after finitely many steps.
+    Solve without bounds, clamp all that lies beyond them and release all whose multiplier has the wrong sign, and solve
+    again, until nothing does: a few solutions. Should that go in circles, what lies beyond is clamped, and bounds are
+    released one at a time, where every step descends, so that the method ends at the optimum after finitely many steps.
 
     Parameters
     ----------
@@ -52,6 +58,8 @@ def solve_bounded(
     can_move = low < high
     x = np.where(can_move, 0.0 if start is None else start.x, high)
     free = can_move.copy() if start is None else can_move & start.is_free
+    if _exchange_blocks(H, c, x, free, low, high, can_move):
+        return BoundedOptimum(x=x, is_free=free)
     while free.any():
         x[free] = _solve(H, c, x, free)
         beyond = free & ((x < low) | (x > high))
@@ -129,24 +137,59 @@ class BorderedProblem:
         return not held.any() or _wrongly_held(self.H, c, x, self.low, held) is None
 
 
+def _exchange_blocks(
+    H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Floats, can_move: Bools
+) -> bool:
+    """Clamp and release all unknowns that ask for it, time and again; x and free change in place.
+
+    Returns whether that has come to the optimum.
+    """
+    fewest, patience = len(c) + 1, PATIENCE
+    while True:
+        if free.any():
+            x[free] = _solve(H, c, x, free)
+        beyond = free & ((x < low) | (x > high))
+        released = _gains_of_release(H, c, x, low, can_move & ~free) > 0.0
+        n_wrong = int(beyond.sum() + released.sum())
+        if n_wrong == 0:
+            return True
+        if n_wrong < fewest:
+            fewest, patience = n_wrong, PATIENCE
+        elif patience == 0:
+            return False
+        else:
+            patience -= 1
+        x[beyond] = np.clip(x[beyond], low[beyond], high[beyond])
+        free &= ~beyond
+        free |= released
+
+
 def _solve(H: Floats, c: Floats, x: Floats, free: Bools) -> Floats:
     """Return the optimum of the free unknowns, the others where they are in x."""
-    held = ~free
-    left, right = H[np.ix_(free, free)], c[free] - H[np.ix_(free, held)] @ x[held]
-    try:
-        return np.asarray(cho_solve(cho_factor(left, overwrite_a=True), right), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], dtype=np.float64)
+    some, rest = np.flatnonzero(free), np.flatnonzero(~free)
+    rows = H[some]
+    left, right = rows[:, some], c[some] - rows[:, rest] @ x[rest]
+    _, solution, failed = dposv(left, right, lower=1)
+    if failed == 0:
+        return np.asarray(solution, dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], dtype=np.float64)
 
 
 def _wrongly_held(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> int | None:
     """Return the unknown at a bound whose release gains most to first order; None at the optimum."""
+    gain = _gains_of_release(H, c, x, low, held)
+    worst = int(np.argmax(gain))
+    return worst if gain[worst] > 0.0 else None
+
+
+def _gains_of_release(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> Floats:
+    """Return what the release of each unknown (k,) at a bound gains to first order; 0 where it would go beyond."""
+    if not held.any():
+        return np.zeros(len(c))
     slope = c - H @ x  # minus the gradient; the multiplier of an active bound
     inward = np.where(x == low, slope, -slope)
     noise = ROUND_OFF * (np.abs(c) + np.abs(H) @ np.abs(x))
-    gain = np.where(held & (inward > noise), inward**2 / np.maximum(np.diag(H), 1e-300), 0.0)
-    worst = int(np.argmax(gain))
-    return worst if gain[worst] > 0.0 else None
+    return np.where(held & (inward > noise), inward**2 / np.maximum(np.diag(H), 1e-300), 0.0)
 
 
 def _descend(H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Floats) -> None:

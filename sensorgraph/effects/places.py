@@ -76,7 +76,7 @@ def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
     on = np.isin(beams.wall, walls_of(scene, a.place))
     if not on.any():
         return on
-    along = beams.along(scene.walls)
+    along = beams.along(scene.walls, on)
     with np.errstate(invalid="ignore"):
         return np.asarray(on & (along >= a["a"]) & (along <= a["b"]))
 

@@ -65,17 +65,18 @@ class Beams:
         dx, dy = x - self.ox, y - self.oy
         return dx * self.ux + dy * self.uy, dx * self.uy - dy * self.ux
 
-    def along(self, walls: Floats) -> Floats:
-        """Return how far [m] from the first end of its wall each ray hits; nan off the walls."""
-        on = self.wall >= 0
-        a = walls[np.where(on, self.wall, 0), 0]
-        b = walls[np.where(on, self.wall, 0), 1]
-        r = np.where(on, self.ranges, 0.0)
+    def along(self, walls: Floats, which: Bools | None = None) -> Floats:
+        """Return how far [m] from the first end of its wall each ray hits; nan off the walls, and for rays not asked for."""
+        on = self.wall >= 0 if which is None else which & (self.wall >= 0)
+        out = np.full(self.wall.shape, np.nan)
+        a, b = walls[self.wall[on]].transpose(1, 2, 0)
+        r = self.ranges[on]
         r = np.where(np.isfinite(r), r, 0.0)
-        x, y = self.ox + r * self.ux - a[..., 0], self.oy + r * self.uy - a[..., 1]
-        d = b - a
-        length = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
-        return np.where(on, (x * d[..., 0] + y * d[..., 1]) / length, np.nan)
+        ox, oy = (np.broadcast_to(o, on.shape)[on] for o in (self.ox, self.oy))
+        dx, dy = b - a
+        length = np.maximum(np.hypot(dx, dy), 1e-12)
+        out[on] = ((ox + r * self.ux[on] - a[0]) * dx + (oy + r * self.uy[on] - a[1]) * dy) / length
+        return out
 
     def bent(self) -> Bools:
         """Return `straight`, made an array of its own to write in."""

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.cast_memory import CastMemory, RayPaths
 from sensorgraph.world.ray_intersection import nearest_from_each
@@ -74,6 +74,8 @@ class Scene:
     """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
     caster: Caster | None = None
     """Given: how far rays go is asked of it, another simulator; the walls only say what they meet there."""
+    wanted: Bools | None = None
+    """(n_scans, n_rays) Given: the others meet nothing, and are not cast."""
     walls: Floats = field(init=False)
     """(n_walls, 2, 2) [m]"""
     discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -175,6 +177,12 @@ class Scene:
 
     def _hit(self, rays: RayPaths) -> tuple[Floats, Ints]:
         """Return how far the rays go, and to which wall."""
+        some = self.wanted
+        if some is not None and some.shape == rays.ux.shape:
+            ranges, wall = np.full(some.shape, np.inf), np.full(some.shape, -1, dtype=np.intp)
+            x, y = (np.broadcast_to(o, some.shape)[some] for o in (rays.ox, rays.oy))
+            ranges[some], wall[some] = nearest_from_each(self.walls, x, y, rays.ux[some], rays.uy[some])
+            return ranges, wall
         if rays.lasers is not None:
             return cast_laser(self.walls, rays.lasers, rays.bearings, MAX_DISTANCE)
         return nearest_from_each(self.walls, rays.ox, rays.oy, rays.ux, rays.uy)

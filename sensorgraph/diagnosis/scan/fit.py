@@ -104,7 +104,7 @@ def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Boo
     steepness = np.zeros(which.shape)
     for axis, step in enumerate(SCAN.fit.pose_steps):
         scene = few.scene()
-        scene.casts = None
+        scene.casts, scene.wanted = None, which[rows]
         scene.motion = _nudged(few, axis, step)
         moved = scene.run((*data.known, *model)).reading
         with np.errstate(invalid="ignore"):
