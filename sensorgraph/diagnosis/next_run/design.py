@@ -32,13 +32,11 @@ from sensorgraph.diagnosis.next_run.candidate_motions import (
 from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
-from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
+from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
 
-MIXES = (tuple(MotionKind), *((kind,) for kind in MotionKind))
-"""Kinds of motions among which the time is allocated: all of them, and each alone."""
 MAX_DESCRIBED = 3
 """Motions that the explanation of a run describes."""
 
@@ -126,10 +124,10 @@ def next_run(
     motions = candidate_motions(space, rng)
     samples = [_motion_samples(motion, robot, duration) for motion in motions]
     forecasts = [EvidenceForecast(q, samples, arena, robot, duration) for q in questions]
-    per_second = [forecast.per_second() for forecast in forecasts]
+    per_second = [QuadraticsOfMotions.of(forecast.per_second()) for forecast in forecasts]
     allocations = [
-        allocate_time(forecasts, per_second, duration, np.array([m.kind in kinds for m in motions]))
-        for kinds in MIXES
+        allocate_time(forecasts, per_second, duration, part)
+        for part in (slice(None), *_parts_by_kind(motions))
     ]
     drives = build_drives(space, motions, allocations, duration, start, seed)
     random = [random_drive(space, rng, duration) for _ in range(NEXT_RUN.drives.n_random)]
@@ -154,6 +152,14 @@ def next_run(
         min_clearance=found.min_clearance,
         candidate_evidence=tuple(float(v) for v in nats[0, : len(drives)]),
     )
+
+
+def _parts_by_kind(motions: Sequence[CandidateMotion]) -> list[slice]:
+    """Return the motions of each kind, which stand together."""
+    kinds = [motion.kind for motion in motions]
+    counts = [kinds.count(kind) for kind in dict.fromkeys(kinds)]
+    ends = np.cumsum(counts).tolist()
+    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
 
 
 def _rate(

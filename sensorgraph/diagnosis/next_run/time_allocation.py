@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, EvidenceQuadratic
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Floats
 
 
 def allocate_time(
     forecasts: Sequence[EvidenceForecast],
-    per_second: Sequence[list[EvidenceQuadratic]],
+    per_second: Sequence[QuadraticsOfMotions],
     duration: float,
-    allowed: Bools,
+    allowed: slice,
 ) -> Floats:
-    """Allocate the time of a run (n,) [s] among the `allowed` motions (n,), or among all if none is.
+    """Allocate the time of a run (n,) [s] among the `allowed` motions.
 
     Maximises the sum over questions of log(half_weight_nats + nats) by Frank and Wolfe's method (Naval Research
     Logistics Quarterly 3, 1956), so that no question is forgotten for another.
@@ -27,37 +28,67 @@ def allocate_time(
     per_second : the evidence of one second of each motion, for each question
     duration : [s] of the run
     """
-    n = len(allowed)
-    some = np.flatnonzero(allowed) if allowed.any() else np.arange(n)
-    stacks = [_StackedQuadratics([quadratics[i] for i in some]) for quadratics in per_second]
-    time = np.full(len(some), duration / len(some))
-    totals = [stack.mean() * duration for stack in stacks]
+    out = np.zeros(len(per_second[0].squares))
+    time = out[allowed]  # a view
+    some = [quadratics.part(allowed) for quadratics in per_second]
+    time[:] = duration / len(time)
+    totals = [quadratics.mean() * duration for quadratics in some]
     for step in range(NEXT_RUN.forecast.n_allocation_steps):
-        slope = np.zeros(len(some))
-        for forecast, stack, total in zip(forecasts, stacks, totals, strict=True):
+        slope = np.zeros(len(time))
+        for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
             x = forecast.refitted(total)
-            slope += stack.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(total.at(x), 0.0))
+            slope += quadratics.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(total.at(x), 0.0))
         size = 2.0 / (step + 3.0)  # of Frank and Wolfe
         best = int(slope.argmax())
         time *= 1 - size
         time[best] += size * duration
         totals = [
-            total * (1 - size) + quadratics[some[best]] * (size * duration)
-            for total, quadratics in zip(totals, per_second, strict=True)
+            total * (1 - size) + quadratics.one(best) * (size * duration)
+            for total, quadratics in zip(totals, some, strict=True)
         ]
-    out = np.zeros(n)
-    out[some] = time
     return out
 
 
-class _StackedQuadratics:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QuadraticsOfMotions:
     """The quadratics of n motions as arrays with n as the first axis."""
 
-    def __init__(self, quadratics: Sequence[EvidenceQuadratic]) -> None:
-        self.matrix = np.stack([q.matrix for q in quadratics])
-        self.right = np.stack([q.right for q in quadratics])
-        self.squares = np.array([q.squares for q in quadratics])
-        self.constant = np.array([q.constant for q in quadratics])
+    matrix: Floats
+    """(n, k, k)"""
+    right: Floats
+    """(n, k)"""
+    squares: Floats
+    """(n,)"""
+    constant: Floats
+    """(n,)"""
+
+    @classmethod
+    def of(cls, quadratics: Sequence[EvidenceQuadratic]) -> QuadraticsOfMotions:
+        """Stack the quadratics of single motions."""
+        return cls(
+            matrix=np.stack([q.matrix for q in quadratics]),
+            right=np.stack([q.right for q in quadratics]),
+            squares=np.array([q.squares for q in quadratics]),
+            constant=np.array([q.constant for q in quadratics]),
+        )
+
+    def part(self, some: slice) -> QuadraticsOfMotions:
+        """Return the quadratics of some motions: views."""
+        return QuadraticsOfMotions(
+            matrix=self.matrix[some],
+            right=self.right[some],
+            squares=self.squares[some],
+            constant=self.constant[some],
+        )
+
+    def one(self, i: int) -> EvidenceQuadratic:
+        """Return the quadratic of one motion."""
+        return EvidenceQuadratic(
+            matrix=self.matrix[i],
+            right=self.right[i],
+            squares=float(self.squares[i]),
+            constant=float(self.constant[i]),
+        )
 
     def mean(self) -> EvidenceQuadratic:
         """Return the mean of the motions."""
