@@ -11,6 +11,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 
@@ -41,11 +42,25 @@ def is_cast_at(data: ScanData, state: State) -> bool:
     return bool(off.max() <= SCAN.fit.settled_step)
 
 
+def begun_at_cast(data: ScanData, amendment: Amendment) -> Amendment:
+    """Return a further effect as a fit should begin with it where casts are made at likely poses: these hold a mount or a delay
+    already, so that one of the size that is expected would move all casts by as much again.
+    """
+    if data.posed is None:
+        return amendment
+    held = {p.name: 0.0 for p in amendment.effect.parameters if p.nuisance in (*MOUNT, Nuisance.DELAY)}
+    return amendment.moved_to(held) if held else amendment
+
+
 def errors_of_laser(data: ScanData, state: State) -> Floats:
     """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
-    x, y, yaw = state.g[MOUNT]
+    return state.delta + as_pose_errors(data, state.g[MOUNT])
+
+
+def as_pose_errors(data: ScanData, mount: Floats) -> Floats:
+    """Return the pose errors (n_scans, 3) [m, m, rad] that look like a mount (3,) that is off by so much."""
+    x, y, yaw = mount
     ahead, aside = data.sensor.mount[:2]
     x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, a pose about the base
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
-    mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
-    return np.asarray(state.delta + mounted)
+    return np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])

@@ -8,7 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from sensorgraph.diagnosis.scan.cast_place import as_cast, is_cast_at
+from sensorgraph.diagnosis.scan.cast_place import (
+    MOUNT,
+    as_cast,
+    as_pose_errors,
+    errors_of_laser,
+    is_cast_at,
+)
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
@@ -182,9 +188,17 @@ def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
 
 
 def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int, at: Cast) -> list[Floats]:
-    """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps."""
+    """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps.
+
+    A mount moves the laser as pose errors do, and has its columns from the same derivatives: a fit of both goes in one step
+    along what they share.
+    """
     amendment, out = model[index], []
     for name, step in amendment.steps.items():
+        nuisance = amendment.effect.parameter(name).nuisance
+        if nuisance in MOUNT and not amendment.place:
+            out.append(at.jacobian.nuisances[:, nuisance])
+            continue
         moved = [*model]
         moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
         scene = data.scene()
@@ -233,7 +247,10 @@ def fit(
     noise_bounds, state = strays_taken(model, noise_bounds), state.copy()
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
-    state.g[locked(data, model, corners)] = 0.0
+    held_at_0 = locked(data, model, corners)
+    if data.posed is not None:  # the laser stays where it is: the poses take what its mount was off
+        state.delta = errors_of_laser(data, replace(state, g=np.where(held_at_0, state.g, 0.0)))
+    state.g[held_at_0] = 0.0
     is_laid = data.grain > 0
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
         laid = as_cast(data, state)  # a further effect begins at the same cast
@@ -251,8 +268,20 @@ def fit(
         if _settled(solution) and is_cast_at(laid, state):
             break
     assert best is not None
-    final = with_increments(best.model, best.solution.p)
+    final, state = with_increments(best.model, best.solution.p), best.solution.state
+    if state.posed is not None:  # the laser stays where it was cast from, now that its mount has moved
+        state.posed = state.posed - as_pose_errors(data, _moved_mount(best.model, final))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
+
+
+def _moved_mount(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
+    """Return by how much (3,) [m, m, rad] the effects of a model have moved the mount."""
+    moved = np.zeros(len(MOUNT))
+    for old, new in zip(before, after, strict=True):
+        for parameter in old.effect.parameters:
+            if parameter.nuisance in MOUNT and not old.place:
+                moved[MOUNT.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
+    return moved
 
 
 def _settled(solution: Solution) -> bool:
