@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scan_samples import data_of, drive, hall_arena
 from planners.arena import Arena
 from sensorgraph.diagnosis.naming import is_material
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
@@ -109,3 +111,27 @@ def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
     limit = EFFECTS["max_range"](R=farthest)
     got = fit(data, (limit,), start_state(data, NoiseBounds()), NoiseBounds())
     assert is_material(got, limit) == is_named
+
+
+@pytest.mark.parametrize(("moved", "error", "is_named"), [(0.066, 0.016, False), (0.066, 0.003, True)])
+def test_a_wall_in_a_map_of_pixels_has_moved_if_it_surely_has_by_more_than_a_pixel(
+    null: Fitted, hall: Arena, moved: float, error: float, is_named: bool
+) -> None:
+    """The cells are 5 cm wide."""
+    pixels = replace(null, solver=copy(null.solver))
+    pixels.solver.data = replace(null.solver.data, grain=0.025)
+    wall = replace(EFFECTS["moved_wall"](d=moved).at(hall.names[0]), stderr={"d": error})
+    assert is_map_error(pixels, wall) != is_named
+
+
+@pytest.mark.parametrize(
+    ("alpha", "error", "depth", "is_pane"),
+    [(0.4, 0.02, 0.065, True), (0.0, 0.09, 0.065, False), (0.0, 0.09, 0.6, True), (0.0, 0.09, 0.0, True)],
+)
+def test_a_pane_that_returns_nothing_before_a_near_wall_is_that_wall_in_a_map_of_pixels(
+    null: Fitted, hall: Arena, alpha: float, error: float, depth: float, is_pane: bool
+) -> None:
+    pixels = replace(null, solver=copy(null.solver))
+    pixels.solver.data = replace(null.solver.data, grain=0.025)
+    glass = EFFECTS["glass"](a=1.0, b=4.0, alpha_ret=alpha, depth=depth).at(hall.names[0])
+    assert is_map_error(pixels, replace(glass, stderr={"alpha_ret": error})) != is_pane

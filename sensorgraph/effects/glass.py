@@ -47,6 +47,12 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     beams.bent()[through] = False
 
 
+def stands_back(a: Amendment) -> float:
+    """Return the depth [m] of a plane behind a pane that returns no ray as far as anyone can tell: the wall itself; else inf."""
+    is_pane = a["alpha_ret"] > 2 * a.stderr.get("alpha_ret", 0.0)
+    return np.inf if is_pane or a["depth"] == 0 else a["depth"]
+
+
 def propose(residuals: Residuals) -> list[Proposal]:
     """Look for long or missing readings at slanting incidence, on a part of one wall."""
     on, walls = strange_on_walls(residuals)
@@ -168,6 +174,7 @@ GLASS = Effect(
     diagnostics=Diagnostics(
         unobservable=unobservable,
         propose=propose,
+        stands_back=stands_back,
         leftovers=LOSS_LEFTOVERS,
         misfit_share=0.012,
         telltale=LOST_BY_DIRECTION,

@@ -74,13 +74,18 @@ def _seen_before_walls(fitted: Fitted, amendment: Amendment) -> float:
 
 
 def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a change of the walls in a map of pixels is of the size of its cells."""
+    """Tell whether a change of the walls in a map of pixels is of the size of its cells, or not surely of more.
+
+    A wall and what stands beside it may be off by half a cell each.
+    """
     values, pixel, effect = amendment.parameters, 2 * data.grain, amendment.effect
     if effect.on_part_of_wall:
-        return is_short_of_pixels(data, amendment)
+        back = effect.diagnostics.stands_back
+        return is_short_of_pixels(data, amendment) or (back is not None and back(amendment) < 2 * pixel)
     if effect.place in ("wall", "obstacle") and effect.steps:
         size = float(np.hypot.reduce([values[name] for name in effect.steps]))
-        return size < pixel or (effect.place == "wall" and _is_where_another_is(data, amendment))
+        error = float(np.hypot.reduce([amendment.stderr.get(name, 0.0) for name in effect.steps]))
+        return size - 2 * error < pixel or (effect.place == "wall" and _is_where_another_is(data, amendment))
     if effect.place is None and effect.diagnostics.corner_shifts is not None:
         return _farthest_corner(data, amendment) < MAX_STEP * 2 * data.grain
     return effect.place == "obstacle" and _passed_share(data, amendment.place) < SCAN.naming.min_passed_share
