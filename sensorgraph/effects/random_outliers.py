@@ -8,6 +8,7 @@ from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import too_few_returns
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import share_of_readings
+from sensorgraph.effects.set_up import share_of_strays
 from sensorgraph.world.scene import Scene
 
 NATS = 1.0
@@ -48,6 +49,7 @@ RANDOM_OUTLIERS = Effect(
             low=0.0,
             high=1.0,
             search_step=0.002,
+            hidden=share_of_strays,
         ),
     ),
     transform=transform,

@@ -11,7 +11,7 @@ from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import half_spacing
-from sensorgraph.effects.set_up import between_rays
+from sensorgraph.effects.set_up import between_rays, range_bias
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Bools, Ints
 from sensorgraph.world.ray_order import is_full_turn
@@ -104,6 +104,7 @@ SELF_OCCLUSION = Effect(
             low=0.0,
             step=1e-4,
             typical=0.25,
+            hidden=range_bias,
         ),
         Parameter(
             name="theta1", unit="rad", doc="first bearing, laser frame", neutral=None, hidden=between_rays

@@ -20,6 +20,10 @@ class SetUp:
     """[rad] between neighbouring rays."""
     wall_length: float
     """[m] median over the walls of the map; inf where there are none."""
+    range_bias: float
+    """[m] standard deviation of a bias of the laser that is no effect."""
+    strays: float
+    """Standard deviation of a share of strays that is none, which is as likely anywhere up to its limit."""
 
 
 def map_error(set_up: SetUp) -> float:
@@ -56,3 +60,13 @@ def depth_edge_error(set_up: SetUp) -> float:
 def between_rays(set_up: SetUp) -> float:
     """Return the error [rad] of a bearing that falls anywhere between two rays: uniform over their spacing."""
     return float(set_up.ray_spacing / np.sqrt(12))
+
+
+def range_bias(set_up: SetUp) -> float:
+    """Return the error [m] of a range that is told by readings alone."""
+    return set_up.range_bias
+
+
+def share_of_strays(set_up: SetUp) -> float:
+    """Return the error of a share of readings that may be the strays that every laser has."""
+    return set_up.strays

@@ -10,6 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Residuals
+from sensorgraph.effects.set_up import wall_direction_error
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_order import is_full_turn
@@ -128,6 +129,7 @@ SONAR_CONE = Effect(
             low=0.0,
             high=RIGHT_ANGLE,
             search_step=0.05,
+            hidden=wall_direction_error,
         ),
     ),
     transform=transform,
