@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,13 @@ import numpy as np
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
 from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
+from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
 from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, column_of_jump
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
-from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
@@ -77,7 +79,7 @@ def drive_result(
         unknown=None if structure is None else _unknown(model, structure),
         rivals=tuple(rivals),
         deviations=deviations,
-        gap=_gap(model, selected.terms, fit),
+        gap=_gap(model, selected),
         not_observable=_not_observable(model, selected.terms, fit),
         notes={
             "odometry_from": rows.source,
@@ -200,9 +202,10 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
     )
 
 
-def _gap(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> Gap:
-    """Fit on every other 5 s, measure on the rest, and the other way round."""
-    rows, regression, prior = model.rows, fit.regression, model.prior(terms, fit.motors)
+def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
+    """Fit on every other 5 s, measure on the rest, and the other way round; what is left for seconds is no noise."""
+    rows, fit, structure = model.rows, selected.fit, selected.structure
+    regression, prior = fit.regression, model.prior(selected.terms, fit.motors)
     block = ((rows.start - rows.start[0]) // EVIDENCE.held_out_block).astype(np.intp)
     half = np.concatenate([block, block]) % 2
     after = np.zeros(len(rows.y))
@@ -211,7 +214,14 @@ def _gap(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> Gap:
         part = Regression.of(regression.A[train], regression.y[train]).solve(prior)
         after[~train] = (rows.y - fit.simulated - fit.columns @ part.theta)[~train]
     n, k = 2 * rows.n_valid, fit.columns.shape[1]
-    floor = model.residual(fit) * np.sqrt(n / max(n - k, 1))
+    left = model.residual(fit)
+    if structure is not None and structure.family.kind == SLOW:
+        left = left - structure.family.columns[:, 0]
+        model = copy(model)  # by white noise: a filter would take what is smooth out again
+        sigmas = [float(np.std(part[rows.valid])) for part in both_kinds(left, rows.n)]
+        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma + 1e-12) for sigma in sigmas)
+        model.whitener = Whitener.plain((first, second), rows.valid)
+    floor = left * np.sqrt(n / max(n - k, 1))
     return Gap(
         before=_quality(model, rows.y - model.simulation.rates(model.nominal)),
         after=_quality(model, after),

@@ -21,6 +21,8 @@ from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, Struc
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Floats, Ints
 
+SLOW = "slow"
+"""Kind of the family of what is left for seconds: its one column (2 n, 1) is that itself, of no regression."""
 SURE_SIGMAS = 2.0
 """Standard deviations of the mean of a block that are no matter."""
 TIMES_LARGER = 2.0
@@ -43,11 +45,9 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
     terms = tuple(
         term for term in selected.terms if _speed_of(model, selected, term) > TIMES_LARGER * size.speed
     )
-    kept = (
-        replace(selected, terms=terms, fit=model.fit(terms, selected.fit.motors))
-        if terms != selected.terms
-        else selected
-    )
+    kept = selected
+    if terms != selected.terms:
+        kept = replace(selected, terms=terms, fit=model.fit(terms, selected.fit.motors))
     likely = _likely_families(left, drive_families(model, kept.fit))
     words = [family.statement for family in likely[:2]]
     statement = "for seconds at a time, by what noise of the wheels and waits of commands do not make"
@@ -55,11 +55,11 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
         kept,
         structure=AcceptedStructure(
             family=StructureFamily(
-                kind="slow",
-                columns=np.zeros((2 * model.rows.n, 0)),
+                kind=SLOW,
+                columns=left.rates[:, None],
                 labels=[],
                 sigma=1.0,
-                statement=f"{words[0]}" if words else statement,
+                statement=words[0] if words else statement,
             ),
             evidence=left.evidence,
             threshold=EVIDENCE.threshold,
@@ -80,6 +80,8 @@ class _SlowPart:
     evidence: float
     """[nats] over noise of the wheels and waits."""
     size: SimulationError
+    rates: Floats
+    """(2 n,) [m/s, rad/s] what is surely left, of each row."""
 
 
 def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
@@ -101,13 +103,16 @@ def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
     enough = n_rows > 0.5 * np.median(n_rows[n_rows > 0])
     sure = np.where(enough, sure, 0.0)
     excess = np.maximum(z2, 1.0)[:, enough]
-    missing = np.concatenate([part[cluster] * dt for part in sure])
+    rates = np.concatenate([part[cluster] for part in sure])
     distance, turn = both_kinds(selected.fit.simulated, rows.n)
     return _SlowPart(
         block=block,
         means=np.where(enough, means, 0.0),
         evidence=0.5 * float((excess - 1 - np.log(excess)).sum()),
-        size=simulation_error(distance * dt, turn * dt, missing, dt, robot.wheels.base),
+        size=simulation_error(
+            distance * dt, turn * dt, rates * np.concatenate([dt, dt]), dt, robot.wheels.base
+        ),
+        rates=rates,
     )
 
 
