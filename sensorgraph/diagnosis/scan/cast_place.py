@@ -16,6 +16,8 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 
 MOUNT = [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
+POSE_LIKE = [*MOUNT, Nuisance.DELAY]
+"""What moves the laser of a scan as an error of its pose does."""
 
 
 def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanData:
@@ -48,19 +50,25 @@ def begun_at_cast(data: ScanData, amendment: Amendment) -> Amendment:
     """
     if data.posed is None:
         return amendment
-    held = {p.name: 0.0 for p in amendment.effect.parameters if p.nuisance in (*MOUNT, Nuisance.DELAY)}
+    held = {p.name: 0.0 for p in amendment.effect.parameters if p.nuisance in POSE_LIKE}
     return amendment.moved_to(held) if held else amendment
 
 
 def errors_of_laser(data: ScanData, state: State) -> Floats:
     """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
-    return state.delta + as_pose_errors(data, state.g[MOUNT])
+    return state.delta + as_pose_errors(data, np.append(state.g[MOUNT], 0.0))
 
 
-def as_pose_errors(data: ScanData, mount: Floats) -> Floats:
-    """Return the pose errors (n_scans, 3) [m, m, rad] that look like a mount (3,) that is off by so much."""
-    x, y, yaw = mount
+def as_pose_errors(data: ScanData, off: Floats) -> Floats:
+    """Return the pose errors (n_scans, 3) [m, m, rad] that look like a mount and a delay that are off by so much.
+
+    Parameters
+    ----------
+    off : (4,) [m, m, rad, s] in the order of `POSE_LIKE`
+    """
+    x, y, yaw, late = off
     ahead, aside = data.sensor.mount[:2]
     x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, a pose about the base
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
-    return np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
+    mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
+    return np.asarray(mounted - late * data.twists)

@@ -10,9 +10,9 @@ from scipy.optimize import minimize_scalar
 
 from sensorgraph.diagnosis.scan.cast_place import (
     MOUNT,
+    POSE_LIKE,
     as_cast,
     as_pose_errors,
-    errors_of_laser,
     is_cast_at,
 )
 from sensorgraph.diagnosis.scan.corners import Corners
@@ -191,12 +191,12 @@ def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int
     """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps.
 
     A mount moves the laser as pose errors do, and has its columns from the same derivatives: a fit of both goes in one step
-    along what they share.
+    along what they share. So has a delay where casts are made at likely poses.
     """
     amendment, out = model[index], []
     for name, step in amendment.steps.items():
         nuisance = amendment.effect.parameter(name).nuisance
-        if nuisance in MOUNT and not amendment.place:
+        if nuisance in (MOUNT if data.posed is None else POSE_LIKE) and not amendment.place:
             out.append(at.jacobian.nuisances[:, nuisance])
             continue
         moved = [*model]
@@ -248,8 +248,8 @@ def fit(
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
-    if data.posed is not None:  # the laser stays where it is: the poses take what its mount was off
-        state.delta = errors_of_laser(data, replace(state, g=np.where(held_at_0, state.g, 0.0)))
+    if data.posed is not None:  # the laser stays where it is: the poses take what mount and delay were off
+        state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[POSE_LIKE])
     state.g[held_at_0] = 0.0
     is_laid = data.grain > 0
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
@@ -269,18 +269,18 @@ def fit(
             break
     assert best is not None
     final, state = with_increments(best.model, best.solution.p), best.solution.state
-    if state.posed is not None:  # the laser stays where it was cast from, now that its mount has moved
-        state.posed = state.posed - as_pose_errors(data, _moved_mount(best.model, final))
+    if state.posed is not None:  # the laser stays where it was cast from, now that effects have moved it
+        state.posed = state.posed - as_pose_errors(data, _moved_as_poses(best.model, final))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
 
 
-def _moved_mount(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
-    """Return by how much (3,) [m, m, rad] the effects of a model have moved the mount."""
-    moved = np.zeros(len(MOUNT))
+def _moved_as_poses(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
+    """Return by how much (4,) [m, m, rad, s] the effects of a model have moved mount and delay, in the order of `POSE_LIKE`."""
+    moved = np.zeros(len(POSE_LIKE))
     for old, new in zip(before, after, strict=True):
         for parameter in old.effect.parameters:
-            if parameter.nuisance in MOUNT and not old.place:
-                moved[MOUNT.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
+            if parameter.nuisance in POSE_LIKE and not old.place:
+                moved[POSE_LIKE.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
     return moved
 
 
