@@ -11,15 +11,16 @@ from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena, wrap
-from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
+from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, begun_at_cast, errors_of_laser
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, is_reference_wide
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
+from sensorgraph.world.raycast import laser_poses
 from sensorgraph.world.robot import parse_robot
 
 TEXT = "sensor: {n_rays: 61}\ntolerances: {pose_xy: 0.03, pose_yaw: 0.01}"
@@ -120,3 +121,34 @@ def test_a_reference_is_wide_beyond_the_noise_or_the_next_ray(
     data = prepare_scans(drive(legs, n=60), legs, parse_robot(text))[0]
     data = replace(data, sensor=replace(data.sensor, bearings=np.linspace(-fov / 2, fov / 2, 61)))
     assert is_reference_wide(data) is is_wide
+
+
+@pytest.mark.parametrize(
+    ("effect", "key"), [(EFFECTS["mount_yaw"](delta=0.03), "delta"), (EFFECTS["latency"](tau=0.06), "tau")]
+)
+def test_what_moves_the_laser_is_told_from_the_poses_at_the_cast_that_both_share(
+    legs: Arena, effect: Amendment, key: str
+) -> None:
+    """The poses have taken it; a fit of it begins at 0, gains what they lose, and stays at that cast."""
+    run, _ = wandering(drive(legs, (effect,), n=120))
+    data = at_likely_poses(prepare_scans(run, legs, parse_robot(TEXT))[0], SCAN.noise)
+    null = fitted(data)
+    begun = begun_at_cast(data, effect.moved_to({key: 0.9 * effect[key]}))
+    assert begun[key] == 0.0
+    one = fit(data, (begun,), null.state, SCAN.noise, outer=1, inner=2)
+    assert one.j > null.j + 15 and one.model[0][key] == pytest.approx(effect[key], rel=0.35)
+    again = fit(data, one.model, one.state, SCAN.noise, outer=1, inner=2)
+    moved = np.abs(again.cast.beams.ranges - one.cast.beams.ranges)
+    assert (
+        np.median(moved) < 0.005 and (moved > 0.03).mean() < 0.06
+    )  # a delay moves by more than its slope says
+
+
+def test_what_looks_like_a_mount_or_a_delay_moves_the_laser_as_they_do(
+    wide: tuple[ScanData, Floats],
+) -> None:
+    data, _ = wide
+    off = np.array([0.003, -0.002, 0.004, 0.01])
+    moved = data.poses + as_pose_errors(data, off)
+    there = laser_poses(data.poses - off[3] * data.twists, data.sensor.mount + off[:3])
+    np.testing.assert_allclose(laser_poses(moved, data.sensor.mount), there, atol=1e-4)  # to second order

@@ -6,6 +6,8 @@ open which wall a ray meets. There casts are made at the likely walls and poses;
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sensorgraph.diagnosis.scan.gauss_newton import State
@@ -72,3 +74,13 @@ def as_pose_errors(data: ScanData, off: Floats) -> Floats:
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
     return np.asarray(mounted - late * data.twists)
+
+
+def moved_as_poses(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
+    """Return by how much (4,) [m, m, rad, s] the effects of a model have moved mount and delay, in the order of `POSE_LIKE`."""
+    moved = np.zeros(len(POSE_LIKE))
+    for old, new in zip(before, after, strict=True):
+        for parameter in old.effect.parameters:
+            if parameter.nuisance in POSE_LIKE and not old.place:
+                moved[POSE_LIKE.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
+    return moved

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from sensorgraph.diagnosis.scan.bent_rays import bent_columns
 from sensorgraph.diagnosis.scan.cast_place import (
     MOUNT,
     POSE_LIKE,
     as_cast,
     as_pose_errors,
     is_cast_at,
+    moved_as_poses,
 )
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
@@ -83,50 +85,13 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     """Run the simulator on the poses of the evidence."""
     scene = data.scene()
     beams = data.up_to_horizon(scene.run((*data.known, *model)))
-    jacobian = linearise(data, beams, scene.walls, scene.mount, _bent(data, model, beams))
+    jacobian = linearise(data, beams, scene.walls, scene.mount, bent_columns(data, model, beams))
     is_wide = measures_cones(data.sensor) or any(a.effect.diagnostics.wide_beam for a in model)
     edges = None if is_wide else _edges(data, scene)
     expected = expected_readings(
         beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice, data.horizon
     )
     return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
-
-
-def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats, Floats] | None:
-    """Differentiate bent rays by the pose, by casting again: a surface, an edge or a tilt has bent them.
-
-    Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
-    (n_scans, n_rays) [m/rad] of all bent rays, also of those where it is a jump.
-    """
-    if beams.straight is None:
-        return None
-    which = ~beams.straight & np.isfinite(beams.reading)
-    rows = np.flatnonzero(which.any(axis=1))
-    if len(rows) == 0:
-        return None
-    few = data.subset(rows)
-    quotients = np.zeros((data.n_scans, 3, data.n_rays))
-    smooth = which.copy()
-    steepness = np.zeros(which.shape)
-    for axis, step in enumerate(SCAN.fit.pose_steps):
-        scene = few.scene()
-        scene.casts, scene.wanted = None, which[rows]
-        scene.motion = _nudged(few, axis, step)
-        moved = scene.run((*data.known, *model)).reading
-        with np.errstate(invalid="ignore"):
-            q = (moved - beams.reading[rows]) / step
-        ok = np.isfinite(q) & (np.abs(q) < SCAN.fit.max_pose_slope)
-        if axis == 2:
-            steepness[rows] = np.where(np.isfinite(q), np.abs(q), SCAN.fit.max_pose_slope)
-        smooth[rows] &= ok
-        quotients[rows, axis] = np.where(ok, q, 0.0)
-    return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
-
-
-def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats]:
-    offset = np.zeros(3)
-    offset[axis] = step
-    return lambda times: data.motion(times) + offset
 
 
 def _edges(data: ScanData, scene: Scene) -> Edges | None:
@@ -270,18 +235,8 @@ def fit(
     assert best is not None
     final, state = with_increments(best.model, best.solution.p), best.solution.state
     if state.posed is not None:  # the laser stays where it was cast from, now that effects have moved it
-        state.posed = state.posed - as_pose_errors(data, _moved_as_poses(best.model, final))
+        state.posed = state.posed - as_pose_errors(data, moved_as_poses(best.model, final))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
-
-
-def _moved_as_poses(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
-    """Return by how much (4,) [m, m, rad, s] the effects of a model have moved mount and delay, in the order of `POSE_LIKE`."""
-    moved = np.zeros(len(POSE_LIKE))
-    for old, new in zip(before, after, strict=True):
-        for parameter in old.effect.parameters:
-            if parameter.nuisance in POSE_LIKE and not old.place:
-                moved[POSE_LIKE.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
-    return moved
 
 
 def _settled(solution: Solution) -> bool:
