@@ -11,7 +11,7 @@ from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena, wrap
-from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, begun_at_cast, errors_of_laser
+from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, is_reference_wide
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
@@ -129,26 +129,29 @@ def test_a_reference_is_wide_beyond_the_noise_or_the_next_ray(
 def test_what_moves_the_laser_is_told_from_the_poses_at_the_cast_that_both_share(
     legs: Arena, effect: Amendment, key: str
 ) -> None:
-    """The poses have taken it; a fit of it begins at 0, gains what they lose, and stays at that cast."""
+    """The poses have taken it: whatever size a fit of it begins with, it gains what they lose; without it they take it back."""
     run, _ = wandering(drive(legs, (effect,), n=120))
     data = at_likely_poses(prepare_scans(run, legs, parse_robot(TEXT))[0], SCAN.noise)
     null = fitted(data)
-    begun = begun_at_cast(data, effect.moved_to({key: 0.9 * effect[key]}))
-    assert begun[key] == 0.0
-    one = fit(data, (begun,), null.state, SCAN.noise, outer=1, inner=2)
-    assert one.j > null.j + 15 and one.model[0][key] == pytest.approx(effect[key], rel=0.35)
+    for begun in (0.0, 0.9 * effect[key]):
+        one = fit(data, (effect.moved_to({key: begun}),), null.state, SCAN.noise, outer=1, inner=2)
+        assert one.j > null.j + 15 and one.model[0][key] == pytest.approx(effect[key], rel=0.35)
     again = fit(data, one.model, one.state, SCAN.noise, outer=1, inner=2)
     moved = np.abs(again.cast.beams.ranges - one.cast.beams.ranges)
     assert (
         np.median(moved) < 0.005 and (moved > 0.03).mean() < 0.06
     )  # a delay moves by more than its slope says
+    anew = fit(data, one.model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    assert anew.j > null.j
+    without = fit(data, (), one.state, SCAN.noise, outer=2, inner=4)  # as the evidence of an effect is asked
+    assert without.j > null.j - 0.5 * (one.j - null.j)
 
 
 def test_what_looks_like_a_mount_or_a_delay_moves_the_laser_as_they_do(
     wide: tuple[ScanData, Floats],
 ) -> None:
-    data, _ = wide
+    data = replace(wide[0], sensor=replace(wide[0].sensor, mount=np.array([0.2, -0.3, 0.1])))
     off = np.array([0.003, -0.002, 0.004, 0.01])
     moved = data.poses + as_pose_errors(data, off)
     there = laser_poses(data.poses - off[3] * data.twists, data.sensor.mount + off[:3])
-    np.testing.assert_allclose(laser_poses(moved, data.sensor.mount), there, atol=1e-4)  # to second order
+    np.testing.assert_allclose(laser_poses(moved, data.sensor.mount), there, atol=2e-4)  # to second order

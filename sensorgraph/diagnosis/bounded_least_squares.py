@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dposv
 from sensorgraph.types import Bools, Floats
 
 PATIENCE = 3
-"""Exchanges of bounds in a row that may leave as many wrong ones as the best before."""
+"""Exchanges of bounds in a row that may leave no fewer wrong ones than the best before."""
 ROUND_OFF = 64 * float(np.finfo(np.float64).eps)
 """A slope below this share of the terms it is summed from is zero."""
 
@@ -171,6 +171,8 @@ def _solve(H: Floats, c: Floats, x: Floats, free: Bools) -> Floats:
     left, right = rows[:, some], c[some] - rows[:, rest] @ x[rest]
     _, solution, failed = dposv(left, right, lower=1)
     if failed == 0:
+        if not np.isfinite(solution).all():
+            raise ValueError("the normal equations hold numbers that are not finite")
         return np.asarray(solution, dtype=np.float64)
     return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], dtype=np.float64)
 

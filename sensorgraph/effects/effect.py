@@ -122,7 +122,7 @@ class Diagnostics:
     """The model is coarse: a misfit below this share of the model's gain is no doubt; None: as for exact models."""
     telltale: Telltale | None = None
     stands_back: Callable[[Amendment], float] | None = None
-    """Return by how much [m] its part of a wall stands back, if it is surely no more than that; inf: it is more."""
+    """Return by how much [m] its part of a wall stands back, if it is not surely more than that; inf: it is more."""
 
     tolerance: str = ""
     """The key in robot.yaml's tolerances that takes the effect along without a name."""

@@ -75,7 +75,7 @@ class Scene:
     caster: Caster | None = None
     """Given: how far rays go is asked of it, another simulator; the walls only say what they meet there."""
     wanted: Bools | None = None
-    """(n_scans, n_rays) Given: the others meet nothing, and are not cast."""
+    """(n_scans, n_rays) Given: the others of the sensor's own thin rays meet nothing, and are not cast; cones and fans are whole."""
     walls: Floats = field(init=False)
     """(n_walls, 2, 2) [m]"""
     discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -139,7 +139,7 @@ class Scene:
         """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
         if self.casts is None or bearings is not self.bearings:
             rays = self._rays(offset, bearings)
-            ranges, wall = self._hit(rays)
+            ranges, wall = self._hit(rays, self.wanted if bearings is self.bearings else None)
         else:
             key = self._key_of_rays(offset)
             rays = self.casts.rays(key, lambda: self._rays(offset, bearings))
@@ -175,10 +175,9 @@ class Scene:
             bearings=bearings,
         )
 
-    def _hit(self, rays: RayPaths) -> tuple[Floats, Ints]:
-        """Return how far the rays go, and to which wall."""
-        some = self.wanted
-        if some is not None and some.shape == rays.ux.shape:
+    def _hit(self, rays: RayPaths, some: Bools | None = None) -> tuple[Floats, Ints]:
+        """Return how far the rays go, and to which wall; of `some` of them (n_scans, n_rays), if given."""
+        if some is not None:
             ranges, wall = np.full(some.shape, np.inf), np.full(some.shape, -1, dtype=np.intp)
             x, y = (np.broadcast_to(o, some.shape)[some] for o in (rays.ox, rays.oy))
             ranges[some], wall[some] = nearest_from_each(self.walls, x, y, rays.ux[some], rays.uy[some])

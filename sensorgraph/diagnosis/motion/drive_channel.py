@@ -50,19 +50,18 @@ def diagnose_drive(
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
     explained = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
-    if explained.selected.terms or explained.selected.structure is not None:
+    if not _says_nothing(with_slow_leftover(explained.model, explained.selected)):
         ramped = _explain(explained.model.with_ramped_set_point(), named_wheels)
-        explained = (
-            ramped if ramped.log_likelihood > explained.log_likelihood + EVIDENCE.threshold else explained
-        )
+        if ramped.log_likelihood > explained.log_likelihood + EVIDENCE.threshold:
+            explained = ramped
     model = explained.model
-    selected, evidence = confirmed(model, explained.selected)
+    selected, evidence = confirmed(model, with_slow_leftover(model, explained.selected))
     return drive_result(model, selected, evidence, explained.deviations)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Explained:
-    """What makes commands and odometry differ, if the acceleration is limited where the model has it."""
+    """Effects and structure of a run under one model."""
 
     model: DriveModel
     selected: MotorSelection
@@ -70,12 +69,17 @@ class _Explained:
 
     @property
     def log_likelihood(self) -> float:
+        """[nats] less the price of the effects."""
         return self.selected.log_likelihood(self.model)
 
 
+def _says_nothing(selected: MotorSelection) -> bool:
+    return not selected.terms and selected.structure is None
+
+
 def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained:
+    """Select effects and structure under the model's limits of acceleration, with noise of its own."""
     model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
     selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
-    selected = with_slow_leftover(model, selected)
     return _Explained(model=model, selected=selected, deviations=deviations)

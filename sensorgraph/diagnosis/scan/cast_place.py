@@ -7,6 +7,7 @@ open which wall a ray meets. There casts are made at the likely walls and poses;
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,14 +47,28 @@ def is_cast_at(data: ScanData, state: State) -> bool:
     return bool(off.max() <= SCAN.fit.settled_step)
 
 
-def begun_at_cast(data: ScanData, amendment: Amendment) -> Amendment:
-    """Return a further effect as a fit should begin with it where casts are made at likely poses: these hold a mount or a delay
-    already, so that one of the size that is expected would move all casts by as much again.
+def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State:
+    """Return a state as a fit of another model begins with it: the laser of each scan stays where it is.
+
+    Where casts are made at likely poses, these take what the model has lost of a mount or a delay, and give what it has gained;
+    else every such effect would move all casts, by what the poses hold already.
     """
-    if data.posed is None:
-        return amendment
-    held = {p.name: 0.0 for p in amendment.effect.parameters if p.nuisance in POSE_LIKE}
-    return amendment.moved_to(held) if held else amendment
+    values = pose_like(model)
+    if data.posed is None or (values == state.effects).all():
+        return replace(state, effects=values)
+    off = as_pose_errors(data, state.effects - values)
+    posed = None if state.posed is None else state.posed + off
+    return replace(state, effects=values, delta=state.delta + off, posed=posed)
+
+
+def pose_like(model: Sequence[Amendment]) -> Floats:
+    """Return what the effects of a model say of mount and delay of the whole laser, (4,) [m, m, rad, s] as `POSE_LIKE`."""
+    out = np.zeros(len(POSE_LIKE))
+    for amendment in (a for a in model if not a.place):
+        for parameter in amendment.effect.parameters:
+            if parameter.nuisance in POSE_LIKE:
+                out[POSE_LIKE.index(parameter.nuisance)] += amendment[parameter.name]
+    return out
 
 
 def errors_of_laser(data: ScanData, state: State) -> Floats:
@@ -74,13 +89,3 @@ def as_pose_errors(data: ScanData, off: Floats) -> Floats:
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
     return np.asarray(mounted - late * data.twists)
-
-
-def moved_as_poses(before: Sequence[Amendment], after: Sequence[Amendment]) -> Floats:
-    """Return by how much (4,) [m, m, rad, s] the effects of a model have moved mount and delay, in the order of `POSE_LIKE`."""
-    moved = np.zeros(len(POSE_LIKE))
-    for old, new in zip(before, after, strict=True):
-        for parameter in old.effect.parameters:
-            if parameter.nuisance in POSE_LIKE and not old.place:
-                moved[POSE_LIKE.index(parameter.nuisance)] += new[parameter.name] - old[parameter.name]
-    return moved

@@ -10,12 +10,12 @@ from scipy.optimize import minimize_scalar
 
 from sensorgraph.diagnosis.scan.bent_rays import bent_columns
 from sensorgraph.diagnosis.scan.cast_place import (
-    MOUNT,
     POSE_LIKE,
     as_cast,
     as_pose_errors,
+    for_model,
     is_cast_at,
-    moved_as_poses,
+    pose_like,
 )
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
@@ -155,13 +155,13 @@ def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
 def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int, at: Cast) -> list[Floats]:
     """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps.
 
-    A mount moves the laser as pose errors do, and has its columns from the same derivatives: a fit of both goes in one step
-    along what they share. So has a delay where casts are made at likely poses.
+    Where casts are made at likely poses, a mount and a delay move the laser as pose errors do, and have their columns from the
+    same derivatives, at edges, too: a fit of both goes in one step along what they share.
     """
     amendment, out = model[index], []
     for name, step in amendment.steps.items():
         nuisance = amendment.effect.parameter(name).nuisance
-        if nuisance in (MOUNT if data.posed is None else POSE_LIKE) and not amendment.place:
+        if data.posed is not None and nuisance in POSE_LIKE and not amendment.place:
             out.append(at.jacobian.nuisances[:, nuisance])
             continue
         moved = [*model]
@@ -209,7 +209,7 @@ def fit(
     """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
     best: Fitted | None = None
     model = tuple(model)
-    noise_bounds, state = strays_taken(model, noise_bounds), state.copy()
+    noise_bounds, state = strays_taken(model, noise_bounds), for_model(data, state.copy(), model)
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
@@ -233,9 +233,11 @@ def fit(
         if _settled(solution) and is_cast_at(laid, state):
             break
     assert best is not None
-    final, state = with_increments(best.model, best.solution.p), best.solution.state
+    final = with_increments(best.model, best.solution.p)
+    state, moved = best.solution.state, pose_like(final) - pose_like(best.model)
+    state.effects = pose_like(final)
     if state.posed is not None:  # the laser stays where it was cast from, now that effects have moved it
-        state.posed = state.posed - as_pose_errors(data, moved_as_poses(best.model, final))
+        state.posed = state.posed - as_pose_errors(data, moved)
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
 
 

@@ -51,6 +51,8 @@ class State:
     """(2 n_corners,) [m] where the corners of a map of pixels were in the cast that this was found with."""
     posed: Floats | None = None
     """(n_scans, 3) [m, m, rad] by what the poses of that cast were off the reference, where its tolerances are wide."""
+    effects: Floats = field(default_factory=lambda: np.zeros(4))
+    """(4,) [m, m, rad, s] what the effects of its model say of mount and delay (`cast_place.POSE_LIKE`)."""
 
     @property
     def corners(self) -> Floats:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import FitQuality, Gap
-from sensorgraph.diagnosis.scan.cast_place import as_cast
+from sensorgraph.diagnosis.scan.cast_place import as_cast, as_pose_errors, pose_like
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, locked
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
@@ -35,7 +35,9 @@ class _HeldOutFit:
 
     def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
         data = as_cast(data, fitted.state, same_scans=False)
-        at = cast(data, model)
+        if data.posed is not None:  # the likely poses hold a mount and a delay of the model
+            data = data.posed_by(data.posed - as_pose_errors(data, pose_like(model)))
+        at, self.begin = cast(data, model), data.pose_start
         corners = corners_of(data)
         self.expected, self.steep = at.expected, at.jacobian.steep
         none = np.zeros((data.n_scans, 0, data.n_rays))
@@ -58,7 +60,7 @@ class _HeldOutFit:
         solver.y = np.where(np.isfinite(y), y, 0.0)
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
-            delta=data.pose_start if begin is None else begin.copy(),
+            delta=(self.begin if begin is None else begin).copy(),
             noise=self.noise,
             pose_scale=self.fitted.state.pose_scale,
             map_scale=self.fitted.state.map_scale,

@@ -10,6 +10,7 @@ from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.places import obstacles
 from sensorgraph.world.pixel_walls import MAX_STEP
 from sensorgraph.world.robot import Tolerances
 
@@ -45,8 +46,7 @@ def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
     effect = amendment.effect
     if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
         return False
-    names = data.arena.names
-    n_things = len(names) if effect.place == "wall" else len({name.split("/")[0] for name in names}) - 1
+    n_things = data.arena.n_walls if effect.place == "wall" else len(obstacles(data.arena))
     chance = chi2.sf(SCAN.nuisance.max_tolerances**2, 1) / max(n_things, 1)
     moved = np.hypot.reduce([amendment[name] for name in effect.steps])
     return bool(moved < data.stated_map * np.sqrt(chi2.isf(chance, len(effect.steps))))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import begun_at_cast
 from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
@@ -219,7 +218,7 @@ def _try(
         tick(done, len(short))
         got = fit(
             few,
-            (*current.model, begun_at_cast(few, candidate.amendment)),
+            (*current.model, candidate.amendment),
             fresh,
             noise_bounds,
             outer=3,
@@ -252,8 +251,7 @@ def _try(
             also.append((got.model[-1], gain))
             continue
         begin = start_state(data, noise_bounds) if strained else current.state
-        model = (*got.model[:-1], begun_at_cast(data, got.model[-1]))
-        full = fit(data, model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
+        full = fit(data, got.model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
         if is_rough(full.model[-1]):
             full = searched(data, full, noise_bounds, rounds=2, first=0.25, turns=1)
         out.append((full, evidence(data, full.model[-1], full, current) - price(full.model[-1], data)))

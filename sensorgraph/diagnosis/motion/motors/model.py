@@ -149,9 +149,7 @@ class DriveModel:
         self.simulation = MotorSimulation(commands, rows, np.array([limits.a, limits.alpha]))
         block = ((rows.start - rows.start[0]) / EVIDENCE.cluster).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
-        sigmas = (robot.wheels.sigma_v, robot.wheels.sigma_omega)
-        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
-        self.whitener = Whitener.plain((first, second), rows.valid)
+        self.whitener = self.stated_noise()
         self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
         self.structure: StructureFamily | None = None
         self.layout = MotorColumns.of_library()
@@ -166,7 +164,14 @@ class DriveModel:
         """Return a model, with noise of its own, of a base that brings commands to its motors by a ramp."""
         model = self.with_any_gain(False)
         model.structure, model.limits = None, (AccelerationLimit.SET_POINT,)
+        model.whitener = model.stated_noise()
         return model
+
+    def stated_noise(self) -> Whitener:
+        """Return white noise as robot.yaml states it."""
+        sigmas = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)
+        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
+        return Whitener.plain((first, second), self.rows.valid)
 
     def with_any_gain(self, has_any: bool = True) -> DriveModel:
         """Return the same model, with noise of its own, whose gains have no bounds, or have them again."""

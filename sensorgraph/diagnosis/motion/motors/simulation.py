@@ -23,14 +23,14 @@ SLEW_MARGIN = 1.02
 
 
 class AccelerationLimit(Enum):
-    """Where the limits of acceleration in robot.yaml hold, if the base has not been given commands that keep them."""
+    """Where a base keeps the limits of acceleration in robot.yaml."""
 
     MOTORS = "motors"
     """The speed changes no faster: the lag is clipped."""
     SET_POINT = "set point"
     """The base brings commands to its motors by a ramp, which these follow with their lag."""
     NOWHERE = "nowhere"
-    """Who commands keeps to them."""
+    """Nowhere: the commands keep them."""
 
 
 @dataclass(frozen=True, kw_only=True)

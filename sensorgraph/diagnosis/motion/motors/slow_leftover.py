@@ -40,7 +40,7 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
         return selected
     left = _slow_part(model, selected)
     size = replace(left.size, drift=0.0)
-    if not size.is_material(model.robot.limits.v, left.evidence):
+    if left.evidence < EVIDENCE.threshold or not size.is_material(model.robot.limits.v, left.evidence):
         return selected
     terms = tuple(
         term for term in selected.terms if _speed_of(model, selected, term) > TIMES_LARGER * size.speed
@@ -48,6 +48,7 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
     kept = selected
     if terms != selected.terms:
         kept = replace(selected, terms=terms, fit=model.fit(terms, selected.fit.motors))
+        left = _slow_part(model, kept)
     likely = _likely_families(left, drive_families(model, kept.fit))
     words = [family.statement for family in likely[:2]]
     statement = "for seconds at a time, by what noise of the wheels and waits of commands do not make"
@@ -74,7 +75,7 @@ class _SlowPart:
     """The means of what is left over blocks of two seconds."""
 
     block: Ints
-    """(n,) of each row; -1 where it does not count."""
+    """(n,) of each row; -1 where it does not count, as in blocks of few rows."""
     means: Floats
     """(2, n_blocks) [m/s, rad/s]"""
     evidence: float
@@ -106,7 +107,7 @@ def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
     rates = np.concatenate([part[cluster] for part in sure])
     distance, turn = both_kinds(selected.fit.simulated, rows.n)
     return _SlowPart(
-        block=block,
+        block=np.where(enough[cluster], block, -1),
         means=np.where(enough, means, 0.0),
         evidence=0.5 * float((excess - 1 - np.log(excess)).sum()),
         size=simulation_error(
@@ -120,9 +121,9 @@ def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
     """Return the standard deviation of the mean of each block (2, n_blocks) that the waits of its commands make."""
     commands, tolerances = model.simulation.commands, model.robot.tolerances
     wait = delay_sigma(tolerances.control_period, tolerances.transport_jitter)
-    later = commands.stamps[1:] - model.rows.start[0]
-    block = np.clip((later / EVIDENCE.cluster).astype(np.intp), 0, n_blocks - 1)
-    steps = np.square(np.diff(commands.values, axis=0))
+    block = np.floor((commands.stamps[1:] - model.rows.start[0]) / EVIDENCE.cluster).astype(np.intp)
+    inside = (block >= 0) & (block < n_blocks)
+    block, steps = block[inside], np.square(np.diff(commands.values, axis=0))[inside]
     return np.stack(
         [wait * np.sqrt(np.bincount(block, s, minlength=n_blocks)) / EVIDENCE.cluster for s in steps.T]
     )
@@ -140,12 +141,13 @@ def _likely_families(left: _SlowPart, families: Sequence[StructureFamily]) -> li
     """Return the families that explain most of what is left for seconds, the likeliest first."""
     n_blocks, counts = left.means.shape[1], left.block >= 0
     y = left.means.ravel()
+    n_rows = np.maximum(np.bincount(left.block[counts], minlength=n_blocks), 1)
     told: list[tuple[float, StructureFamily]] = []
     for family in families:
         columns = [
             np.concatenate(
                 [
-                    np.bincount(left.block[counts], part[counts], minlength=n_blocks)
+                    np.bincount(left.block[counts], part[counts], minlength=n_blocks) / n_rows
                     for part in both_kinds(c, len(counts))
                 ]
             )
