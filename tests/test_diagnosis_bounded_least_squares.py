@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from sensorgraph.diagnosis import bounded_least_squares
 from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem, solve_bounded
 from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
 from sensorgraph.diagnosis.scan.normal_equations import boxed
@@ -41,6 +42,22 @@ def test_no_correlated_problem_ends_above_the_optimum_of_bvls(seed: int) -> None
         best = lsq_linear(A, y, (low, high), method="bvls", tol=1e-14, max_iter=1000).cost
         assert (low <= x).all() and (x <= high).all()
         assert cost(A, y, x) <= best + 1e-6 * max(1.0, cost(A, y, 0 * x))
+
+
+def test_both_methods_end_at_the_same_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks are exchanged for certain here, and never there."""
+    rng = np.random.default_rng(9)
+    problems = [correlated(rng) for _ in range(200)]
+    found = [solve_bounded(A.T @ A, A.T @ y, low, high).x for A, y, low, high in problems]
+    monkeypatch.setattr(bounded_least_squares, "_exchange_blocks", lambda *_: False)
+    for (A, y, low, high), x in zip(problems, found, strict=True):
+        alone = solve_bounded(A.T @ A, A.T @ y, low, high).x
+        assert cost(A, y, x) == pytest.approx(cost(A, y, alone), rel=1e-6, abs=1e-6 * cost(A, y, 0 * x))
+
+
+def test_numbers_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(ValueError, match="not finite"):
+        solve_bounded(np.eye(2), np.array([np.nan, 1.0]), -np.ones(2), np.ones(2))
 
 
 @settings(max_examples=200, deadline=None)

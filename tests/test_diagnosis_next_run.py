@@ -13,13 +13,20 @@ from planners.arena import Arena
 from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
-from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
+from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace, candidate_motions
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.drives import random_drive
-from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
+from sensorgraph.diagnosis.next_run.forecast import (
+    EvidenceForecast,
+    EvidenceQuadratic,
+    MotionSamples,
+    OpenQuestion,
+)
 from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
+from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, default_robot
 from tests.effects_samples import arena as sample_arena
 
@@ -219,3 +226,26 @@ def test_random_runs_keep_clear_too(arena: Arena, robot: Robot) -> None:
     space = DrivableSpace.of(arena, robot)
     curve = random_drive(space, np.random.default_rng(1), 60.0)
     assert check(curve.trajectory(), arena, robot).count == 0
+
+
+def test_time_goes_to_the_motions_that_bring_most_and_nowhere_else() -> None:
+    """Of two questions with nothing to refit: each motion brings one of them, the third more of both, the fourth is not allowed."""
+
+    class Plain:
+        def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
+            return np.zeros(1)
+
+    def quadratics(nats: list[float]) -> QuadraticsOfMotions:
+        one = {"matrix": np.eye(1), "right": np.zeros(1), "squares": 0.0}
+        return QuadraticsOfMotions.of([EvidenceQuadratic(**one, constant=value) for value in nats])  # type: ignore[arg-type]
+
+    per_second = [quadratics([4.0, 0.0, 3.0, 9.0]), quadratics([0.0, 4.0, 3.0, 9.0])]
+    time = allocate_time([Plain(), Plain()], per_second, 100.0, slice(0, 3))  # type: ignore[list-item]
+    assert time.sum() == pytest.approx(100.0) and time[3] == 0.0
+    assert time[2] > 90.0 and time[0] == pytest.approx(time[1], abs=3.0)
+
+
+def test_motions_of_a_kind_stand_together(arena: Arena, robot: Robot) -> None:
+    motions = candidate_motions(DrivableSpace.of(arena, robot), np.random.default_rng(0))
+    kinds = [motion.kind for motion in motions]
+    assert kinds == sorted(kinds, key=list(dict.fromkeys(kinds)).index)

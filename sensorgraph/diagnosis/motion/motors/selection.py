@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import (
@@ -40,8 +40,10 @@ class MotorSelection:
     structure: AcceptedStructure | None = None
 
     def log_likelihood(self, model: DriveModel) -> float:
-        """Return how likely the run is under noise as fitted, less the price of the effects, without constants [nats]."""
-        return self.fit.log_posterior + model.whitener.log_likelihood - EVIDENCE.price * len(self.terms)
+        """Return how likely the run is under noise as fitted, less the price of all that is free, without constants [nats]."""
+        n = len(self.terms) + (len(GAINS) if model.has_any_gain else 0)
+        n += 0 if self.structure is None else self.structure.family.columns.shape[1]
+        return self.fit.log_posterior + model.whitener.log_likelihood - EVIDENCE.price * n
 
 
 def select(model: DriveModel) -> MotorSelection:

@@ -91,9 +91,10 @@ class MotorSimulation:
         return self._mean_rates(other._travelled(motors, commands), 0.0)
 
     def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
-        """Return the same of motors whose acceleration is limited to a share of the robot's limits."""
+        """Return the same of a base whose acceleration, of its motors or set point, is limited to a share of the robot's limits."""
         slower = copy(self)
-        slower.slew, slower.limit = share * self.slew, AccelerationLimit.MOTORS
+        is_ramped = self.limit is AccelerationLimit.SET_POINT
+        slower.slew, slower.limit = share * self.slew, self.limit if is_ramped else AccelerationLimit.MOTORS
         return self._mean_rates(slower._travelled(motors, self.commands.values), 0.0)
 
     def _mean_rates(self, travelled: Floats, later: float) -> Floats:

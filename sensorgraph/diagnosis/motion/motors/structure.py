@@ -232,8 +232,11 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         for first, beyond in _long_stretches(model, short > settings.asked_share)
     ]
     out = []
-    for limit in (AccelerationLimit.NOWHERE, AccelerationLimit.MOTORS) if times else ():
-        is_limited = limit is AccelerationLimit.MOTORS
+    limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.NOWHERE, AccelerationLimit.MOTORS)
+    if model.simulation.limit not in limits:
+        limits = (model.simulation.limit,)
+    for limit in limits if times else ():
+        is_limited = limit is not AccelerationLimit.NOWHERE
         slowest = float((top[:, 0] / model.simulation.slew).max()) if is_limited else motors.tau
         stamps, without = model.simulation.commands.stamps, model.simulation.commands.values.copy()
         for first, most in times:
