@@ -49,8 +49,9 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
 
 def stands_back(a: Amendment) -> float:
     """Return the depth [m] of a plane behind a pane that returns no ray as far as anyone can tell: the wall itself; else inf."""
-    is_pane = a["alpha_ret"] > 2 * a.stderr.get("alpha_ret", 0.0)
-    return np.inf if is_pane or a["depth"] == 0 else a["depth"]
+    depth = a.parameters.get("depth", 0.0)
+    is_pane = a.parameters.get("alpha_ret", RIGHT_ANGLE) > 2 * a.stderr.get("alpha_ret", 0.0)
+    return np.inf if is_pane or depth == 0 else depth
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
