@@ -50,13 +50,13 @@ def diagnose_drive(
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
     explained = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
-    if not _says_nothing(with_slow_leftover(explained.model, explained.selected)):
+    said = with_slow_leftover(explained.model, explained.selected)
+    if said.terms or said.structure is not None:
         ramped = _explain(explained.model.with_ramped_set_point(), named_wheels)
         if ramped.log_likelihood > explained.log_likelihood + EVIDENCE.threshold:
-            explained = ramped
-    model = explained.model
-    selected, evidence = confirmed(model, with_slow_leftover(model, explained.selected))
-    return drive_result(model, selected, evidence, explained.deviations)
+            explained, said = ramped, with_slow_leftover(ramped.model, ramped.selected)
+    selected, evidence = confirmed(explained.model, said)
+    return drive_result(explained.model, selected, evidence, explained.deviations)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,12 +69,8 @@ class _Explained:
 
     @property
     def log_likelihood(self) -> float:
-        """[nats] less the price of the effects."""
+        """[nats] less the price of all that is free."""
         return self.selected.log_likelihood(self.model)
-
-
-def _says_nothing(selected: MotorSelection) -> bool:
-    return not selected.terms and selected.structure is None
 
 
 def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained:

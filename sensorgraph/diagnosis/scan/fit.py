@@ -234,10 +234,10 @@ def fit(
             break
     assert best is not None
     final = with_increments(best.model, best.solution.p)
-    state, moved = best.solution.state, pose_like(final) - pose_like(best.model)
+    state = best.solution.state
     state.effects = pose_like(final)
     if state.posed is not None:  # the laser stays where it was cast from, now that effects have moved it
-        state.posed = state.posed - as_pose_errors(data, moved)
+        state.posed = state.posed - as_pose_errors(data, state.effects - pose_like(best.model))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
 
 

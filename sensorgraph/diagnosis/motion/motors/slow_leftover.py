@@ -87,16 +87,14 @@ class _SlowPart:
 
 def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
     rows, robot = model.rows, model.robot
-    left = np.stack(both_kinds(model.residual(selected.fit), rows.n))
     dt = rows.end - rows.start
     cluster = model.clusters[: rows.n].astype(np.intp)
+    n_rows = np.bincount(cluster, rows.valid)
     block = np.where(rows.valid, cluster, -1)
-    n_rows = np.bincount(cluster, rows.valid, minlength=cluster.max() + 1)
-    sums = [np.bincount(cluster, np.where(rows.valid, part, 0.0), minlength=len(n_rows)) for part in left]
-    means = np.stack(sums) / np.maximum(n_rows, 1)
-    noise = np.array([robot.wheels.sigma_v, robot.wheels.sigma_omega])[:, None] / np.sqrt(
-        np.maximum(n_rows, 1)
-    )
+    left = both_kinds(model.residual(selected.fit), rows.n)
+    means = np.stack([_means(part, block, len(n_rows)) for part in left])
+    stated = np.array([robot.wheels.sigma_v, robot.wheels.sigma_omega])[:, None]
+    noise = stated / np.sqrt(np.maximum(n_rows, 1))
     sigma = np.hypot(noise, _by_waits(model, len(n_rows)))
     z2 = np.square(means / np.maximum(sigma, 1e-12))
     beyond = np.square(means) - np.square(SURE_SIGMAS * sigma)
@@ -115,6 +113,13 @@ def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
         ),
         rates=rates,
     )
+
+
+def _means(part: Floats, block: Ints, n_blocks: int) -> Floats:
+    """Return the means (n_blocks,) of rows (n,) over their blocks; 0 where there are none."""
+    some = block >= 0
+    sums = np.bincount(block[some], part[some], minlength=n_blocks)
+    return np.asarray(sums / np.maximum(np.bincount(block[some], minlength=n_blocks), 1))
 
 
 def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
@@ -139,18 +144,11 @@ def _speed_of(model: DriveModel, selected: MotorSelection, term: MotorTerm) -> f
 
 def _likely_families(left: _SlowPart, families: Sequence[StructureFamily]) -> list[StructureFamily]:
     """Return the families that explain most of what is left for seconds, the likeliest first."""
-    n_blocks, counts = left.means.shape[1], left.block >= 0
-    y = left.means.ravel()
-    n_rows = np.maximum(np.bincount(left.block[counts], minlength=n_blocks), 1)
+    y, n_blocks, n = left.means.ravel(), left.means.shape[1], len(left.block)
     told: list[tuple[float, StructureFamily]] = []
     for family in families:
         columns = [
-            np.concatenate(
-                [
-                    np.bincount(left.block[counts], part[counts], minlength=n_blocks) / n_rows
-                    for part in both_kinds(c, len(counts))
-                ]
-            )
+            np.concatenate([_means(part, left.block, n_blocks) for part in both_kinds(c, n)])
             for c in family.columns.T
         ]
         A = np.stack(columns, axis=1)
