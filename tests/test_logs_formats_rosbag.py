@@ -71,6 +71,21 @@ def test_height_counts_from_the_floor(tmp_path: Path, is_root: bool) -> None:
     assert run.sensor.height == pytest.approx(0.26)
 
 
+def test_frames_of_one_robot_of_several_bear_its_name(tmp_path: Path) -> None:
+    """The transforms count that share the laser's namespace; another robot's, and one without a namespace, do not."""
+    tree = [transform(t, "amr7/map", "amr7/base_link", t, 0, 0.1) for t in (0.0, 0.1)]
+    tree += [transform(t, "map", "base_link", 5.0 + t, 0, 0.1) for t in (0.0, 0.1)]
+    tree += [
+        transform(0, "amr7/base_link", "amr7/base_footprint", 0, 0, 0, z=-0.06, static=True),
+        transform(0, "amr7/base_link", "amr7/front/laser", 0.3, 0, 0, z=0.2, static=True),
+    ]
+    run = read(tmp_path, [*tree, *(scan(t, [1, 1, 1], frame="amr7/front/laser") for t in (0.0, 0.1))])
+    assert run.meta["pose_source"] == "/tf amr7/map -> amr7/base_link"
+    np.testing.assert_allclose(run.poses, [[0, 0, 0.1], [0.1, 0, 0.1]], atol=1e-12)
+    np.testing.assert_allclose(run.sensor.mount, [0.3, 0, 0], atol=1e-12)
+    assert run.sensor.height == pytest.approx(0.26)
+
+
 def test_missing_returns_follow_rep_117(tmp_path: Path) -> None:
     run = read(
         tmp_path, [scan(0, [0.0, 0.05, 11.0, np.inf, -np.inf]), scan(0.1, [np.nan, 10.0, 0.1, -1.0, 5.0])]

@@ -149,7 +149,12 @@ def _placed(
     children : further names of the robot's base
     stated : mounts that count where the tree has none
     """
-    bases = [tree.first_ancestor(part.frame, (*BASE_FRAMES, *children)) for part in parts]
+    bases = [
+        tree.first_ancestor(
+            part.frame, (*(tree.named_beside(name, part.frame) for name in BASE_FRAMES), *children)
+        )
+        for part in parts
+    ]
     mounts: list[Floats] = []
     heights: list[float] = []
     lost: list[str] = []
@@ -218,8 +223,9 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
         scans.notes.append("the laser moves on the robot; its first place was taken")
     # the floor's frame may be the root of the tree, above base_link, or a leaf below it
-    below = tree.place(base, FLOOR_FRAME) if base is not None else None
-    above_floor = tree.place(FLOOR_FRAME, scans.frame) or place
+    floor = tree.named_beside(FLOOR_FRAME, scans.frame)
+    below = tree.place(base, floor) if base is not None else None
+    above_floor = tree.place(floor, scans.frame) or place
     return place.poses[0], above_floor.height - (below.height if below else 0.0), place.up < 0
 
 
@@ -237,7 +243,7 @@ def _reference(
     is_named = (topics or {}).get("pose") is not None
     if name is not None and (is_named or name == ROLES["pose"][0]) and recording.topics[name].type != TF_TYPE:
         return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
-    for root in MAP_FRAMES:
+    for root in (tree.named_beside(name, scans.frame) for name in MAP_FRAMES):
         for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
             place = tree.place(root, frame) if frame else None
             if place is not None and frame != root and not place.is_static:

@@ -80,6 +80,15 @@ class TransformTree:
         """Tell whether the frame stands in the tree."""
         return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
 
+    def named_beside(self, name: str, frame: str) -> str:
+        """Return a standard name as the robot of `frame` bears it: amr7/base_link beside amr7/laser, where the tree has it."""
+        space = frame
+        while "/" in space:
+            space = space.rpartition("/")[0]
+            if self.has(f"{space}/{name}"):
+                return f"{space}/{name}"
+        return name
+
     def first_ancestor(self, frame: str, names: Iterable[str]) -> str | None:
         """Return the first of `names` from which `frame` hangs."""
         above = self._above(frame)

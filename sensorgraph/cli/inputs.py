@@ -84,7 +84,7 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
         )
     warning = sweep_warning(run, robot, name=str(path))
     if warning is not None:
-        typer.echo(f"warning: {name}: {warning}: that of the robot was taken", err=True)
+        typer.echo(f"warning: {name}: {warning}", err=True)
     return with_sweep_of(run, robot)
 
 

@@ -16,11 +16,11 @@ def sweep_warning(run: Run, robot: Robot, *, name: str = "robot.yaml") -> str | 
     if differs(abs(logged.sweep_time), described.sweep_time):
         return (
             f"the log says that a sweep takes {abs(logged.sweep_time):.3g} s, sensor.sweep_time of {name} is "
-            f"{described.sweep_time:.3g} s"
+            f"{described.sweep_time:.3g} s, which counts"
         )
     if rare_times(logged) == rare_times(described):
         return None
-    return f"the log says that {_rare_text(logged)}, {name} that {_rare_text(described)}"
+    return f"the log says that {_rare_text(logged)}, {name} that {_rare_text(described)}; {name} counts"
 
 
 def _rare_text(sensor: RangeSensor) -> str:
