@@ -255,15 +255,15 @@ def diagnose(
             raise SensorgraphError("the run keeps no arena; give the arena it was driven in")
         several = [log] if second is None else [log, _run(second)]
         return DrivingDiagnosis.of(drive_alone(several, None if robot is None else _robot(robot)))
-    log = located_in(log, walls)
     machine = (robot_in(log) or robot_for(log)) if robot is None else _robot(robot)
+    log = located_in(log, walls, machine)
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     effects_file.check_places(known, walls)
     good = [_run(one) for one in commissioning]
     if good and simulation is not None:
         raise SensorgraphError("simulation and commissioning are both given; compare with one or the other")
     options: dict[str, Any] = {
-        "second": None if second is None else located_in(_run(second), walls),
+        "second": None if second is None else located_in(_run(second), walls, machine),
         "known": known,
         "baseline": commission_all(good, walls, machine, seed=seed) if good else None,
         "seed": seed,
@@ -271,8 +271,8 @@ def diagnose(
     }
     find: Any = diagnosing.diagnose
     if simulation is not None:
-        find = partial(diagnose_against_simulation, simulation=located_in(_run(simulation), walls))
-    finding = with_driving(find(log, walls, machine, **options), driving_of(log, machine))
+        find = partial(diagnose_against_simulation, simulation=located_in(_run(simulation), walls, machine))
+    finding = with_driving(find(log, walls, machine, **options), driving_of(log, machine), machine)
     return Diagnosis.of(finding, walls, machine)
 
 

@@ -62,6 +62,19 @@ def test_slippery_patch_is_found_where_it_is(track: float) -> None:
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
 
 
+@pytest.mark.parametrize("seed", [4, 5])
+def test_the_same_floor_does_not_slip_twice(seed: int) -> None:
+    """Poses that a filter has smoothed, as those of a localization, blur the rim of a patch: no second one mends it."""
+    spot, window = make_run(seed).poses[600], 9
+    run = make_run(seed, slip=(0.3, spot[0], spot[1], 0.5), track=ROBOT.wheels.base)
+    poses = np.column_stack([run.poses[:, :2], np.unwrap(run.poses[:, 2])])
+    wide = np.pad(poses, ((window // 2, window // 2), (0, 0)), "edge")
+    smooth = np.column_stack([np.convolve(c, np.ones(window) / window, "valid") for c in wide.T])
+    result = diagnose_odometry(replace(run, poses=smooth), ROBOT)
+    slips = [a for a in result.effects if a.name == "wheel_slip"]
+    assert len(slips) == 1 and abs(slips[0]["s"] - 0.3) < 0.03
+
+
 @pytest.mark.parametrize("share", [0.03, pytest.param(0.07, marks=pytest.mark.slow)])
 def test_a_faint_patch_is_no_reason_to_doubt(share: float) -> None:
     spot = make_run(4).poses[600]

@@ -68,7 +68,7 @@ def diagnose(
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
-    from sensorgraph.diagnosis.without_reference import driving_of, with_driving
+    from sensorgraph.diagnosis.without_reference import driving_of, with_described_mount, with_driving
 
     _check(runs, simulation, commissioning, out, poses)
     reading = {"topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)}
@@ -79,7 +79,7 @@ def diagnose(
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     place = arena or "the arena kept in the run"
     loaded = [
-        with_poses(run, path, poses, walls, name=place, options=reading)
+        with_described_mount(with_poses(run, path, poses, walls, name=place, options=reading), machine)
         for run, path in zip(loaded, runs, strict=True)
     ]
     _say_ray_orders(runs, loaded, machine)
@@ -90,7 +90,7 @@ def diagnose(
         simulated = with_poses(
             _read(simulation, reading), simulation, poses, walls, name=place, options=reading
         )
-        options |= {"simulation": simulated, "name": str(simulation)}
+        options |= {"simulation": with_described_mount(simulated, machine), "name": str(simulation)}
     driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # so that nobody keeps the scans of a long log when they are not needed any more
@@ -100,7 +100,7 @@ def diagnose(
         baseline=baseline,
         **options,
     )
-    finding = with_driving(finding, driving)
+    finding = with_driving(finding, driving, machine)
     settings = {
         "seed": seed,
         "runs": [path.name for path in runs],

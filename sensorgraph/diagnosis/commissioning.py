@@ -323,5 +323,5 @@ def unproposed(data: ScanData, names: Set[str]) -> list[Amendment]:
         effect(**{q.name: effect.sizes.get(q.name, 0.0) for q in effect.parameters})
         for name, effect in EFFECTS.items()
         if effect.channel == "scan" and effect.place is None and effect.sizes and not effect.nuisances
-        and name not in names and data.clutter_nats.get(name) != np.inf
+        and name not in names and data.may_show(effect)
     ]  # fmt: skip

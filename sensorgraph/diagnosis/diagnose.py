@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
+from sensorgraph.diagnosis.scan.poses_of_scans import freed_of_scans
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, diagnose_scans, shows_straight_reference
@@ -40,6 +41,7 @@ from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps, check_moves
+from sensorgraph.localization.locate import is_located
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
@@ -96,6 +98,9 @@ def diagnose(
         laid = _laid_on_arena(run, arena, robot, known, baseline, rng)
         if problem := misalignment(laid.alignment, run, laid.data):
             return misaligned(laid.data, laid.notes, problem, clock.seconds)
+        if baseline is None and is_located(run):
+            laid = replace(laid, data=freed_of_scans(laid.data, noise_bounds))
+            laid.notes["poses_of_its_own_scans"] = laid.data.from_scans
         second_data = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
         held = held_out(laid.data)
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
@@ -206,6 +211,8 @@ def _prepare_second(
 ) -> ScanData:
     """Return the scans of a further run; refuse one of another place than the first."""
     data, _ = _prepare(run, first.data.arena, first.robot, first.data.known, baseline, first.pixels)
+    if first.data.from_scans and is_located(run):
+        data = replace(data, from_scans=True, tolerances=first.data.tolerances, memo={})
     share = align(data, rng).share
     if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * first.alignment.share):
         raise SensorgraphError(

@@ -6,12 +6,20 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from logs.run import Run
+from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, check_odometry, diagnose_driving
-from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.motion.calibration.verdict import SURE, effects_of
+from sensorgraph.diagnosis.motion.calibration.words import ABSORBED, QUANTITIES
+from sensorgraph.diagnosis.result import ChannelResult, Rival
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import Effect
+from sensorgraph.effects.map_scale import MAP_SCALE
+from sensorgraph.effects.range_scale import RANGE_SCALE
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.kept import needs_locating
@@ -21,12 +29,31 @@ from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
+STRETCHES = (RANGE_SCALE, MAP_SCALE)
+METRES = "a wall of the map measured with a tape, or wheels whose metre is known"
+"""What tells the laser's metre from the map's, where poses were located in the map."""
 
-def located_in(run: Run, walls: Arena | None) -> Run:
-    """Return a run with the poses of its own scans, where it has no reference; None: in a place of its own."""
-    if not needs_locating(run, run.n_scans, None):
+
+def located_in(run: Run, walls: Arena | None, robot: Robot | None = None) -> Run:
+    """Return a run with the poses of its own scans, where it has no reference; None: in a place of its own.
+
+    Parameters
+    ----------
+    robot : says where the laser sits on it
+    """
+    if needs_locating(run, run.n_scans, None):
+        run = located_run(run, locate(run, walls, name="the map" if walls is None else "the arena"))
+    return run if robot is None else with_described_mount(run, robot)
+
+
+def with_described_mount(run: Run, robot: Robot) -> Run:
+    """Return a located run whose laser sits where robot.yaml says: scans have located the laser, the base's poses follow."""
+    said, logged = np.asarray(robot.sensor.mount), np.asarray(run.sensor.mount)
+    if not is_located(run) or run.sensor.is_composite or np.array_equal(said, logged):
         return run
-    return located_run(run, locate(run, walls, name="the map" if walls is None else "the arena"))
+    base = compose(np.broadcast_to(logged, (1, 3)), invert(said[None]))
+    poses = compose(run.poses, np.broadcast_to(base, run.poses.shape))
+    return replace(run, poses=poses, sensor=replace(run.sensor, mount=said))
 
 
 def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
@@ -43,6 +70,49 @@ def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
     return diagnose_driving(pairs, base=None if robot is None else robot.wheels.base)
 
 
+def _wrong_metre(
+    driving: DrivingFinding | None, stretch: Amendment, robot: Robot
+) -> tuple[DrivingFinding | None, Effect | None]:
+    """Return what driving tells in a metre that holds, and what stretches readings; None where the wheels do not choose."""
+    if driving is None:
+        return None, None
+    name, found = list(driving.runs.items())[-1]
+    s, s_error = stretch["s"], stretch.stderr["s"] if stretch.stderr else 0.0
+    in_map = found.by_metre(1 + s, s_error)
+    agrees_with_laser, agrees_with_map = (_agrees(*one.of("way_scale")) for one in (found, in_map))
+    if agrees_with_map == agrees_with_laser:
+        return driving, None
+    if agrees_with_laser:
+        return driving, MAP_SCALE
+    effects = effects_of(in_map, robot.wheels.base)
+    return replace(driving, runs={**driving.runs, name: in_map}, effects=effects), RANGE_SCALE
+
+
+def _agrees(way: float, error: float) -> bool:
+    """Tell whether the wheels differ from a metre by nothing that matters."""
+    return abs(way - 1) < max(SURE * error, QUANTITIES["way_scale"].materiality)
+
+
+def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) -> Finding:
+    """Name what stretches readings: the laser's metre or the map's, or neither where nothing chooses."""
+    if stretch.effect is wrong:
+        return finding
+    scan = finding.channels["scan"]
+    others = tuple(a for a in scan.effects if a is not stretch)
+    if wrong is RANGE_SCALE:  # the same to the readings, once poses have stretched with the map
+        errors = {"s": (stretch.stderr or {}).get("s", 0.0)}
+        laser = replace(RANGE_SCALE(s=stretch["s"]), stderr=errors, evidence=stretch.evidence)
+        scan = replace(scan, effects=(*others, replace(laser, probability=stretch.probability)))
+    else:
+        other = next(effect for effect in STRETCHES if effect is not stretch.effect)
+        nats = stretch.evidence or 0.0
+        rival = Rival(name=other.name, instead_of=stretch.name, evidence_nats=nats, separates=METRES)
+        scan = replace(
+            scan, effects=others, undecided=(*scan.undecided, stretch), rivals=(*scan.rivals, rival)
+        )
+    return replace(finding, channels={**finding.channels, "scan": scan})
+
+
 def driving_of(
     run: Run, robot: Robot, *, name: str = "the run", progress: ProgressBars = no_progress
 ) -> DrivingFinding | None:
@@ -56,15 +126,32 @@ def driving_of(
         return None
 
 
-def with_driving(finding: Finding, driving: DrivingFinding | None) -> Finding:
-    """Put what driving alone tells in place of the odometry channel, which compares wheels with poses of their making."""
-    if driving is None or finding.explained is None:
+def with_driving(finding: Finding, driving: DrivingFinding | None, robot: Robot) -> Finding:
+    """Put what driving alone tells in place of the odometry channel, which compares wheels with poses of their making.
+
+    Where readings are longer or shorter than the map, laser, map and wheels each have a metre: the one that disagrees with the
+    other two is wrong. Poses that were located in the map have stretched with it, so that scans alone cannot tell.
+    """
+    if finding.explained is None:
         return finding
-    slip = {WHEEL_SLIP.name: "the wheels have helped to make the poses"}
+    stretch = next((a for a in finding.effects if a.effect in STRETCHES and not a.place), None)
+    if stretch is not None and finding.data.from_scans:
+        driving, wrong = _wrong_metre(driving, stretch, robot)
+        finding = _with_stretch(finding, stretch, wrong)
+    if driving is None:
+        return finding
+    beside = finding.channels["odometry"]
+    slips = [
+        a for a in beside.effects if a.effect is WHEEL_SLIP
+    ]  # of a place, which driving as a whole does not show
     odometry = ChannelResult(
         channel="odometry",
-        effects=driving.effects,
-        not_observable={**ABSORBED, **slip},
+        effects=(*driving.effects, *slips),
+        not_observable={
+            **ABSORBED,
+            **{k: why for k, why in beside.not_observable.items() if k == WHEEL_SLIP.name},
+        },
         notes={"calibration": "from driving alone"},
+        motion=beside.motion if slips else None,
     )
     return replace(finding, channels={**finding.channels, "odometry": odometry}, driving=driving)

@@ -27,3 +27,8 @@ class Nuisance(IntEnum):
     """[s] the scan was taken earlier than its stamp."""
     SKEW = 7
     """[s] from the first ray of a scan to the last."""
+
+
+MOUNT = (Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW)
+POSE_LIKE = (*MOUNT, Nuisance.DELAY)
+"""What moves the laser of a scan as an error of its pose does."""

@@ -15,12 +15,8 @@ from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.nuisance import MOUNT, POSE_LIKE
 from sensorgraph.types import Floats
-
-MOUNT = [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
-POSE_LIKE = [*MOUNT, Nuisance.DELAY]
-"""What moves the laser of a scan as an error of its pose does."""
 
 
 def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanData:
@@ -62,7 +58,7 @@ def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State
 
 
 def pose_like(model: Sequence[Amendment]) -> Floats:
-    """Return what the effects of a model say of mount and delay of the whole laser, (4,) [m, m, rad, s] as `POSE_LIKE`."""
+    """Return what the effects of a model say of mount and delay of the whole laser, (4,) [m, m, rad, s] as `nuisance.POSE_LIKE`."""
     out = np.zeros(len(POSE_LIKE))
     for amendment in (a for a in model if not a.place):
         for parameter in amendment.effect.parameters:
@@ -73,7 +69,7 @@ def pose_like(model: Sequence[Amendment]) -> Floats:
 
 def errors_of_laser(data: ScanData, state: State) -> Floats:
     """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
-    return state.delta + as_pose_errors(data, np.append(state.g[MOUNT], 0.0))
+    return state.delta + as_pose_errors(data, np.append(state.g[list(MOUNT)], 0.0))
 
 
 def as_pose_errors(data: ScanData, off: Floats) -> Floats:

@@ -10,7 +10,6 @@ from scipy.optimize import minimize_scalar
 
 from sensorgraph.diagnosis.scan.bent_rays import bent_columns
 from sensorgraph.diagnosis.scan.cast_place import (
-    POSE_LIKE,
     as_cast,
     as_pose_errors,
     for_model,
@@ -35,7 +34,7 @@ from sensorgraph.diagnosis.scan.nuisance import Jacobian, corners_of, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.nuisance import MOUNT, POSE_LIKE, Nuisance
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.beams import Beams
@@ -129,8 +128,8 @@ def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bool
     out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
     whole = [a for a in model if a.effect.place is not None or not a.place]  # not of one of several sensors
     held = [nuisance for a in whole for nuisance in a.effect.nuisances]
-    if data.laser_frame:
-        held += [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
+    if data.laser_frame or data.from_scans:
+        held += MOUNT
     out[held] = True
     if corners.rest >= 0:
         out[len(Nuisance) + 2 * corners.rest :][:2] = True
@@ -214,7 +213,7 @@ def fit(
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
     if data.posed is not None:  # the laser stays where it is: the poses take what mount and delay were off
-        state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[POSE_LIKE])
+        state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
     is_laid = data.grain > 0
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):

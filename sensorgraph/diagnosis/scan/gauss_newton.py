@@ -52,7 +52,7 @@ class State:
     posed: Floats | None = None
     """(n_scans, 3) [m, m, rad] by what the poses of that cast were off the reference, where its tolerances are wide."""
     effects: Floats = field(default_factory=lambda: np.zeros(4))
-    """(4,) [m, m, rad, s] what the effects of its model say of mount and delay (`cast_place.POSE_LIKE`)."""
+    """(4,) [m, m, rad, s] what the effects of its model say of mount and delay (`nuisance.POSE_LIKE`)."""
 
     @property
     def corners(self) -> Floats:

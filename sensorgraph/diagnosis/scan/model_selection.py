@@ -325,7 +325,7 @@ def shortlist(
                 continue
             if (c.amendment.name, c.amendment.place) in struck:
                 continue
-            if data.clutter_nats.get(c.amendment.name) == np.inf:
+            if not data.may_show(c.amendment.effect, c.amendment.place):
                 continue
             if c.gain < _least(current.model, c.amendment, gained, first.has(c)):
                 continue

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.score_test import Candidate
@@ -24,7 +22,7 @@ STAGES_OF_ONE_SENSOR = ("detection", "noise")
 
 def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
     """Return what the effects propose, best first."""
-    effects = [e for e in EFFECTS.values() if residuals.data.clutter_nats.get(e.name) != np.inf]
+    effects = [e for e in EFFECTS.values() if residuals.data.may_show(e)]
     found = [c for effect in effects for c in _proposed(effect, residuals)]
     found += _of_one_sensor(effects, residuals)
     found += _swept(effects, residuals)

@@ -22,6 +22,8 @@ from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble, references_in_sweep
 from sensorgraph.diagnosis.scan.thinning import thinned_out
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import Effect
+from sensorgraph.effects.nuisance import POSE_LIKE
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
@@ -80,6 +82,8 @@ class ScanData:
     """(n_scans, n_rays) nothing stopped the ray before its horizon; its reading is nan in `ranges`."""
     laser_frame: bool
     """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
+    from_scans: bool = False
+    """The poses were found from these very scans, and have taken along what moves a scan as a whole (`poses_of_scans`)."""
     wobble: tuple[float, float] = (0.0, 0.0)
     """[m, rad] standard deviation of the reference's error within one sweep of the laser, along each axis and in heading."""
     references_in_sweep: float = 0.0
@@ -116,6 +120,11 @@ class ScanData:
     def n_rays(self) -> int:
         """Count of rays in a scan."""
         return int(self.ranges.shape[1])
+
+    def may_show(self, effect: Effect, place: str = "") -> bool:
+        """Tell whether an effect is looked for: the site allows it, and poses have not taken it along."""
+        is_pose_like = not place and bool(effect.nuisances) and set(effect.nuisances) <= set(POSE_LIKE)
+        return self.clutter_nats.get(effect.name) != np.inf and not (self.from_scans and is_pose_like)
 
     @cached_property
     def returned(self) -> Bools:

@@ -10,7 +10,7 @@ those of independent windows, and widened so that two of them hold 95 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +68,13 @@ class DrivingCalibration:
         """Return value and standard error of one of PARAMETERS or NUISANCES."""
         k = (*PARAMETERS, *NUISANCES).index(name)
         return float(self.values[k]), float(self.stderr[k])
+
+    def by_metre(self, stretch: float, stderr: float) -> DrivingCalibration:
+        """Return the same where the laser reads all ranges this many times too long, known within a standard error."""
+        values, errors = self.values.copy(), self.stderr.copy()
+        values[0] /= stretch
+        errors[0] = np.hypot(errors[0] / stretch, values[0] * stderr / stretch)
+        return replace(self, values=values, stderr=errors)
 
 
 def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBRATION) -> DrivingCalibration:

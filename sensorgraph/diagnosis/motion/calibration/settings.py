@@ -28,8 +28,8 @@ class DrivingCalibrationSettings:
     """Windows of a block: runs too short for that have fewer blocks, four at least, and wider errors."""
     least_side: int = 32
     """Windows before and after a change within a run."""
-    least_windows: int = 16
-    """Windows of a run, below which nothing can be said."""
+    least_windows: int = 8
+    """Windows of a run, below which nothing can be said: the four blocks, of which standard errors are made, have two each."""
     tail: float = 4.0
     """Degrees of freedom of Student's t of the residuals."""
     iterations: int = 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -90,10 +91,10 @@ def _patch(
 
 
 def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator) -> None:
-    """Let one patch stand for several, where that is likelier.
+    """Let one patch stand for several, where that is likelier, or where two of them lie on each other.
 
     A patch that is not in the model yet is noise to the filter, the more so the longer the robot takes through it: a large one
-    is found in pieces.
+    is found in pieces. The same floor does not slip twice: a second patch on it mends the rim of the first, which poses blur.
     """
     pieces, several = model.patches, list(terms)
     if len(pieces) < 2:
@@ -108,12 +109,18 @@ def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Gene
         terms.append(model.patch_term(0))
         model.whiten()
         refine_patch(model, 0, terms, rng)
-    if found is None or model.log_posterior(terms) < likelihood - PATCH_PRICE * (len(pieces) - 1):
+    is_likelier = model.log_posterior(terms) >= likelihood - PATCH_PRICE * (len(pieces) - 1)
+    if found is None or not (is_likelier or _lie_on_each_other(pieces)):
         model.patches, terms[:] = pieces, several
         model.whiten()
         return
     model.fit_noise()
     _take_back(model, terms)
+
+
+def _lie_on_each_other(patches: Sequence[SlipPatch]) -> bool:
+    """Tell whether the middles of two patches are within both."""
+    return any(np.hypot(a.x - b.x, a.y - b.y) < min(a.r, b.r) for a, b in combinations(patches, 2))
 
 
 def _take_back(model: WheelModel, terms: list[WheelTerm]) -> None:
