@@ -269,6 +269,7 @@ def test_free_space_of_a_random_map_is_its_free_cells(seed: int, tmp_path: Path)
         ({"mode": "grey"}, "expected one of trinary"),
         ({"free_thresh": 0.9}, "is above occupied_thresh"),
         ({"free_thresh": 0.001}, "no cell is free"),
+        ({"occupied_thresh": 1.0}, "no cell is occupied (66.7% free (grey 254), 0.0% occupied"),
     ],
 )
 def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
