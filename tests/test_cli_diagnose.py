@@ -233,6 +233,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
         (["run.mcap", "--simulation", "second.mcap", "--commissioning", "second.mcap"], "one or the other"),
         (["blind.mcap"], "no ray of the run ever returned"),
         (["run.mcap", "--robot", "near.yaml"], "beyond sensor.range_max"),
+        (["run.mcap", "--robot", "exact.yaml"], "sensor.sigma of robot.yaml is 0"),
     ],
 )
 def test_bad_input_gets_one_line(
@@ -243,6 +244,7 @@ def test_bad_input_gets_one_line(
     logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
     logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")
     (folder / "near.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, range_max: 1.0}\n")
+    (folder / "exact.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, sigma: 0}\n")
     paths = [str(folder / a) if a.endswith((".mcap", ".yaml")) else a for a in arguments]
     assert cli(["diagnose", *paths, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()
