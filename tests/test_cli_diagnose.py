@@ -153,6 +153,21 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("no_pictures")
+def test_what_was_taken_for_granted_of_a_log_is_said_on_all_channels(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = driven_run(0)
+    mended, usual = "/scan: stamps go back 3 times, sorted", "3 ranges are above range_max 8 m: +inf"
+    meta = {**run.meta, "source": "off.mcap", "notes": f"{mended}; {usual}"}
+    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0], meta=meta), tmp_path / "off.mcap")
+    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(tmp_path / "out")]) == 0
+    assert f"warning: off.mcap: {mended}\n" in capsys.readouterr().err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["intake"]["log_notes"] == [f"off.mcap: {mended}"]
+    assert f"Warning: off.mcap: {mended}" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("scale", [0.7, 1.3])
 def test_an_arena_of_another_scale_is_said_first(
     scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

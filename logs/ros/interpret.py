@@ -214,14 +214,16 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
     if place is None:
-        scans.notes.append(f"no transform base_link -> {scans.frame or 'laser'}: the mount was taken as 0")
+        scans.notes.append(
+            f"no transform base_link -> {scans.frame or 'laser'}: the mount is robot.yaml's where one is given, else 0"
+        )
         return np.zeros(3), 0.0, False
     if abs(place.up) < MIN_UPRIGHT_COSINE:
         scans.notes.append(
             f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, taken as level"
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
-        scans.notes.append("the laser moves on the robot; its first place was taken")
+        scans.notes.append("the laser moves on the robot: its first place was taken")
     # the floor's frame may be the root of the tree, above base_link, or a leaf below it
     floor = tree.named_beside(FLOOR_FRAME, scans.frame)
     below = tree.place(base, floor) if base is not None else None

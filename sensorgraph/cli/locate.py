@@ -51,7 +51,7 @@ def locate(
     """
     from logs import parse_topics, read, write
     from logs.files import atomic_file
-    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, say_log_notes, with_robot, write_json
     from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.localization.locate import locate as locate_run
@@ -73,6 +73,7 @@ def locate(
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     log = with_robot(log, str(run), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
+    say_log_notes(log)
     for line in summary_lines(found):
         typer.echo(line)
     if csv is not None:
