@@ -282,6 +282,12 @@ def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: s
     assert "\n" not in str(caught.value)
 
 
+def test_a_robot_given_as_a_map_is_told(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("name: radix\nsensor: {n_rays: 91}\n")
+    with pytest.raises(PlanError, match=r"no map_server map \(keys name, sensor\).*is it a robot"):
+        load(tmp_path / "robot.yaml")
+
+
 def test_a_broken_image_is_one_line(tmp_path: Path) -> None:
     path = write_map(tmp_path, HAND)
     (tmp_path / "map.pgm").write_bytes((tmp_path / "map.pgm").read_bytes()[:-4])

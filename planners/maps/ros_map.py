@@ -95,6 +95,12 @@ def _facts(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise PlanError(f"{path}: holds a {type(data).__name__}, expected keys {', '.join(REQUIRED)}")
     missing = [key for key in REQUIRED if key not in data]
+    if len(missing) == len(REQUIRED):
+        robot = "; is it a robot.yaml?" if {"drive", "sensor", "wheels", "limits"} & set(data) else ""
+        raise PlanError(
+            f"{path} is no map_server map (keys {', '.join(map(str, [*data][:4])) or 'none'}); expected {', '.join(REQUIRED)}"
+            f"{robot}"
+        )
     if missing:
         raise PlanError(f"{path}: no key {', '.join(missing)}; expected {', '.join(REQUIRED)}")
     facts = dict(data)
