@@ -12,6 +12,7 @@ Nothing heavy is imported until a name is used.
 | `mcap/` | MCAP records, checked one by one |
 | `ros/` | what ROS messages mean: byte layout, topics and their roles, transforms |
 | `no_return`, `resampling`, `jumps` | what drivers and clocks get wrong |
+| `notes` | what a reader took for granted |
 | `motion` | where the robot was at any time, and so where each ray of a sweep was taken |
 | `transforms` | planar poses |
 """

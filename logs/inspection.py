@@ -13,6 +13,7 @@ from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
 from logs.jumps import JUMP_LIMITS
 from logs.no_return import check_no_return
+from logs.notes import notes_of
 from logs.ros import cdr
 from logs.ros.interpret import to_run
 from logs.ros.recording import (
@@ -310,7 +311,7 @@ def _ros_warnings(recording: Recording) -> list[str]:
 
 def warnings_of(run: Run) -> list[str]:
     """Return what looks wrong in a run, one line each."""
-    out = [note for note in run.meta.get("notes", "").split("; ") if note]
+    out = notes_of(run)
     source = run.meta.get("pose_source", "")
     if source == "slam":
         out.append("the poses were estimated from these scans: they absorb errors of mount and clock")

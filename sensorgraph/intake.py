@@ -1,10 +1,11 @@
-"""What is refused of a log before anything is made of it, unless the user insists."""
+"""What is refused of a log before anything is made of it, unless the user insists, and what was taken for granted."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from logs.jumps import find_jumps
+from logs.notes import assumptions_of
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
@@ -17,6 +18,15 @@ STANDS_STILL = 1e-3
 """[m, rad] poses that change less in all of a run are all the same."""
 LEAST_WAY = 0.5
 """[m] that wheels drive beyond doubt."""
+
+
+def log_notes(*runs: Run) -> list[str]:
+    """Return what was assumed, mended or left out when runs were read, each once and with the name of its log."""
+    return list(
+        dict.fromkeys(
+            f"{run.meta.get('source', 'the run')}: {note}" for run in runs for note in assumptions_of(run)
+        )
+    )
 
 
 def check_jumps(

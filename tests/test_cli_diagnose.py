@@ -153,6 +153,21 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("no_pictures")
+def test_what_was_taken_for_granted_of_a_log_is_said_on_all_channels(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = driven_run(0)
+    mended, usual = "/scan: stamps go back 3 times, sorted", "3 ranges are above range_max 8 m: +inf"
+    meta = {**run.meta, "source": "off.mcap", "notes": f"{mended}; {usual}"}
+    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0], meta=meta), tmp_path / "off.mcap")
+    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(tmp_path / "out")]) == 0
+    assert f"warning: off.mcap: {mended}\n" in capsys.readouterr().err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["intake"]["log_notes"] == [f"off.mcap: {mended}"]
+    assert f"Warning: off.mcap: {mended}" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("scale", [0.7, 1.3])
 def test_an_arena_of_another_scale_is_said_first(
     scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -233,6 +248,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
         (["run.mcap", "--simulation", "second.mcap", "--commissioning", "second.mcap"], "one or the other"),
         (["blind.mcap"], "no ray of the run ever returned"),
         (["run.mcap", "--robot", "near.yaml"], "beyond sensor.range_max"),
+        (["run.mcap", "--robot", "exact.yaml"], "sensor.sigma of robot.yaml is 0"),
     ],
 )
 def test_bad_input_gets_one_line(
@@ -243,6 +259,7 @@ def test_bad_input_gets_one_line(
     logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
     logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")
     (folder / "near.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, range_max: 1.0}\n")
+    (folder / "exact.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, sigma: 0}\n")
     paths = [str(folder / a) if a.endswith((".mcap", ".yaml")) else a for a in arguments]
     assert cli(["diagnose", *paths, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()

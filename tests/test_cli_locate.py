@@ -49,6 +49,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_what_was_taken_for_granted_of_a_log_is_said_beside_the_result(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = logs.read(folder / "raw.mcap")
+    meta = {**run.meta, "source": "raw.mcap", "notes": "/scan: stamps go back 3 times, sorted"}
+    logs.write(replace(run, meta=meta), tmp_path / "raw.mcap")
+    arguments = ["--arena", str(folder / "room.geojson"), "--csv", str(tmp_path / "p.csv")]
+    assert command(["locate", str(tmp_path / "raw.mcap"), *arguments]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said.count("warning: raw.mcap: /scan: stamps go back 3 times, sorted") == 1
+
+
 def test_locate_in_a_map_writes_run_csv_json_and_picture(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,7 +112,7 @@ def test_run_in_a_new_place_is_located_from_where_its_odometry_began(folder: Pat
         (["raw.mcap", "--picture", "p.pdf"], "a picture is written as *.png"),
         (["raw.mcap", "-o", "raw.mcap"], "is the input itself"),
         (["raw.mcap", "--arena", "nowhere.geojson"], "does not exist"),
-        (["one.mcap"], "the run has 1 scan, expected a drive of many"),
+        (["one.mcap"], "the run has 1 scan, expected a drive of 10 or more"),
         (["blind.mcap"], "no ray of the run ever returned"),
         (["raw.mcap", "--arena", "square"], "fit nowhere in square"),
     ],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import logs
+import sensorgraph.data
 from planners.arena import wrap
 from planners.maps import geojson
 from planners.trajectory import Trajectory
@@ -157,6 +158,10 @@ def test_another_robot_or_arena_than_the_plan_has_is_warned_of(
         (["record", "{plan}", "--arena", "nowhere", "-o", "{tmp}/a.mcap"], "one of office, square"),
         (["record", "{plan}", "-o", "{tmp}/a.mcap"], "keeps no arena; give --arena NAME or --graph GRAPH"),
         (["record", "{tmp}/none", "--arena", "square", "-o", "{tmp}/a.mcap"], "does not exist"),
+        (
+            ["record", "{data}/square.geojson", "-o", "{tmp}/a.mcap"],
+            "is an arena or a robot, expected a plan's",
+        ),
         (["record", "{plan}", "--arena", "square", "-o", "{tmp}/a.bag"], "name it a.mcap"),
         (["record", "{plan}", "--arena", "square", "-o", "{tmp}/no/a.mcap"], "make it first"),
         (
@@ -192,5 +197,6 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     names = {"plan": plan, "run": recorded, "csv": plan / "trajectory.csv", "tmp": tmp_path}
+    names["data"] = Path(sensorgraph.data.__path__[0])
     assert said in fails(capsys, *(a.format(**names) for a in arguments))
     assert not list(tmp_path.iterdir())

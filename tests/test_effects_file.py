@@ -122,8 +122,13 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
         ),
         (
             "- {name: moved_wall, parameters: {d: 0.1}, location: {name: room}}",
-            "no wall `room`; did you mean `room/",
+            "no wall `room`; room has `room/edge_0` to `room/edge_",
         ),
+        (
+            "- {name: moved_wall, parameters: {d: 0.1}, location: {name: room/edge_99}}",
+            "no wall `room/edge_99`; room has `room/edge_0` to `room/edge_",
+        ),
+        ("- {name: missing_obstacle, location: {name: piano}}", "no obstacle `piano`; it has `"),
         ("- {name: missing_obstacle, location: {name: bx}}", "no obstacle `bx`; did you mean `box`?"),
         (
             f"- {{name: glass, parameters: {{a: 2.0, b: 0.5, {PANE}}}, location: {{name: room/edge_0}}}}",

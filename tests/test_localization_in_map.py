@@ -123,6 +123,14 @@ def test_map_of_another_place_is_said_to_fit_nowhere() -> None:
         locate_in_map(room_run(TRUTH[:20]), hall.reshape(-1, 2, 2), name="hall")
 
 
+@pytest.mark.parametrize("scale", [3.0, 100.0])
+def test_map_that_is_too_large_is_said_to_fit_nowhere_though_single_scans_fit_many_places(
+    scale: float,
+) -> None:
+    with pytest.raises(SensorgraphError, match=r"fit nowhere in plan.*of another scale"):
+        locate_in_map(room_run(TRUTH), scale * WALLS, name="plan")
+
+
 def test_mirrored_laser_is_named() -> None:
     run = room_run(TRUTH[:20])
     with pytest.raises(SensorgraphError, match="only as seen in a mirror"):

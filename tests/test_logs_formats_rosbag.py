@@ -355,3 +355,39 @@ def test_mcap_that_holds_ros_1_messages_is_read_too(tmp_path: Path) -> None:
     run = logs.read(tmp_path / "old.mcap")
     np.testing.assert_array_equal(run.ranges, [[1, 2, 3], [1, 2, 4], [1, 2, 5], [1, 2, 6]])
     np.testing.assert_allclose(run.stamps, [0, 0.1, 0.2, 0.3], atol=1e-9)
+
+
+def unturned(one: Message) -> Message:
+    """Return a message of a pose whose quaternion is left at zeros, as a node leaves it that fills in x and y alone."""
+    topic, kind, at, data = one
+    whole = HUMBLE.deserialize_cdr(data, kind)
+    whole.pose.orientation.z = whole.pose.orientation.w = 0.0
+    return topic, kind, at, bytes(HUMBLE.serialize_cdr(whole, kind))
+
+
+@pytest.mark.parametrize("n", [3, 10])
+def test_poses_without_orientation_are_left_out_and_said(n: int, tmp_path: Path) -> None:
+    bag = trip()
+    chosen = [i for i, one in enumerate(bag) if one[0] == "/pose"][:n]
+    bag = [unturned(one) if i in chosen else one for i, one in enumerate(bag)]
+    run = read(tmp_path, bag)
+    assert f"/pose: {n} of 10 poses have no orientation (quaternion 0 0 0 0): left out" in run.meta["notes"]
+    assert len(run.pose_stamps) == len(run.poses) == 10 - n
+    assert run.meta["pose_source"] == ("/pose" if n < 10 else "none")
+
+
+@pytest.mark.parametrize(
+    ("frame", "is_known"),
+    [("map", True), ("/amr7/world", True), ("odom_combined", True), ("", True), ("mars", False)],
+)
+def test_poses_in_an_unknown_frame_are_said_to_be_taken_as_the_maps(
+    frame: str, is_known: bool, tmp_path: Path
+) -> None:
+    bag = trip()
+    for i, (topic, kind, at, data) in enumerate(bag):
+        if topic == "/pose":
+            whole = HUMBLE.deserialize_cdr(data, kind)
+            whole.header.frame_id = frame
+            bag[i] = (topic, kind, at, bytes(HUMBLE.serialize_cdr(whole, kind)))
+    said = read(tmp_path, bag).meta.get("notes", "")
+    assert said == ("" if is_known else f"/pose is in the frame {frame}, which is unknown: taken as the map")

@@ -269,6 +269,7 @@ def test_free_space_of_a_random_map_is_its_free_cells(seed: int, tmp_path: Path)
         ({"mode": "grey"}, "expected one of trinary"),
         ({"free_thresh": 0.9}, "is above occupied_thresh"),
         ({"free_thresh": 0.001}, "no cell is free"),
+        ({"occupied_thresh": 1.0}, "no cell is occupied (66.7% free (grey 254), 0.0% occupied"),
     ],
 )
 def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
@@ -279,6 +280,12 @@ def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: s
         load(path)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_robot_given_as_a_map_is_told(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("name: radix\nsensor: {n_rays: 91}\n")
+    with pytest.raises(PlanError, match=r"no map_server map \(keys name, sensor\).*is it a robot"):
+        load(tmp_path / "robot.yaml")
 
 
 def test_a_broken_image_is_one_line(tmp_path: Path) -> None:

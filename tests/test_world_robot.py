@@ -72,6 +72,11 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("sensor: {range_max: .nan}", "expected a number"),
         ("sensor: 7", "expected keys"),
         ("- a\n- b", "holds a list"),
+        (
+            '{"type": "FeatureCollection", "features": []}',
+            "holds an arena (keys type, features), expected a robot.yaml",
+        ),
+        ("image: map.pgm\nresolution: 0.05", "are arena and robot swapped?"),
         ("a: [", "not YAML"),
         ("name: 7", "expected a word"),
     ],

@@ -100,7 +100,7 @@ def read(
         notes.append(f"{len(lines.broken)} broken lines left out, the first is line {lines.broken[0]}")
     others = [f"{len(found)} {name}" for name, found in lines.scans.items() if name != kind]
     if others:
-        notes.append(f"other scans in the log: {', '.join(others)}; choose with `topics` scan=NAME")
+        notes.append(f"other scans in the log (`topics` scan=NAME takes them): {', '.join(others)}")
     laser = np.array([scan.laser or (np.nan,) * 3 for scan in scans])
     robot = np.array([scan.robot or (np.nan,) * 3 for scan in scans])
     clock = read_clock(

@@ -31,11 +31,13 @@ from logs.ros.recording import (
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import to_planar
-from logs.types import Floats, Mounts
+from logs.types import Bools, Floats, Mounts
 
 FLOOR_FRAME = "base_footprint"
 """On the floor (REP 120); base_link may be anywhere on the robot, at the height of its axle for instance."""
 MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
+FIXED_FRAMES = (*MAP_FRAMES, "odom")
+"""Words in the names of frames that stand still; poses in another are perhaps in none of the map's."""
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
 
 
@@ -204,6 +206,9 @@ def _odometry(recording: Recording, name: str | None) -> Track | None:
         return None
     topic = recording.topics[name]
     pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
+    unturned = (pose.values[:, 3:] == 0).all(axis=1)
+    if unturned.any():
+        pose.notes.append(f"{_unturned_text(name, unturned)}: their heading was taken as 0")
     pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
     return pose
 
@@ -214,14 +219,16 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
     if place is None:
-        scans.notes.append(f"no transform base_link -> {scans.frame or 'laser'}: the mount was taken as 0")
+        scans.notes.append(
+            f"no transform base_link -> {scans.frame or 'laser'}: the mount is robot.yaml's where one is given, else 0"
+        )
         return np.zeros(3), 0.0, False
     if abs(place.up) < MIN_UPRIGHT_COSINE:
         scans.notes.append(
             f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, taken as level"
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
-        scans.notes.append("the laser moves on the robot; its first place was taken")
+        scans.notes.append("the laser moves on the robot: its first place was taken")
     # the floor's frame may be the root of the tree, above base_link, or a leaf below it
     floor = tree.named_beside(FLOOR_FRAME, scans.frame)
     below = tree.place(base, floor) if base is not None else None
@@ -242,7 +249,7 @@ def _reference(
     name = choose(recording, "pose", topics)
     is_named = (topics or {}).get("pose") is not None
     if name is not None and (is_named or name == ROLES["pose"][0]) and recording.topics[name].type != TF_TYPE:
-        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
+        return _posed(recording, name, odom_name)
     for root in (tree.named_beside(name, scans.frame) for name in MAP_FRAMES):
         for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
             place = tree.place(root, frame) if frame else None
@@ -250,7 +257,7 @@ def _reference(
                 found = Track(place.stamps, place.poses, root)
                 return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
     if name is not None and recording.topics[name].type != TF_TYPE:
-        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
+        return _posed(recording, name, odom_name)
     if odom is not None:
         return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
     if choices(recording, "pose"):
@@ -260,9 +267,12 @@ def _reference(
     return None, "base_link", "none"
 
 
-def _pose_source(recording: Recording, name: str, odom_name: str | None) -> str:
+def _posed(recording: Recording, name: str, odom_name: str | None) -> tuple[Track, PoseFrame, str]:
+    """Return the poses of a topic, whose they are, and where they come from; `none` where no pose is left."""
+    found = _poses(recording, name)
     is_odometry = recording.topics[name].type == ODOMETRY_TYPE and ("odom" in name or name == odom_name)
-    return f"odometry {name}" if is_odometry else name
+    source = f"odometry {name}" if is_odometry else name
+    return found, "base_link", source if len(found.stamps) else "none"
 
 
 def _odometry_as_poses(run: Run) -> Run:
@@ -281,10 +291,21 @@ def _odometry_as_poses(run: Run) -> Run:
 def _poses(recording: Recording, name: str) -> Track:
     topic = recording.topics[name]
     found = track(topic, "pose", 7)
-    found.values = to_planar(found.values)
     if topic.type == POSE_COVARIANCE_TYPE:
         found.covariances = planar_covariances(track(topic, "covariance", 36).values)
+    if found.frame and not any(word in found.frame.rpartition("/")[2] for word in FIXED_FRAMES):
+        found.notes.append(f"{name} is in the frame {found.frame}, which is unknown: taken as the map")
+    unturned = (found.values[:, 3:] == 0).all(axis=1)
+    if unturned.any():
+        found.notes.append(f"{_unturned_text(name, unturned)}: left out")
+        found.stamps, found.values = found.stamps[~unturned], found.values[~unturned]
+        found.covariances = found.covariances[~unturned] if len(found.covariances) else found.covariances
+    found.values = to_planar(found.values)
     return found
+
+
+def _unturned_text(name: str, unturned: Bools) -> str:
+    return f"{name}: {unturned.sum()} of {len(unturned)} poses have no orientation (quaternion 0 0 0 0)"
 
 
 def _assemble(

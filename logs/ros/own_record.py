@@ -108,12 +108,14 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         raise LogError(
             f"{source}: its `{METADATA_NAME}` record is not whole ({exc}); was it edited?"
         ) from exc
-    stamps, ranges = _scans(recording, sensor.n_rays, source)
+    stamps, ranges, notes = _scans(recording, sensor.n_rays, source)
     apply_no_return(ranges, sensor.range_max, no_return)
     pose = _track(recording, "pose", POSE_TYPE, "pose", 7)
     odom = _track(recording, "odom", ODOMETRY_TYPE, "pose", 7)
     twist = _track(recording, "odom", ODOMETRY_TYPE, "twist", 6)
     command = _track(recording, "cmd", TWIST_STAMPED_TYPE, "twist", 6)
+    meta = {k.removeprefix("meta."): v for k, v in record.items() if k.startswith("meta.")}
+    said = _with_sorted([*notes, *pose.notes, *odom.notes, *command.notes], meta.get("notes", ""))
     return Run(
         sensor=sensor,
         stamps=(stamps - zero) / 1e9,
@@ -128,9 +130,15 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         commands=command.values[:, [0, 5]],
         pose_frame="laser" if record.get("pose_frame") == "laser" else "base_link",
         epoch_ns=epoch,
-        meta={k.removeprefix("meta."): v for k, v in record.items() if k.startswith("meta.")},
+        meta={**meta, **({"notes": said} if said else {})},
         attachments=dict(recording.attachments),
     )
+
+
+def _with_sorted(found: list[str], written: str) -> str:
+    """Return the notes that were written with the run, and which stamps of the file go back; duplicates may be the run's own."""
+    back = [note for note in found if "stamps go back" in note]
+    return "; ".join(dict.fromkeys(filter(None, [*written.split("; "), *back])))
 
 
 def _track(recording: Recording, role: str, msgtype: str, column: str, width: int) -> Track:
@@ -149,10 +157,10 @@ def _covariances(recording: Recording, stamps: Stamps) -> Floats:
     return planar_covariances(found.values) if np.array_equal(found.stamps, stamps) else np.zeros((0, 3, 3))
 
 
-def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, Floats]:
+def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floats, list[str]]:
     topic = recording.topics.get(TOPIC_OF_ROLE["scan"])
     if topic is None or topic.type != SCAN_TYPE or not topic.payloads:
-        return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays))
+        return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays)), []
     stamps = np.zeros(len(topic.payloads), dtype=np.int64)
     ranges = np.empty((len(stamps), n_rays))
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
@@ -162,8 +170,8 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, 
                 f"read it as a foreign file by removing that record"
             )
         stamps[block.index], ranges[block.index] = block.stamps_ns, block["ranges"]
-    stamps, order, _ = settle(topic.name, stamps, stamps)
-    return stamps, ranges if (np.diff(order) == 1).all() else ranges[order]
+    stamps, order, notes = settle(topic.name, stamps, stamps)
+    return stamps, ranges if (np.diff(order) == 1).all() else ranges[order], notes
 
 
 def _numbers_text(values: Floats) -> str:

@@ -38,13 +38,17 @@ def read(path: Path) -> Arena:
 
     Raises
     ------
-    PlanError : the yaml or its image is at fault, or no cell is free
+    PlanError : the yaml or its image is at fault, no cell is free, or none is occupied
     """
     facts = _facts(path)
     pixels, opaque = _pixels(path, _image(path, facts["image"]))
     occupied, free = classify(pixels, opaque, facts)
-    if not free.any():
-        raise PlanError(f"{path}: no cell is free; check negate, free_thresh and the image")
+    for name, cells in (("free", free), ("occupied", occupied)):
+        if not cells.any():
+            raise PlanError(
+                f"{path}: no cell is {name} ({_taken(pixels, occupied, free, facts)}); "
+                f"check negate, {name}_thresh and the image"
+            )
     x, y, yaw = facts["origin"]
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])  # row vectors
 
@@ -60,13 +64,11 @@ def read(path: Path) -> Arena:
         walls=walls,
         names=tuple(f"map/edge_{i}" for i in range(len(walls))),
         surfaces=("wall",) * len(walls),
-        notes=(_taken(path, pixels, occupied, free, facts),),
+        notes=(f"{path.name}: {_taken(pixels, occupied, free, facts)}",),
     )
 
 
-def _taken(
-    path: Path, pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]
-) -> str:
+def _taken(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]) -> str:
     """Say which share of the cells was taken as free, occupied and unknown, and by what grey values."""
     grey = pixels[::-1].T
     parts = []
@@ -76,7 +78,7 @@ def _taken(
             f" (grey {values[0]}" + (f" to {values[-1]})" if len(values) > 1 else ")") if len(values) else ""
         )
         parts.append(f"{cells.mean():.1%} {name}{span}")
-    said = f"{path.name}: {', '.join(parts)}; {facts['mode']}"
+    said = f"{', '.join(parts)}; {facts['mode']}"
     if facts["mode"] == "trinary":
         share = UNKNOWN_OCCUPANCY / 255
         if share < facts["free_thresh"] and (_occupancy(grey, facts) == UNKNOWN_OCCUPANCY).any():
@@ -93,6 +95,12 @@ def _facts(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise PlanError(f"{path}: holds a {type(data).__name__}, expected keys {', '.join(REQUIRED)}")
     missing = [key for key in REQUIRED if key not in data]
+    if len(missing) == len(REQUIRED):
+        robot = "; is it a robot.yaml?" if {"drive", "sensor", "wheels", "limits"} & set(data) else ""
+        raise PlanError(
+            f"{path} is no map_server map (keys {', '.join(map(str, [*data][:4])) or 'none'}); expected {', '.join(REQUIRED)}"
+            f"{robot}"
+        )
     if missing:
         raise PlanError(f"{path}: no key {', '.join(missing)}; expected {', '.join(REQUIRED)}")
     facts = dict(data)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.options import (
     DiagnoseArena,
     DiagnoseCommissioning,
@@ -111,7 +112,7 @@ def diagnose(
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
-    typer.echo("\n".join(_lines(finding, known, out)))
+    _say(finding, known, out)
 
 
 def _say_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
@@ -148,10 +149,11 @@ def _drive_alone(
     reading: Mapping[str, Any],
 ) -> None:
     """Tell wheels and mount of runs without arena and reference."""
-    from sensorgraph.cli.inputs import with_poses
+    from sensorgraph.cli.inputs import say_log_notes, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.driving_files import save_driving
+    from sensorgraph.intake import log_notes
     from sensorgraph.world.robot import load_robot
 
     for run, path in zip(loaded, paths, strict=True):
@@ -163,7 +165,8 @@ def _drive_alone(
     }
     base = None if robot is None else load_robot(robot).wheels.base
     finding = diagnose_driving(runs, base=base, progress=progress)
-    save_driving(finding, out, {"runs": names, "robot": robot and robot.name})
+    save_driving(finding, out, {"runs": names, "robot": robot and robot.name}, log_notes(*loaded))
+    say_log_notes(*loaded)
     for line in finding.lines:
         typer.echo(line)
     typer.echo("no arena, no reference: the poses absorb everything else; give --arena to look for more")
@@ -264,6 +267,13 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
         typer.echo("one good run does not show by how much good runs differ; several tell more", err=True)
     with progress("commissioning", "%") as tick:
         return commission_all(good, walls, machine, seed=seed, progress=tick)
+
+
+def _say(finding: Finding, known: Sequence[Amendment], out: Path) -> None:
+    """Print what was taken for granted, and what was found."""
+    for note in finding.intake["log_notes"]:
+        typer.echo(f"warning: {with_flags(note)}", err=True)
+    typer.echo("\n".join(_lines(finding, known, out)))
 
 
 def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]:

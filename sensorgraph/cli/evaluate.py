@@ -82,6 +82,7 @@ def evaluate(
         check_output,
         check_poses,
         mounts_of,
+        say_log_notes,
         say_ray_order,
         with_poses_of_graph,
         with_robot,
@@ -123,10 +124,9 @@ def evaluate(
             {"beside": others} if others else {}
         )
         write_json(json, result.to_dict() | extra)
-    for line in table(result, simulator, others):
-        typer.echo(line)
-    if json is not None:
-        typer.echo(f"wrote {json}")
+    say_log_notes(log)
+    written = [] if json is None else [f"wrote {json}"]
+    typer.echo("\n".join([*table(result, simulator, others), *written]))
 
 
 def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None) -> dict[str, Metrics]:

@@ -46,7 +46,7 @@ def export(
       sensorgraph export lab.sensorgraph --to nav2 --run run.mcap --no-go 1,1,2,1,2,2 -o nav2
     """
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder
+    from sensorgraph.cli.inputs import check_folder, say_log_notes
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.exporting.export import check_target
@@ -72,6 +72,7 @@ def export(
     typer.echo(
         f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name}, {len(amendments)} effects"
     )
+    say_log_notes(*([] if driven is None else [driven]))
     for line in left_out:
         typer.echo(f"left out: {line}")
     typer.echo(f"wrote {out}; begin with {out / 'README.md'}")

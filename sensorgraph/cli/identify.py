@@ -89,6 +89,8 @@ def identify(
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
     found = identify_model(data, question)
+    for note in data.log_notes:
+        typer.echo(f"warning: {note}", err=True)
     for line in summary_lines(found):
         typer.echo(line)
     write_json(out, {**found.report(), "every": every, "source": file.name})

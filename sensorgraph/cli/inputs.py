@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from logs.files import atomic_file
+from sensorgraph.cli.messages import with_flags
 from sensorgraph.errors import SensorgraphError
 
 if TYPE_CHECKING:
@@ -168,6 +169,14 @@ def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -
     line = ray_order_line(bearings, other, other_name)
     if line:
         typer.echo(f"{name}: {line}")
+
+
+def say_log_notes(*runs: Run) -> None:
+    """Say what was taken for granted of logs, beside the result: an error before stays one line."""
+    from sensorgraph.intake import log_notes
+
+    for note in log_notes(*runs):
+        typer.echo(f"warning: {with_flags(note)}", err=True)
 
 
 def write_json(path: Path, data: Any) -> None:

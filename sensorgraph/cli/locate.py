@@ -51,7 +51,7 @@ def locate(
     """
     from logs import parse_topics, read, write
     from logs.files import atomic_file
-    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, say_log_notes, with_robot, write_json
     from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.localization.locate import locate as locate_run
@@ -73,6 +73,8 @@ def locate(
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     log = with_robot(log, str(run), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
+    placed = None if out is None else located_run(log, found)  # where none is sure, the error is the one line
+    say_log_notes(log)
     for line in summary_lines(found):
         typer.echo(line)
     if csv is not None:
@@ -82,9 +84,9 @@ def locate(
         write_json(json, summary(found))
     if picture is not None:
         localization_picture(log, found, picture, walls=_walls(place))
-    if out is not None:
+    if out is not None and placed is not None:
         with progress("writing", "messages") as tick:
-            write(located_run(log, found), out, progress=tick)
+            write(placed, out, progress=tick)
     written = [str(path) for path in (csv, json, picture, out) if path is not None]
     typer.echo(
         f"wrote {', '.join(written)}" if written else "nothing written: name -o OUT.mcap, --csv or --json"

@@ -87,17 +87,15 @@ def plan(
     """
     import logs
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose
+    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose, say_log_notes
     from sensorgraph.cli.progress import told_progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
     _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
-    runs = []
-    if resume and views is None:
-        check_poses(poses)
-        runs = [logs.read(path) for path in resume]
+    check_poses(poses)
+    runs = [logs.read(path) for path in resume or () if views is None]
     place = _place(arena, resume or [], runs, graph or priority)
     opened = cache(Sensorgraph.load)  # the arena, where to look and what to ask are often one file
     driven = _located(runs, resume or [], place, poses, opened)
@@ -120,6 +118,7 @@ def plan(
     if isinstance(place, str):
         report["arena"] = Path(place).name
     made.save(out)
+    say_log_notes(*runs)
     _tell(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)

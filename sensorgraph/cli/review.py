@@ -56,6 +56,7 @@ def review(
         check_output,
         check_poses,
         mounts_of,
+        say_log_notes,
         with_poses,
         with_poses_of_graph,
         with_robot,
@@ -95,6 +96,7 @@ def review(
         force=force,
         progress=progress,
     )
+    say_log_notes(log)
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:

@@ -68,6 +68,8 @@ def diagnose_against_simulation(
     ours = diagnose(
         run, arena, robot, known=known, simulated=theirs.effects, force=force, progress=progress, **options
     )
+    read = [*ours.intake["log_notes"], *(f"simulation {note}" for note in theirs.intake["log_notes"])]
+    ours = replace(ours, intake={**ours.intake, "log_notes": read})
     return ours if ours.explained is None else _with_comparison(ours, compared_with(ours, theirs, name))
 
 

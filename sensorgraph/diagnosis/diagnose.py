@@ -40,7 +40,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps, check_moves
+from sensorgraph.intake import check_jumps, check_moves, log_notes
 from sensorgraph.localization.locate import is_located
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.pixel_walls import is_raster
@@ -199,6 +199,7 @@ def _laid_on_arena(
     data, notes = _prepare(run, arena, robot, known, baseline, pixels)
     alignment = align(data, rng)
     notes["arena"], notes["share_at_walls"] = alignment.sentence(), alignment.share
+    notes["log_notes"] = log_notes(run)
     return _Laid(data=data, notes=notes, alignment=alignment, arena=arena, robot=robot, pixels=pixels)
 
 
@@ -209,7 +210,8 @@ def _prepare_second(
     noise_bounds: NoiseBounds,
     rng: np.random.Generator,
 ) -> ScanData:
-    """Return the scans of a further run; refuse one of another place than the first."""
+    """Return the scans of a further run, and note what was assumed of it; refuse one of another place than the first."""
+    first.notes["log_notes"] += log_notes(run)
     data, _ = _prepare(run, first.data.arena, first.robot, first.data.known, baseline, first.pixels)
     if first.data.from_scans and is_located(run):
         data = replace(data, from_scans=True, tolerances=first.data.tolerances, memo={})

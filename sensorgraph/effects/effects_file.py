@@ -21,6 +21,8 @@ from sensorgraph.errors import SensorgraphError
 
 logger = logging.getLogger(__name__)
 
+SHOWN_PLACES = 6
+"""Places of an arena that a message lists."""
 KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
 OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
 """Parameters that may be left out; they are then neutral."""
@@ -176,7 +178,9 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
     obstacles = list(dict.fromkeys(wall.rsplit("/", 1)[0] for wall in arena.names))
     known = list(arena.names) if effect.place == "wall" else obstacles
     if name not in known:
-        raise SensorgraphError(f"{where}: the arena has no {effect.place} `{name}`; {_nearest(name, known)}")
+        raise SensorgraphError(
+            f"{where}: the arena has no {effect.place} `{name}`; {_places_like(name, known)}"
+        )
     named_walls(arena, name)
 
 
@@ -241,6 +245,18 @@ def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, w
 def _nearest(name: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
     return f"did you mean `{near[0]}`?" if near else "none is expected"
+
+
+def _places_like(name: str, known: Sequence[str]) -> str:
+    """Say which place was perhaps meant: the edges of the feature that is named, one with a name like it, or the first ones."""
+    feature = name.rsplit("/", 1)[0]
+    own = [wall for wall in known if wall.startswith(f"{feature}/")]
+    if own:
+        return f"{feature} has `{own[0]}`" + (f" to `{own[-1]}`" if len(own) > 1 else "")
+    if difflib.get_close_matches(name, known, n=1):
+        return _nearest(name, known)
+    more = ", ..." if len(known) > SHOWN_PLACES else ""
+    return f"it has {', '.join(f'`{one}`' for one in known[:SHOWN_PLACES]) or 'none'}{more}"
 
 
 def _unit(unit: str) -> str:

@@ -22,6 +22,7 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import wrap
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import log_notes
 from sensorgraph.types import Floats, Ints
 
 POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
@@ -49,6 +50,8 @@ class SignalData:
     """What else was commanded, by its median: the speed that goes with a turn rate."""
     notes: Sequence[str] = ()
     """What the user should know, one line each."""
+    log_notes: Sequence[str] = ()
+    """What was taken for granted when the log was read."""
 
 
 def variable(name: str) -> str:
@@ -123,7 +126,9 @@ def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalD
         if len(run.commands) and name not in names
     }
     notes = () if not run.meta.get("pose_source") else (f"poses from {run.meta['pose_source']}",)
-    return SignalData(records=[record], names=names_of, period=period, held=held, notes=notes)
+    return SignalData(
+        records=[record], names=names_of, period=period, held=held, notes=notes, log_notes=log_notes(run)
+    )
 
 
 def _offered(run: Run) -> list[str]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import ScanTrack
-from sensorgraph.localization.global_search import LocalView, find_places, local_view
+from sensorgraph.localization.global_search import LocalView, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
+from sensorgraph.localization.matching import match
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints
@@ -52,8 +55,10 @@ def locate_in_map(
     odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)
-    if np.isnan(found.poses[:, 0]).all() and not found.rivals:
-        raise SensorgraphError(_no_fit(scans, steps, place, found, name, settings))
+    if np.isnan(found.poses[:, 0]).all():
+        fit = _rivals_fit(scans, steps, place, found.rivals, settings) if found.rivals else found.best_fit
+        if fit < settings.found_fit:
+            raise SensorgraphError(_no_fit(scans, steps, place, fit, name, settings))
     poses = _filled(found, steps)
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information, settings)[0]
@@ -158,11 +163,37 @@ def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
     return out
 
 
+def _rivals_fit(
+    scans: ScanPoints,
+    steps: ScanTrack,
+    place: KnownMap,
+    rivals: Mapping[int, Floats],
+    settings: MapTrackingSettings,
+) -> float:
+    """Return how well the drive around a search fits the best place that answered it.
+
+    Single scans fit many places of a map that is another's; what the robot saw on metres of its way does not.
+    """
+    fits = [0.0]
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(steps.poses[:, :2], axis=0).T))])
+    piece = np.cumsum(~steps.goes_on)
+    for k, poses in rivals.items():
+        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.rival_way))
+        some = near[np.linspace(0, len(near) - 1, min(settings.rival_scans, len(near))).astype(np.intp)]
+        chosen = np.append(some[some != k], k)
+        view = local_view(scans, chosen, steps.poses[chosen])
+        for pose in poses:
+            one = match(view.points, view.normals, place.surfaces, pose)
+            judged = place.judge(one.pose[None], view.points, view.starts)
+            fits.append(fit_of(one.agreement, judged.hidden[0], judged.unseen[0]))
+    return max(fits)
+
+
 def _no_fit(
     scans: ScanPoints,
     steps: ScanTrack,
     place: KnownMap,
-    found: MapTrack,
+    fit: float,
     name: str,
     settings: MapTrackingSettings,
 ) -> str:
@@ -173,13 +204,13 @@ def _no_fit(
         mirrored = LocalView(
             points=view.points * flip, normals=view.normals * flip, starts=view.starts * flip
         )
-        if find_places(mirrored, place).fit > max(found.best_fit + 0.2, settings.found_fit):
+        if find_places(mirrored, place).fit > max(fit + 0.2, settings.found_fit):
             return (
                 f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; give a robot.yaml "
                 "or a transform that says so"
             )
     return (
         f"the scans fit nowhere in {name}: at the best place the returns on its walls, less twice those through walls, are "
-        f"{max(found.best_fit, 0):.0%} of all, expected {settings.found_fit:.0%}; give the map of the place where the run "
-        "was recorded, or none"
+        f"{max(fit, 0):.0%} of all, expected {settings.found_fit:.0%}: it is of another place, or of another scale; give the "
+        "map of the place where the run was recorded, in metres, or none"
     )

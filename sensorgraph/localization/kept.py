@@ -15,7 +15,13 @@ from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization import map_settings, settings
-from sensorgraph.localization.locate import has_reference, locate, located_run, summary_lines
+from sensorgraph.localization.locate import (
+    MIN_SCANS,
+    has_reference,
+    locate,
+    located_run,
+    summary_lines,
+)
 from sensorgraph.localization.result import Localization
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import ProgressBars, no_progress
@@ -24,8 +30,6 @@ from sensorgraph.version import __version__
 logger = logging.getLogger(__name__)
 KEY = "located_as"
 """Entry of a located run's meta: what it was located from, and how."""
-LEAST_SCANS = 10
-"""Scans of a run from which on it is located unasked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +54,7 @@ def needs_locating(run: Run, n_scans: int, poses: str | None) -> bool:
     """
     if poses is not None:
         return poses == "locate"
-    return not has_reference(run) and not measures_cones(run.sensor) and n_scans >= LEAST_SCANS
+    return not has_reference(run) and not measures_cones(run.sensor) and n_scans >= MIN_SCANS
 
 
 def kept_beside(path: Path) -> Path:

@@ -28,7 +28,7 @@ POSE_SOURCE = "locate"
 """`pose_source` of a located run."""
 ATTACHMENT = "localization.json"
 """What a located run keeps of how it was located."""
-MIN_SCANS = 2
+MIN_SCANS = 10
 """Fewer make no drive."""
 COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status")
 
@@ -53,7 +53,8 @@ def locate(
     """
     if run.n_scans < MIN_SCANS:
         raise SensorgraphError(
-            f"the run has {run.n_scans} scan{'' if run.n_scans == 1 else 's'}, expected a drive of many; give a longer log"
+            f"the run has {run.n_scans} scan{'' if run.n_scans == 1 else 's'}, expected a drive of {MIN_SCANS} or more; "
+            "give a longer log"
         )
     check_rays(run.sensor, "the run", takes="locate takes", remedy="give the run of a laser", one_place=False)
     if not np.isfinite(run.ranges).any():

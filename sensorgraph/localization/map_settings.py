@@ -161,6 +161,10 @@ class MapTrackingSettings:
     """Searches after which one is made in all of the map, though the odometry says where the robot is."""
     view_scans: int = 5
     """Searched together, at most."""
+    rival_way: float = 5.0
+    """[m] around a search that several places answered, of which all scans must fit one of these by `found_fit`."""
+    rival_scans: int = 12
+    """Of these, at most."""
     rematch_deviations: tuple[float, float, float] = (0.05, 0.05, 0.02)
     """[m, m, rad] of the smoothed track, as the prior of the last matches."""
     correlation: float = 2.0

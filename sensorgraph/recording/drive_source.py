@@ -13,7 +13,7 @@ import numpy as np
 import logs
 from logs.run import Run
 from planners.arena import Arena
-from planners.maps import load
+from planners.maps import MAPS, load
 from planners.trajectory import Trajectory, read_csv
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import arena_in, read_plan_report, robot_in
@@ -119,6 +119,10 @@ def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:
     if not path.exists():
         raise SensorgraphError(
             f"{path} does not exist; give a plan's folder (`sensorgraph plan` makes one) or a run"
+        )
+    if path.suffix.lower() in MAPS:
+        raise SensorgraphError(
+            f"{path} is an arena or a robot, expected a plan's folder (`sensorgraph plan` makes one), its trajectory.csv or a run"
         )
     run = logs.read(path)
     if len(run.cmd_stamps) < 2:

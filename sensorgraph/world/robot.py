@@ -190,6 +190,10 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
         raise SensorgraphError(
             f"{name}: holds a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
         )
+    if {"features", "image"} & set(data):
+        raise SensorgraphError(
+            f"{name}: holds an arena (keys {', '.join(map(str, [*data][:4]))}), expected a robot.yaml; are arena and robot swapped?"
+        )
     _refuse_unknown(name, "", data, [*TOP, *SECTIONS, "sensors"])
     values = {key: _section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
     top = {key: _value(name, key, data.get(key, default), default) for key, default in TOP.items()}

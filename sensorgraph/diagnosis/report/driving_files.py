@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.report.data import effect_dict, plain
 from sensorgraph.diagnosis.report.driving import UNITS, calibrations, driving_section
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.files import remove_old_report
-from sensorgraph.diagnosis.report.page_shell import page_shell
+from sensorgraph.diagnosis.report.page_shell import page_shell, warnings
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder
 from sensorgraph.version import __version__
@@ -44,17 +44,25 @@ class DrivingDiagnosis(DrivingFinding):
         return "\n".join(self.lines)
 
 
-def save_driving(finding: DrivingFinding, folder: Path, settings: Mapping[str, Any]) -> None:
-    """Write the report into a folder; all of it or nothing."""
+def save_driving(
+    finding: DrivingFinding, folder: Path, settings: Mapping[str, Any], log_notes: Sequence[str] = ()
+) -> None:
+    """Write the report into a folder; all of it or nothing.
+
+    Parameters
+    ----------
+    log_notes : what was taken for granted when the runs were read
+    """
     with atomic_folder(folder) as part:
         kept = {"version": __version__, **settings}
         report = plain({**driving_dict(finding), "settings": kept})
+        report["intake"]["log_notes"] = list(log_notes)
         with atomic_file(part / "report.json") as file:
             file.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         effects_file.write(finding.effects, part / "effects.yaml")
         calibration_picture(finding.runs, part / "calibration.png")
         with atomic_file(part / "report.html") as file:
-            file.write_text(_page(finding, part / "calibration.png"), encoding="utf-8")
+            file.write_text(_page(finding, part / "calibration.png", log_notes), encoding="utf-8")
         remove_old_report(folder)
 
 
@@ -86,14 +94,14 @@ def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
     }
 
 
-def _page(finding: DrivingFinding, drawn: Path) -> str:
+def _page(finding: DrivingFinding, drawn: Path, log_notes: Sequence[str]) -> str:
     """Return a page that stands alone."""
     title, *rest = finding.verdict
     absorbed = "".join(f"<li>{escape(why)}</li>" for why in ABSORBED.values())
     is_found = bool(finding.effects) or any(d.differs and d.is_material for d in finding.differences)
     return page_shell(
         headline=title,
-        lead=rest,
+        lead=[*rest, *warnings(log_notes)],
         eyebrow=f"sensorgraph diagnose: {' and '.join(finding.runs)}, wheels and mount from driving alone",
         kind="found" if is_found or any(finding.changes.values()) else "calm",
         sections=[

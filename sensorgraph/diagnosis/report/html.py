@@ -10,7 +10,7 @@ from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.driving import driving_section
-from sensorgraph.diagnosis.report.page_shell import page_shell, picture
+from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     minus,
@@ -75,7 +75,7 @@ def page(
     ]
     return page_shell(
         headline=summary.headline,
-        lead=summary.details,
+        lead=[*summary.details, *warnings(finding.intake.get("log_notes", ()))],
         eyebrow=f"sensorgraph diagnose: {title}",
         kind=summary.outcome,
         sections=sections,

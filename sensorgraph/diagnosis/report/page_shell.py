@@ -74,6 +74,11 @@ def page_shell(
     )
 
 
+def warnings(log_notes: Iterable[str]) -> list[str]:
+    """Return sentences for the lead on what was taken for granted when the logs were read."""
+    return [f"Warning: {note}." for note in log_notes]
+
+
 def picture(path: Path | None, alt: str, caption: str) -> str:
     """Return a figure with a PNG file in it; nothing where there is no file."""
     if path is None:

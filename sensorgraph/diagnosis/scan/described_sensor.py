@@ -23,8 +23,13 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
     Raises
     ------
     SensorgraphError
-        The run is of another sensor, or the sensor has too few rays.
+        The run is of another sensor, or the sensor has too few rays or no noise.
     """
+    if robot.sensor.sigma <= 0:
+        raise SensorgraphError(
+            "sensor.sigma of robot.yaml is 0, expected the standard deviation [m] of a reading, above 0: beside exact "
+            "readings any noise is an effect; write what the data sheet says, such as sigma: 0.01"
+        )
     settings, recorded = SCAN.intake, run.sensor.bearings
     described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
     if described is None:
