@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.stamp_scale import stamp_scale
+from sensorgraph.diagnosis.scan.tolerance_scale import tolerance_scale
 from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
@@ -69,7 +69,14 @@ class Finding:
     @cached_property
     def stamp_tolerance_factor(self) -> float | None:
         """The same of the stamps of the scans; 1 also where the run does not tell."""
-        return None if self.explained is None else stamp_scale(self.explained.final)
+        return None if self.explained is None else tolerance_scale(self.explained.final, "stamp")
+
+    @cached_property
+    def heading_tolerance_factor(self) -> float | None:
+        """The same of the reference's heading alone, where stamps are as stated."""
+        if self.explained is None or self.data.from_scans or (self.stamp_tolerance_factor or 1.0) > 1.0:
+            return None if self.explained is None else 1.0
+        return tolerance_scale(self.explained.final, "pose_yaw")
 
     @property
     def unknown(self) -> Unknown | None:

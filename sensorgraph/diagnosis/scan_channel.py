@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.scatter_scale import doubt_of_scatter, freed_scatter
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.simulation import counterpart, is_same_size
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
@@ -65,6 +66,10 @@ def diagnose_scans(
     """
     with clock.stage("explain"):
         explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=clock.progress)
+        free = freed_scatter(train, explained, noise_bounds) if baseline is None else None
+        if free is not None:
+            noise_bounds = free
+            explained = explain(train, free, threshold=threshold, most=most, progress=clock.progress)
         shared = shared_effects(train, explained, simulated)
         if shared:
             known = (*train.known, *shared)
@@ -113,7 +118,7 @@ def judge(
         n_replicates=settings.n_replicates,
         tick=tick,
     )
-    found = found if baseline is None else baseline.discount(found, train)
+    found = doubt_of_scatter(found, explained, train) if baseline is None else baseline.discount(found, train)
     listed = deviations(FitResiduals(train, null))[: settings.max_listed]
     names = name_scan_effects(train, explained, found, listed)
     if baseline is not None:

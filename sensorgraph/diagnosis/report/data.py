@@ -37,6 +37,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "calibration": [] if finding.driving is None else calibrations(finding.driving),
         "pose_scale": finding.pose_tolerance_factor,
         "stamp_scale": finding.stamp_tolerance_factor,
+        "heading_scale": finding.heading_tolerance_factor,
         "map_scale": finding.map_tolerance_factor,
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
         "not_observable": [

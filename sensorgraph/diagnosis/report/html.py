@@ -116,6 +116,7 @@ def _scales_text(finding: Finding) -> str:
         "the map": finding.map_tolerance_factor,
         "the reference poses": finding.pose_tolerance_factor,
         "the stamps": finding.stamp_tolerance_factor,
+        "the reference's heading": finding.heading_tolerance_factor,
     }
     wider = {what: factor for what, factor in found.items() if factor is not None and factor >= 1.01}
     if not wider:

@@ -25,8 +25,7 @@ MIN_LEAD = 6.0
 """[nats] by which an effect must lead its runner-up to be called found."""
 UNCHANGED = 0.97
 """Of the RMS gap: when more than this is left, the gap is said to hardly change."""
-
-
+QUIET_LASER = " sensor.sigma of robot.yaml is about {factor:.1f} times what the laser scatters; stated as it is, smaller effects show."
 MAX_CHANGES = 5
 """Changes of the building that are listed."""
 
@@ -183,6 +182,7 @@ def _worse_than_stated(finding: Finding) -> str:
         ("map is", finding.map_tolerance_factor),
         ("reference pose is", finding.pose_tolerance_factor),
         ("stamps are", finding.stamp_tolerance_factor),
+        ("reference's heading is", finding.heading_tolerance_factor),
     )
     least = SCAN.nuisance.stretched_scale
     return " and ".join(
@@ -329,11 +329,23 @@ def gap_sentences(finding: Finding) -> list[str]:
 
 
 def _second_gap_sentence(finding: Finding) -> str:
-    """Say how far the gap shrinks on a second run; empty where there is none, or nothing to prove."""
+    """Say how far the gap shrinks on a second run, or that the runs disagree; empty where there is none, or nothing to prove."""
     gap = finding.second_gap
-    if gap is None or gap.noise_floor.normalised <= 0 or not finding.channels["scan"].effects:
+    if gap is None or gap.noise_floor.normalised <= 0:
         return ""
-    return f"On the second run, of which nothing was fitted, it shrinks {_from_to(gap, 'cm')})."
+    left = gap.after.normalised / gap.noise_floor.normalised
+    rest = f"its gap is {left:.2f} times the noise floor; diagnose it by itself"
+    is_like = left < SCAN.nuisance.stretched_scale
+    if not finding.channels["scan"].effects:
+        return "" if is_like else f"The second run disagrees: {rest}."
+    lost = gap.after.nats_per_ray - gap.before.nats_per_ray
+    if lost > 0:
+        return (
+            f"The second run disagrees: with that in the model its readings are less likely, by {lost:.3g} nats each; "
+            "what was found is of the first run alone."
+        )
+    said = f"On the second run, of which nothing was fitted, it shrinks {_from_to(gap, 'cm')})"
+    return f"{said}." if is_like else f"{said}, and something else is left: {rest}."
 
 
 def _from_to(gap: Gap, unit: str) -> str:
@@ -357,10 +369,11 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) 
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
     unit = "cm" if channel == "scan" else "cm/s"
     if not n_effects:
+        is_loud = channel == "scan" and after * SCAN.nuisance.stretched_scale < floor
         return (
             f"The gap is {after / floor:.2f} times the noise floor "
             f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
-        )
+        ) + (QUIET_LASER.format(factor=floor / after) if is_loud else "")
     it = "it" if n_effects == 1 else "them"
     gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
     if after > UNCHANGED * before:

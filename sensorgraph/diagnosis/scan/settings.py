@@ -325,6 +325,8 @@ class GoodnessOfFitSettings:
     """[m] of the raster of places."""
     clip: float = 4.0
     """Standard deviations at which a residual is cut."""
+    max_scatter: float = 4.0
+    """Times sensor.sigma that a laser may scatter, where that explains more than effects do."""
     bent_reference: float = 2.0
     """Tolerances of the reference by which it must be bent, to be bent though the scans fit the arena with its poses."""
     max_common_spread: float = 0.15

@@ -1,0 +1,63 @@
+"""How much a laser scatters at all ranges alike, as a multiple of what robot.yaml states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.fit import fit
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.effects.range_noise import RANGE_NOISE
+
+SIGMA_CAUSES = (
+    "sensor.sigma of robot.yaml is too small: data sheets tell the best case",
+    "a laser that vibrates, is old, or looks through a dirty window",
+)
+
+
+def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBounds) -> NoiseBounds | None:
+    """Return bounds under which the laser may scatter as it does, where that explains more than what was found; else None.
+
+    Noise of twice what is stated looks as if it grew with the range, to a search whose noise may not be more; what is stated too
+    small is asked first.
+    """
+    final = explained.final
+    low, high = noise_bounds.core
+    kept = tuple(a for a in final.model if a.effect is not RANGE_NOISE or a.place)
+    has_dropped = len(kept) < len(final.model)
+    if not has_dropped and final.state.noise.core < high:
+        return None
+    seen = data.returned & final.cast.jacobian.valid
+    off = np.abs(final.solution.responsibilities.residual[seen])
+    scale = (
+        1.4826 * float(np.median(off)) / data.sensor.sigma
+    )  # of a normal distribution: strays do not count
+    if not SCAN.nuisance.stretched_scale <= scale <= SCAN.goodness_of_fit.max_scatter:
+        return None
+    free = replace(noise_bounds, core=(low * scale, high * scale))
+    state = final.state.copy()
+    state.noise.core, state.noise.tail = scale, noise_bounds.tail[0]
+    got = fit(data, kept, state, free, outer=1, inner=6)
+    needed = 0.0 if has_dropped else SCAN.selection.threshold
+    return free if got.j > final.j + needed else None
+
+
+def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData) -> GoodnessOfFit:
+    """Doubt a model whose laser must scatter more than is stated, unless something else is in doubt already."""
+    scale, sigma = explained.final.state.noise.core, data.sensor.sigma
+    if found.is_doubted or scale < SCAN.nuisance.stretched_scale:
+        return found
+    return replace(
+        found,
+        statement=f"the laser scatters {scale:.1f} times as much as sensor.sigma of robot.yaml says, at all ranges alike "
+        f"({1000 * scale * sigma:.0f} mm, not {1000 * sigma:.0f})",
+        statistic=scale,
+        threshold=SCAN.nuisance.stretched_scale,
+        size=ScanError(noise=sigma * (scale**2 - 1) ** 0.5, affected=1.0),
+        causes=SIGMA_CAUSES,
+    )
