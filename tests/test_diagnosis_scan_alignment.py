@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely.affinity
 from conftest import polygon_arena
 from scan_samples import data_of, drive, hall_arena
 
@@ -36,6 +37,40 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
     there = align(data_of(hall), np.random.default_rng(0))
     assert there.is_good
     assert there.share > 0.95
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (3.0, "it is drawn 2.99 times as large as the place:"),
+        (100.0, "times as large as the place (centimetres for metres?):"),
+        (1000.0, "(millimetres for metres?):"),
+        (1 / 0.3048, "(feet for metres?):"),
+        (0.1, "it is drawn 0.0996 times as large as the place:"),
+        (0.0254, "it is drawn 0.0253 times as large as the place:"),
+    ],
+)
+def test_a_map_of_another_scale_or_unit_is_told_with_its_size(hall: Arena, scale: float, words: str) -> None:
+    data = data_of(hall)
+    large = replace(hall, walls=scale * hall.walls, free=shapely.affinity.scale(hall.free, scale, scale))
+    place = align(replace(data, arena=large, memo={}), np.random.default_rng(0))
+    assert not place.is_good
+    assert place.scale == pytest.approx(scale, rel=0.01)
+    assert words in place.sentence()
+    assert place.best_share > 0.95
+
+
+def test_a_part_of_a_larger_map_is_not_taken_for_one_of_another_scale(hall: Arena) -> None:
+    """A run that sees a third of its map, in which furniture is missing, gets no other scale."""
+    far = np.concatenate([hall.walls + [shift, 0.0] for shift in (0.0, 14.0, 28.0)])
+    names = tuple(f"{part}{name}" for part in "abc" for name in hall.names)
+    wide = replace(hall, walls=far, names=names, surfaces=("wall",) * len(names))
+    data = data_of(hall)
+    ranges = data.ranges.copy()
+    ranges[:, :25] *= 0.5
+    place = align(replace(data, arena=wide, ranges=ranges, memo={}), np.random.default_rng(0))
+    assert 0.45 < place.share < 0.8
+    assert place.is_good and place.scale == 1.0
 
 
 def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:

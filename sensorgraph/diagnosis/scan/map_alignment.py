@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from logs.run import RangeSensor, Run
+from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -19,6 +21,15 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 SETTINGS = SCAN.alignment
 SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
 """Of the map, that are tried."""
+UNITS = {
+    100.0: "centimetres",
+    1000.0: "millimetres",
+    1 / 0.0254: "inches",
+    1 / 0.3048: "feet",
+    0.001: "kilometres",
+}
+"""Scale of a map -> the unit that its coordinates are perhaps in."""
+UNIT_SCALES = (*UNITS, 0.01, 0.0254, 0.3048)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +72,15 @@ class Alignment:
             return f"the arena does not fit the run: {now}, {longs}; no turn, shift or scale of it would mend that"
         if self.scale != 1.0:
             dx, dy = (round(-d / self.scale, 2) + 0.0 for d in (self.dx, self.dy))
-            lead = f"the arena does not fit the run, it is drawn {self.scale:.2f} times as large as the place"
-            mend = f"with its coordinates divided by {self.scale:.2f} and moved by ({dx:.2f}, {dy:.2f}) m"
+            times = (
+                f"{self.scale:.3g}"
+                if self.scale < 0.1
+                else f"{self.scale:.2f}"
+                if self.scale < 10
+                else f"{self.scale:.1f}"
+            )
+            lead = f"the arena does not fit the run, it is drawn {times} times as large as the place{self._unit()}"
+            mend = f"with its coordinates divided by {times} and moved by ({dx:.2f}, {dy:.2f}) m"
         else:
             lead = "the arena does not fit the run"
             mend = (
@@ -73,22 +91,35 @@ class Alignment:
             return f"{lead}: {now}; it may be of another place: even {mend} it would be {100 * self.best_share:.0f} %"
         return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
 
+    def _unit(self) -> str:
+        near = [unit for scale, unit in UNITS.items() if abs(self.scale / scale - 1) < SETTINGS.scale_step]
+        return f" ({near[0]} for metres?)" if near else ""
+
 
 def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     """Lay the ends of the measured rays over the walls; where few meet, look for a better place."""
     points = _ends(data, rng)
     if len(points) < SETTINGS.min_points:
         return Alignment(share=1.0, best_share=1.0)
-    raster = _Raster(data)
-    share, matching = raster.share(points), _matching_share(data)
+    raster = _Raster(data.arena.walls)
+    is_coarse = raster.cell > SETTINGS.coarse_cell  # of a map in millimetres
+    at_walls = Barriers(data.arena).distances(points) < SETTINGS.wall_distance if is_coarse else None
+    share = raster.share(points) if at_walls is None else float(at_walls.mean())
+    matching = _matching_share(data)
     if share >= SETTINGS.good_share and matching >= SETTINGS.min_matching:
         return Alignment(share=share, best_share=share, matching=matching)
     moved = Alignment(share=share, best_share=share)
-    if share <= SETTINGS.poor_share or matching < SETTINGS.min_matching:
+    if not is_coarse and (share <= SETTINGS.poor_share or matching < SETTINGS.min_matching):
         moved = _moved(data, raster, points, share)
-    scaled = _scaled(raster, points, share)
-    is_better = scaled.best_share > max(moved.best_share + SETTINGS.min_scale_gain, SETTINGS.good_share)
-    return replace(scaled if is_better and not scaled.is_good else moved, matching=matching)
+    least = max(moved.best_share + SETTINGS.min_scale_gain, SETTINGS.good_share)
+    searches = (
+        (partial(_far_scaled, data),) if is_coarse else (partial(_scaled, raster), partial(_far_scaled, data))
+    )
+    for search in searches:
+        scaled = search(points, share)
+        if scaled.best_share > least and not scaled.is_good:
+            return replace(scaled, matching=matching)
+    return replace(moved, matching=matching)
 
 
 def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | None:
@@ -172,6 +203,42 @@ def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
     return Alignment(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
 
 
+def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
+    """Find the scale of a map that is far from what it should be, as another unit makes it; verified by casts.
+
+    A map is about as wide as what a run has seen of it, or wider. It is shrunk, so that a wall is as near as in the place;
+    small maps hold many walls, which most rays may meet by chance, but not with the right length.
+    """
+    seen = np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0)
+    walls = data.arena.walls
+    widest = float((np.ptp(walls.reshape(-1, 2), axis=0) / np.maximum(seen, SETTINGS.cell)).min())
+    low, high = (factor * widest for factor in SETTINGS.far_range)
+    n = max(int(np.log(high / low) / np.log(SCALES[1] / SCALES[0])) + 1, 2)
+    least, most = (factor * widest for factor in SETTINGS.unit_range)
+    tried = [*np.geomspace(low, high, n), *(scale for scale in UNIT_SCALES if least < scale < most)]
+    found = []
+    for scale in tried:
+        if not SETTINGS.scale_range[0] < scale < SETTINGS.scale_range[1]:
+            raster = _Raster(walls / scale)
+            shift, count = raster.correlated(points)
+            found.append((count, float(scale), shift, raster))
+    found.sort(key=lambda one: -one[0])
+    best = Alignment(share=share, best_share=share)
+    for count, scale, shift, raster in found[: SETTINGS.refined_scales]:
+        if count < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
+            break
+        _, rest, shift = _rescaled(raster, points, 1.0, shift)
+        got = raster.share(rest * points + shift)
+        mended = replace(data.arena, walls=(walls / scale - shift) / rest)
+        if (
+            got > best.best_share
+            and _matching_share(replace(data, arena=mended, memo={})) >= SETTINGS.partly_matching
+        ):
+            dx, dy = (scale * shift).tolist()
+            best = Alignment(share=share, best_share=got, dx=dx, dy=dy, scale=scale * rest)
+    return best
+
+
 def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> tuple[float, float, Floats]:
     """Improve a scale by small steps about the middle of the points; return score, scale, shift.
 
@@ -222,8 +289,7 @@ def _rotation(turn: float) -> Floats:
 class _Raster:
     """Walls in a grid, with the distance to the nearest."""
 
-    def __init__(self, data: ScanData) -> None:
-        walls = data.arena.walls
+    def __init__(self, walls: Floats) -> None:
         low = walls.reshape(-1, 2).min(axis=0) - 1.0
         high = walls.reshape(-1, 2).max(axis=0) + 1.0
         self.cell = max(SETTINGS.cell, float((high - low).max()) / SETTINGS.max_cells)

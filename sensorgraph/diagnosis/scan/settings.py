@@ -99,6 +99,8 @@ class AlignmentSettings:
     """[m] of the raster of walls."""
     max_cells: int = 600
     """Cells of the raster along its longer side."""
+    coarse_cell: float = 1.0
+    """[m] of the raster, from which on it tells nothing: the share is taken from the walls, and the map must be shrunk."""
     n_points: int = 3000
     """Ends of rays that are laid over the walls."""
     min_points: int = 100
@@ -111,6 +113,10 @@ class AlignmentSettings:
     """Scales of the map that are tried."""
     n_scales: int = 47
     """Count of them, 3 % apart."""
+    far_range: tuple[float, float] = (0.5, 1.2)
+    """Scales beyond `scale_range` that are tried, of that at which the map is as wide as what the run has seen."""
+    unit_range: tuple[float, float] = (1 / 30, 1.2)
+    """The same of scales that another unit of length makes, for a run that has seen a small part of the map."""
     search_slack: float = 0.1
     """Share of returns by which a coarse match may fall short of what is asked, and still be refined."""
     refined_scales: int = 3
