@@ -21,6 +21,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import (
     WindowRows,
 )
 from sensorgraph.diagnosis.motion.calibration.verdict import effects_of
+from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.without_reference import located_in, with_described_mount, with_driving
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.map_scale import MAP_SCALE
@@ -87,6 +88,10 @@ def test_a_log_without_transforms_is_located_by_the_robots_mount(room: Arena) ->
     )
     finding = diagnose(located_in(raw, room, ROBOT), room, ROBOT, plan_next=False)
     assert finding.effects == () and finding.unknown is None
+    unseen = finding.channels["scan"].not_observable
+    assert {"mount_xy", "mount_yaw", "latency"} <= set(unseen)
+    said = " ".join(summarise(finding).details)
+    assert "so that a mount or a delay of the laser would not show" in said
 
 
 # three metres: laser, map, wheels ------------------------------------------------------------------------------------

@@ -89,6 +89,17 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
     return with_sweep_of(run, robot)
 
 
+def with_mount_of(run: Run, path: Path | None) -> Run:
+    """Return a run of one laser that sits where a robot file states it, whatever the log's transforms say or lack."""
+    from sensorgraph.world.robot import load_robot
+
+    if path is None or run.sensor.is_composite:
+        return run
+    robot = load_robot(path)
+    is_stated = "sensor.mount" in robot.stated
+    return replace(run, sensor=replace(run.sensor, mount=robot.sensor.mount)) if is_stated else run
+
+
 def check_poses(poses: str | None) -> None:
     """Refuse a word that --poses does not know."""
     if poses not in (None, "log", "locate"):

@@ -51,7 +51,14 @@ def locate(
     """
     from logs import parse_topics, read, write
     from logs.files import atomic_file
-    from sensorgraph.cli.inputs import check_output, mounts_of, say_log_notes, with_robot, write_json
+    from sensorgraph.cli.inputs import (
+        check_output,
+        mounts_of,
+        say_log_notes,
+        with_mount_of,
+        with_robot,
+        write_json,
+    )
     from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.localization.locate import locate as locate_run
@@ -71,7 +78,7 @@ def locate(
     with reading_bar() as tick:
         names = parse_topics(topic or [])
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
-    log = with_robot(log, str(run), robot)
+    log = with_mount_of(with_robot(log, str(run), robot), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
     placed = None if out is None else located_run(log, found)  # where none is sure, the error is the one line
     say_log_notes(log)

@@ -88,9 +88,7 @@ def diagnose(
     SensorgraphError
         A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
     """
-    for one in [run] if second is None else [run, second]:
-        check_jumps(one, pair(one), force=force)
-        check_moves(one)
+    _check_motion(run, second, force=force)
     rng, clock, noise_bounds = np.random.default_rng(seed), StageClock(progress), noise_bounds or SCAN.noise
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
@@ -99,8 +97,7 @@ def diagnose(
         if problem := misalignment(laid.alignment, run, laid.data):
             return misaligned(laid.data, laid.notes, problem, clock.seconds)
         if baseline is None and is_located(run):
-            laid = replace(laid, data=freed_of_scans(laid.data, noise_bounds))
-            laid.notes["poses_of_its_own_scans"] = laid.data.from_scans
+            laid = _with_free_poses(laid, noise_bounds)
         second_data = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
         held = held_out(laid.data)
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
@@ -135,6 +132,13 @@ def diagnose(
         next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )
+
+
+def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:
+    """Refuse runs whose poses jump or never move."""
+    for one in [run] if second is None else [run, second]:
+        check_jumps(one, pair(one), force=force)
+        check_moves(one)
 
 
 def _without_scans(run: Run) -> Run:
@@ -201,6 +205,12 @@ def _laid_on_arena(
     notes["arena"], notes["share_at_walls"] = alignment.sentence(), alignment.share
     notes["log_notes"] = log_notes(run)
     return _Laid(data=data, notes=notes, alignment=alignment, arena=arena, robot=robot, pixels=pixels)
+
+
+def _with_free_poses(laid: _Laid, noise_bounds: NoiseBounds) -> _Laid:
+    """Return a located run with poses that are free by what an effect may have pulled them, where they are of its scans."""
+    data = freed_of_scans(laid.data, noise_bounds)
+    return replace(laid, data=data, notes={**laid.notes, "poses_of_its_own_scans": data.from_scans})
 
 
 def _prepare_second(

@@ -167,13 +167,20 @@ def _agreement(finding: Finding) -> str:
     worse = _worse_than_stated(finding)
     if not worse:
         what = "the tolerances" if tolerated(finding) else "what a careful set-up holds"
-        return f"Simulation and measurement agree within {what}."
+        return f"Simulation and measurement agree within {what}{_but_for_poses(finding)}."
     text = f"Simulation and measurement agree only if {worse} than robot.yaml says"
     gap = finding.channels["scan"].gap
     if gap is None or gap.stated_floor is None:
         return f"{text}."
     stated, widened = 100 * gap.stated_floor.rmse_m, 100 * gap.noise_floor.rmse_m
     return f"{text} (noise floor {widened:.2f} cm; {stated:.2f} cm with the tolerances as stated)."
+
+
+def _but_for_poses(finding: Finding) -> str:
+    """Say what nobody can tell of a run whose poses were located with its own scans, and that drove too little for more."""
+    if not finding.data.from_scans or finding.driving is not None:
+        return ""
+    return "; the poses were located with these scans, so that a mount or a delay of the laser would not show"
 
 
 def _worse_than_stated(finding: Finding) -> str:

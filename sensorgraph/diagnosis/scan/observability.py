@@ -52,10 +52,10 @@ def not_observable(
     Parameters
     ----------
     threshold : [nats] of evidence that a name takes, beyond the price of its parameters
-    from_scans : the poses were estimated from these very scans (SLAM); None: where they are the laser's own
+    from_scans : the poses were estimated from these very scans; None: where the data say so, or they are the laser's own
     """
     exposure = RunExposure(data, fitted, threshold)
-    out = _hidden_by_poses(data, data.laser_frame if from_scans is None else from_scans)
+    out = _hidden_by_poses(data, _are_of_scans(data) if from_scans is None else from_scans)
     present = set(fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):
         for name, why in found.items():
@@ -70,11 +70,20 @@ def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.t
     return [*_alike_smooth(exposure), *_look_alikes(exposure)]
 
 
+def _are_of_scans(data: ScanData) -> bool:
+    return data.laser_frame or data.from_scans
+
+
 def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
     out: dict[str, str] = {}
     if data.laser_frame:
         why = "the poses are the laser's own, so that the mount has no part in them"
         out |= {name: why for name, effect in EFFECTS.items() if effect.stage == "mount"}
+    if data.from_scans:
+        why = "the poses were located with these very scans and have taken it along; driving alone tells it, after 80 steps"
+        out |= {
+            name: why for name, effect in EFFECTS.items() if not data.may_show(effect) and name not in out
+        }
     if from_scans:
         why = "poses that were fitted to these very scans have taken it along"
         out |= {
