@@ -13,7 +13,12 @@ from diagnosis_samples import ROBOT, make_run, reported
 from logs.run import Run
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.motors.model import Column
-from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma, is_in_step, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.nuisances import (
+    delay_sigma,
+    is_in_step,
+    n_in_step,
+    wait_between_stretches,
+)
 from sensorgraph.world.robot import Robot
 
 
@@ -141,3 +146,15 @@ def test_a_speed_that_is_off_for_seconds_at_a_time_is_unknown_though_it_looks_li
     assert result.effects == () and (result.unknown is not None) == is_told
     if result.unknown is not None:
         assert result.unknown.size is not None and result.unknown.size["speed_m_s"] > 0.005
+
+
+@pytest.mark.parametrize(
+    ("step", "jitter", "least", "most"),
+    [(0.1, 0.0, 256, 256), (0.1, 0.004, 4, 64), (0.0667, 0.0, 1, 1), (0.0667, 0.02, 1, 1)],
+    ids=["in step", "nearly in step", "through all phases", "at random"],
+)
+def test_neighbours_that_keep_a_phase_are_counted(step: float, jitter: float, least: int, most: int) -> None:
+    """Of a clock whose errors add up, as that of a program which sleeps between commands."""
+    rng = np.random.default_rng(2)
+    stamps = np.cumsum(step + jitter * rng.normal(size=256))
+    assert least <= n_in_step(stamps, 0.05) <= most

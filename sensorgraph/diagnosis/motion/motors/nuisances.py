@@ -64,7 +64,8 @@ def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later:
     """Return by how much [s] delays, or lags, before and in a later stretch may differ, as commands wait for the base's loop.
 
     Each change of a command waits by itself, so that a stretch in which the base answers to few of them has the wait of these.
-    Where the changes are in step with a stated loop, all of a stretch may wait a period longer than those before.
+    Where the changes are in step with a stated loop, all of a stretch may wait a period longer than those before; where they
+    come nearly in step, so that their phase wanders, neighbours wait alike.
 
     Parameters
     ----------
@@ -78,6 +79,8 @@ def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later:
     if _is_period_stated(model.robot) and is_in_step(changes, tolerances.control_period):
         return tolerances.control_period
     answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
+    if _is_period_stated(model.robot):
+        answered = answered // n_in_step(changes, tolerances.control_period)
     by_wait, square = rows.masked(fit.columns[:, Column.DELAY]), 0.0
     for stretch in (rows.masked(fit.columns[:, column]) - later, later):
         told = np.bincount(answered, (stretch * by_wait).reshape(2, -1).sum(axis=0))
@@ -98,3 +101,14 @@ def is_in_step(stamps: Floats, period: float) -> bool:
     shares = np.linspace(-PERIOD_ERROR, PERIOD_ERROR, 2 * int(np.ceil(4 * PERIOD_ERROR * cycles)) + 1)
     phases = np.exp(2j * np.pi * stamps / (period * (1 + shares))[:, None])
     return bool(np.abs(phases.mean(axis=1)).max() > IN_STEP)
+
+
+def n_in_step(stamps: Floats, period: float) -> int:
+    """Return how many neighbours of stamps (n,) [s] keep about one phase of a loop of a period [s]; a power of two."""
+    phases, n = np.exp(2j * np.pi * stamps / max(period, 1e-9)), 1
+    while 2 * n <= len(phases):
+        whole = len(phases) // (2 * n) * 2 * n
+        if np.abs(phases[:whole].reshape(-1, 2 * n).mean(axis=1)).mean() <= IN_STEP:
+            break
+        n *= 2
+    return n
