@@ -31,6 +31,13 @@ def bent_by_place(run: Run) -> Run:
     return replace(run, poses=poses)
 
 
+def turned_by_iron(run: Run) -> Run:
+    """Return the run as an odometry reports it whose heading is of a compass beside iron, up to 4 degrees off."""
+    odometry = run.odometry.copy()
+    odometry[:, 2] = wrap(odometry[:, 2] + 0.07 * np.sin(np.unwrap(run.odometry[:, 2]) - 0.8))
+    return replace(run, odometry=odometry)
+
+
 def worn_half_way(run: Run, at: float = 35.0) -> Run:
     """Return the run as wheels report it that lose 6 % of their radius at 35 s, or at another time [s]."""
     grown = np.where(run.odom_stamps > at, 1.06, 1.0)[:, None]
@@ -132,6 +139,7 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
         (out_of_round, "once in every turn of a wheel"),
         (turned_by_place, "yaw of the reference"),
         (bent_by_place, "reference"),
+        (turned_by_iron, "a compass beside iron"),
         (worn_half_way, "changes once"),
         (losing_air, "loses air"),
         (loaded_for_a_while, "for a while, from"),
@@ -145,6 +153,7 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
         "out of round",
         "turned by place",
         "bent by place",
+        "compass",
         "worn half-way",
         "losing air",
         "loaded",

@@ -31,6 +31,7 @@ from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
+from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.types import Progress, ProgressBars, no_progress
 from sensorgraph.world.sensor_parts import sensor_of_rays
 
@@ -327,6 +328,8 @@ def shortlist(
                 continue
             if not data.may_show(c.amendment.effect, c.amendment.place):
                 continue
+            if data.from_scans and _stretches(c.amendment) and any(map(_stretches, current.model)):
+                continue  # poses have stretched with the map, so that its scale and the laser's are one
             if c.gain < _least(current.model, c.amendment, gained, first.has(c)):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
@@ -341,6 +344,10 @@ def shortlist(
             if taken == most:
                 break
     return out[: SCAN.selection.max_candidates]
+
+
+def _stretches(amendment: Amendment) -> bool:
+    return amendment.effect.diagnostics.telltale == STRETCHED
 
 
 def _same(a: Amendment, b: Amendment) -> bool:

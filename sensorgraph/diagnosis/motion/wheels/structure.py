@@ -74,7 +74,7 @@ def odometry_families(
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, base, "place", "by a scale that depends on the place", cells))
     families += [_clock_pieces(rows, wheels, n) for n in ODOMETRY.structure.n_clock_pieces]
-    families += [reversals(rows, wheels, rates, base), _headings(rows, wheels)]
+    families += [reversals(rows, wheels, rates, base), _headings(rows, wheels), _compass(rows, wheels)]
     families.append(spinning(rows, wheels, base))
     families += turns_of_a_wheel(rows, wheels, size)
     is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
@@ -298,6 +298,22 @@ def _headings(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
         labels=["along x of the map, way", "along y of the map, way"],
         sigma=ODOMETRY.structure.scale_sigma,
         statement="by a scale that depends on the heading",
+    )
+
+
+def _compass(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
+    """Return the family of turns that are more at some headings and less at the opposite ones.
+
+    Iron beside a compass deviates it by the sine of the heading (Bowditch, American Practical Navigator, on semicircular deviation).
+    """
+    phi, nothing = rows.increment_poses[:, 2], np.zeros(len(wheels.start))
+    turns = [wheels.turn * axis for axis in (np.cos(phi), np.sin(phi))]
+    return StructureFamily(
+        kind="compass",
+        columns=np.stack([rows.of_wheels(nothing, one) for one in turns], axis=1),
+        labels=["towards x of the map, turn", "towards y of the map, turn"],
+        sigma=ODOMETRY.structure.scale_sigma,
+        statement="by turns whose scale depends on the heading: a compass beside iron, in odometry or reference",
     )
 
 
