@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import (
     DrivingCalibration,
     WindowRows,
 )
-from sensorgraph.diagnosis.motion.calibration.verdict import effects_of
+from sensorgraph.diagnosis.motion.calibration.verdict import effects_of, lines_of
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.without_reference import located_in, with_described_mount, with_driving
 from sensorgraph.effects import Amendment
@@ -123,8 +123,10 @@ def test_of_laser_map_and_wheels_the_one_that_disagrees_is_wrong(biased: Finding
     of_laser = with_driving(finding, driving(1 - 0.0092), ROBOT)
     assert [a.name for a in of_laser.effects] == ["range_scale"] and of_laser.undecided == ()
     assert of_laser.driving is not None
-    way, error = next(iter(of_laser.driving.runs.values())).of("way_scale")
-    assert abs(way - 1) < 5e-4 and error > 5e-4
+    found = next(iter(of_laser.driving.runs.values()))
+    way, error = found.of("way_scale")
+    assert abs(way - 1) < 5e-4 and error > 5e-4 and "against the map's metre" in lines_of(found)[0]
+    assert not any(rival.name == "range_scale" for rival in of_laser.channels["scan"].rivals)
     of_map = with_driving(finding, driving(1.0001), ROBOT)
     names = [a.name for a in (*of_map.effects, *of_map.undecided)]
     assert names == [effect.name] and bool(of_map.undecided) == (effect.effect is RANGE_SCALE)

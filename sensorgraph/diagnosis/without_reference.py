@@ -102,7 +102,9 @@ def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) ->
     if wrong is RANGE_SCALE:  # the same to the readings, once poses have stretched with the map
         errors = {"s": (stretch.stderr or {}).get("s", 0.0)}
         laser = replace(RANGE_SCALE(s=stretch["s"]), stderr=errors, evidence=stretch.evidence)
-        scan = replace(scan, effects=(*others, replace(laser, probability=stretch.probability)))
+        named = replace(laser, probability=stretch.probability)
+        rivals = tuple(rival for rival in scan.rivals if rival.instead_of != stretch.name)
+        scan = replace(scan, effects=(*others, named), rivals=rivals)
     else:
         other = next(effect for effect in STRETCHES if effect is not stretch.effect)
         nats = stretch.evidence or 0.0

@@ -58,6 +58,8 @@ class DrivingCalibration:
     turn_rad: float
     duration_s: float
     rows: WindowRows
+    metre: str = "the laser's"
+    """Whose metre ways are told in."""
 
     @property
     def stated(self) -> Floats:
@@ -74,7 +76,7 @@ class DrivingCalibration:
         values, errors = self.values.copy(), self.stderr.copy()
         values[0] /= stretch
         errors[0] = np.hypot(errors[0] / stretch, values[0] * stderr / stretch)
-        return replace(self, values=values, stderr=errors)
+        return replace(self, values=values, stderr=errors, metre="the map's")
 
 
 def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBRATION) -> DrivingCalibration:

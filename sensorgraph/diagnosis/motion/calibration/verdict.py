@@ -90,7 +90,7 @@ def lines_of(found: DrivingCalibration) -> list[str]:
     mount = [q[name].text(*found.of(name)) for name in PARAMETERS[3:]]
     stated = [f"{v:.1f}".replace("-", "−") for v in found.mount * [100.0, 100.0, float(np.degrees(1.0))]]
     lines = [
-        f"ways: {q['way_scale'].text(way - 1, way_sd)} to be added to the odometry's (against the laser's metre)",
+        f"ways: {q['way_scale'].text(way - 1, way_sd)} to be added to the odometry's (against {found.metre} metre)",
         f"turns: {q['turn_scale'].text(turn - 1, turn_sd)} to be added to the odometry's",
         f"heading: {q['heading_bias'].text(bias, bias_sd)} that the odometry misses (wheels of unequal size)",
         f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (stated: "
