@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.options import (
     DiagnoseArena,
     DiagnoseCommissioning,
@@ -271,8 +270,9 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
 
 def _say(finding: Finding, known: Sequence[Amendment], out: Path) -> None:
     """Print what was taken for granted, and what was found."""
-    for note in finding.intake["log_notes"]:
-        typer.echo(f"warning: {with_flags(note)}", err=True)
+    from sensorgraph.cli.inputs import say_warnings
+
+    say_warnings(finding.intake["log_notes"])
     typer.echo("\n".join(_lines(finding, known, out)))
 
 

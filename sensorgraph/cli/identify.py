@@ -69,7 +69,7 @@ def identify(
 
       sensorgraph identify motor.csv --output speed --inputs volts --auto -o motor.json
     """
-    from sensorgraph.cli.inputs import check_output, write_json
+    from sensorgraph.cli.inputs import check_output, say_warnings, write_json
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.identify import IdentificationSpec
     from sensorgraph.identification.identify import identify as identify_model
@@ -89,8 +89,7 @@ def identify(
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
     found = identify_model(data, question)
-    for note in data.log_notes:
-        typer.echo(f"warning: {note}", err=True)
+    say_warnings(data.log_notes)
     for line in summary_lines(found):
         typer.echo(line)
     write_json(out, {**found.report(), "every": every, "source": file.name})

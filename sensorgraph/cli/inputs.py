@@ -186,7 +186,12 @@ def say_log_notes(*runs: Run) -> None:
     """Say what was taken for granted of logs, beside the result: an error before stays one line."""
     from sensorgraph.intake import log_notes
 
-    for note in log_notes(*runs):
+    say_warnings(log_notes(*runs))
+
+
+def say_warnings(notes: Sequence[str]) -> None:
+    """Say what was taken for granted, a line each."""
+    for note in notes:
         typer.echo(f"warning: {with_flags(note)}", err=True)
 
 

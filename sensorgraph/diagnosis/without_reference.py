@@ -101,8 +101,12 @@ def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) ->
     others = tuple(a for a in scan.effects if a is not stretch)
     if wrong is RANGE_SCALE:  # the same to the readings, once poses have stretched with the map
         errors = {"s": (stretch.stderr or {}).get("s", 0.0)}
-        laser = replace(RANGE_SCALE(s=stretch["s"]), stderr=errors, evidence=stretch.evidence)
-        named = replace(laser, probability=stretch.probability)
+        named = replace(
+            RANGE_SCALE(s=stretch["s"]),
+            stderr=errors,
+            evidence=stretch.evidence,
+            probability=stretch.probability,
+        )
         rivals = tuple(rival for rival in scan.rivals if rival.instead_of != stretch.name)
         scan = replace(scan, effects=(*others, named), rivals=rivals)
     else:
@@ -143,9 +147,8 @@ def with_driving(finding: Finding, driving: DrivingFinding | None, robot: Robot)
     if driving is None:
         return finding
     beside = finding.channels["odometry"]
-    slips = [
-        a for a in beside.effects if a.effect is WHEEL_SLIP
-    ]  # of a place, which driving as a whole does not show
+    # a patch is of a place, which driving as a whole does not show
+    slips = [a for a in beside.effects if a.effect is WHEEL_SLIP]
     odometry = ChannelResult(
         channel="odometry",
         effects=(*driving.effects, *slips),

@@ -55,7 +55,7 @@ def not_observable(
     from_scans : the poses were estimated from these very scans; None: where the data say so, or they are the laser's own
     """
     exposure = RunExposure(data, fitted, threshold)
-    out = _hidden_by_poses(data, _are_of_scans(data) if from_scans is None else from_scans)
+    out = _hidden_by_poses(data, (data.laser_frame or data.from_scans) if from_scans is None else from_scans)
     present = set(fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):
         for name, why in found.items():
@@ -68,10 +68,6 @@ def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.t
     """List the pairs of effects that this run would show, but cannot tell apart."""
     exposure = RunExposure(data, fitted, threshold)
     return [*_alike_smooth(exposure), *_look_alikes(exposure)]
-
-
-def _are_of_scans(data: ScanData) -> bool:
-    return data.laser_frame or data.from_scans
 
 
 def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:

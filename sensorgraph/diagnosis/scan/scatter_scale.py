@@ -34,9 +34,8 @@ def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBound
         return None
     seen = data.returned & final.cast.jacobian.valid
     off = np.abs(final.solution.responsibilities.residual[seen])
-    scale = (
-        1.4826 * float(np.median(off)) / data.sensor.sigma
-    )  # of a normal distribution: strays do not count
+    # of a normal distribution; strays hardly move a median
+    scale = 1.4826 * float(np.median(off)) / data.sensor.sigma
     if not SCAN.nuisance.stretched_scale <= scale <= SCAN.goodness_of_fit.max_scatter:
         return None
     free = replace(noise_bounds, core=(low * scale, high * scale))
