@@ -135,3 +135,14 @@ def test_a_pane_that_returns_nothing_before_a_near_wall_is_that_wall_in_a_map_of
     pixels.solver.data = replace(null.solver.data, grain=0.025)
     glass = EFFECTS["glass"](a=1.0, b=4.0, alpha_ret=alpha, depth=depth).at(hall.names[0])
     assert is_map_error(pixels, replace(glass, stderr={"alpha_ret": error})) != is_pane
+
+
+@pytest.mark.parametrize(
+    ("r", "error", "is_named"), [(0.795, 0.001, False), (0.77, 0.015, False), (0.7, 0.015, True)]
+)
+def test_a_disc_that_may_be_as_large_as_discs_are_is_something_flat(
+    null: Fitted, r: float, error: float, is_named: bool
+) -> None:
+    """The largest is 0.8 m."""
+    disc = replace(EFFECTS["unmapped_obstacle"](x=2.0, y=1.5, r=r), stderr={"r": error})
+    assert is_map_error(null, disc) != is_named

@@ -18,7 +18,7 @@ from sensorgraph.world.robot import Tolerances
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether a change of the building is no more than the map may be wrong there.
 
-    An obstacle stands out of a mapped one by so little, or is a wall: a disc that is as large as discs may be has been fitted
+    An obstacle stands out of a mapped one by so little, or is a wall: a disc that may be as large as discs are has been fitted
     to something flat. In a map of pixels, something moves by less than a cell, a part of a wall is short, what is said to be
     gone stops most rays. A wall or an obstacle has moved by no more than the map is stated to be off.
     """
@@ -27,7 +27,8 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
         return _is_within_statement(data, amendment) or (
             data.grain > 0 and _is_within_pixels(data, amendment)
         )
-    if values["r"] > amendment.effect.parameter("r").high - amendment.effect.sizes["r"]:
+    largest = amendment.effect.parameter("r").high - amendment.effect.sizes["r"]
+    if values["r"] + 2 * amendment.stderr.get("r", 0.0) > largest:
         return True
     spot = np.array([[values["x"], values["y"]]])
     stands_out = values["r"] - float(data.barriers.distances(spot)[0])
