@@ -104,6 +104,14 @@ def test_poses_of_the_laser_itself_hide_the_mount_and_the_clock() -> None:
     assert "latency" not in not_observable(found, null(found), from_scans=False)
 
 
+def test_poses_located_in_the_map_have_taken_along_what_moves_a_scan_as_a_whole_alone() -> None:
+    """A drift moves walls on all sides towards the robot, which no pose can."""
+    found = replace(scan_data(lively()), from_scans=True, memo={})
+    hidden = not_observable(found, null(found))
+    assert {"mount_xy", "mount_yaw", "latency"} <= hidden.keys()
+    assert not hidden.keys() & {"range_bias", "range_drift", "range_scale"}
+
+
 def test_no_wall_near_or_far_leaves_the_limits_of_range_in_the_dark() -> None:
     found = scan_data(standing())
     hidden = not_observable(found, null(found))

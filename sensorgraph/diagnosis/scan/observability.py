@@ -52,10 +52,10 @@ def not_observable(
     Parameters
     ----------
     threshold : [nats] of evidence that a name takes, beyond the price of its parameters
-    from_scans : the poses were estimated from these very scans; None: where the data say so, or they are the laser's own
+    from_scans : the poses were estimated from these very scans in a map of their own (SLAM); None: if they are the laser's own
     """
     exposure = RunExposure(data, fitted, threshold)
-    out = _hidden_by_poses(data, (data.laser_frame or data.from_scans) if from_scans is None else from_scans)
+    out = _hidden_by_poses(data, data.laser_frame if from_scans is None else from_scans)
     present = set(fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):
         for name, why in found.items():
@@ -76,11 +76,11 @@ def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
         why = "the poses are the laser's own, so that the mount has no part in them"
         out |= {name: why for name, effect in EFFECTS.items() if effect.stage == "mount"}
     if data.from_scans:
-        why = "the poses were located with these very scans and have taken it along; driving alone tells it, after 80 steps"
+        why = "the poses were located with these very scans and have taken it along; driving alone tells it, given a minute of driving and turning"
         out |= {
             name: why for name, effect in EFFECTS.items() if not data.may_show(effect) and name not in out
         }
-    if from_scans:
+    elif from_scans:
         why = "poses that were fitted to these very scans have taken it along"
         out |= {
             name: why
