@@ -20,12 +20,12 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
+from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import default_robot

@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
-from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched, shortlist
+from sensorgraph.diagnosis.scan.model_selection import is_rough, searched, shortlist
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -29,6 +29,7 @@ from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
 from sensorgraph.diagnosis.scan.spread_evidence import must_be_spread, spread_evidence
+from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation

@@ -13,11 +13,11 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
-from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats

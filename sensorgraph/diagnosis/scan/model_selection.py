@@ -6,8 +6,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
@@ -20,20 +18,20 @@ from sensorgraph.diagnosis.scan.fit import (
 from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.merging import fewer_effects
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
-from sensorgraph.diagnosis.scan.ranking import n_parameters, ranked
+from sensorgraph.diagnosis.scan.ranking import ranked
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
+from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
+from sensorgraph.diagnosis.scan.worth import price, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
 from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.types import Progress, ProgressBars, no_progress
-from sensorgraph.world.sensor_parts import sensor_of_rays
 
 logger = logging.getLogger(__name__)
 
@@ -60,17 +58,6 @@ class Explained:
     steps: tuple[Step, ...] = field(default_factory=tuple)
     rivals: dict[int, tuple[Amendment, float]] = field(default_factory=dict)
     """Index in the final model -> the second best explanation and how many nats it falls short."""
-
-
-def price(amendment: Amendment, data: ScanData) -> float:
-    """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
-    places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
-        amendment.effect.place or "", 1
-    )
-    if amendment.place and amendment.effect.place is None:
-        places = len(np.unique(sensor_of_rays(data.sensor)))
-    paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
-    return paid + clutter_floor(amendment, data)
 
 
 def explain(
@@ -103,7 +90,7 @@ def explain(
             if again.j > current.j:
                 current = again
                 null = null if current.model else current
-            gain = evidence(data, best.model[-1], best, current) - price(best.model[-1], data)
+            gain = worth(data, best.model[-1], best, current)
         stood = first.still_has(best.model[-1])
         enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j, stood))
         steps.append(
@@ -140,7 +127,7 @@ def explain(
             tick(index, n + 1)
             rest = fit(data, without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
             one = current.model[index]
-            gains[index] = evidence(data, one, current, rest) - price(one, data)
+            gains[index] = worth(data, one, current, rest)
         tick(n, n + 1)
         errors = standard_errors(current, noise_bounds)
     kept = {i: rivals[name_at_place(a)] for i, a in enumerate(current.model) if name_at_place(a) in rivals}
@@ -255,7 +242,7 @@ def _try(
         full = fit(data, got.model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
         if is_rough(full.model[-1]):
             full = searched(data, full, noise_bounds, rounds=2, first=0.25, turns=1)
-        out.append((full, evidence(data, full.model[-1], full, current) - price(full.model[-1], data)))
+        out.append((full, worth(data, full.model[-1], full, current)))
     return out, also
 
 
@@ -369,7 +356,7 @@ def _pruned(
     while len(best.model) > 1 and index < len(best.model) - 1:
         rest = fit(data, without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
         one = best.model[index]
-        if evidence(data, one, best, rest) - price(one, data) < threshold:
+        if worth(data, one, best, rest) < threshold:
             struck.add((best.model[index].name, best.model[index].place))
             best = rest
             index = 0
@@ -381,13 +368,13 @@ def _pruned(
 def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
     """Let fewer effects stand for two of them, where they do that as well."""
 
-    def worth(fitted: Fitted) -> float:
+    def net(fitted: Fitted) -> float:
         return fitted.j - sum(price(a, data) for a in fitted.model)
 
     for model in fewer_effects(current.model, data):
         got = fit(data, model, current.state, noise_bounds, outer=3, inner=5)
         if is_rough(got.model[-1]):
             got = searched(data, got, noise_bounds, rounds=2, first=0.25, turns=1)
-        if worth(got) > worth(current):
+        if net(got) > net(current):
             return _merged(data, got, noise_bounds)
     return current

@@ -1,0 +1,75 @@
+"""What an effect is worth: its evidence, less the price of its parameters, of its place and of the site's clutter.
+
+A smooth effect of the whole laser or the whole map shows on plain walls. Beside an edge in depth a reading hangs on which
+side of it a ray passes, and where things are thin, walls a millimetre from where they are bring rays from one to the other:
+a fit finds such a place by moving everything a little. What only rays beside edges tell is no smooth effect.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.ranking import n_parameters
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
+from sensorgraph.diagnosis.scan.spread_evidence import evidence
+from sensorgraph.effects import Amendment, Effect
+from sensorgraph.types import Bools
+from sensorgraph.world.ray_order import neighbouring_rays
+from sensorgraph.world.sensor_parts import sensor_of_rays
+
+
+def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
+    """Return the evidence of a fit over one without the effect, less its price [nats]."""
+    gain = evidence(data, amendment, better, plain) - price(amendment, data)
+    if gain < SCAN.selection.threshold or not shows_everywhere(amendment.effect):
+        return gain
+    away = nats_away_from_edges(data, better, plain) - price(amendment, data)
+    return gain if away >= SCAN.selection.threshold else min(gain, away)
+
+
+def price(amendment: Amendment, data: ScanData) -> float:
+    """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
+    places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
+        amendment.effect.place or "", 1
+    )
+    if amendment.place and amendment.effect.place is None:
+        places = len(np.unique(sensor_of_rays(data.sensor)))
+    paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
+    return paid + clutter_floor(amendment, data)
+
+
+def shows_everywhere(effect: Effect) -> bool:
+    """Tell whether an effect moves the readings of all rays smoothly: it has a tolerance of its own, or moves the whole map."""
+    moves_all = bool(effect.nuisances) or effect.diagnostics.corner_shifts is not None
+    return effect.place is None and moves_all
+
+
+def nats_away_from_edges(data: ScanData, better: Fitted, plain: Fitted) -> float:
+    """Return what a fit gains over another on rays away from edges in depth, for as many rays as there are [nats].
+
+    A ray next to one that is beside an edge counts as beside it. Without any ray away from edges, it is the whole gain.
+    """
+    beside = _beside_edges(data, better) | _beside_edges(data, plain)
+    judged = data.returned
+    n, n_away = int(judged.sum()), int((judged & ~beside).sum())
+    gained = better.j - plain.j
+    if n_away == 0:
+        return gained
+    by_ray = better.solution.responsibilities.log_p - plain.solution.responsibilities.log_p
+    return float(gained - by_ray[beside].sum()) * n / n_away
+
+
+def _beside_edges(data: ScanData, fitted: Fitted) -> Bools:
+    """Return which rays (n_scans, n_rays) the cast of a fit has beside an edge in depth, or next to one that is."""
+    out = np.zeros((data.n_scans, data.n_rays), dtype=np.bool_)
+    if fitted.cast.edges is None:
+        return out
+    out[fitted.cast.edges.index] = True
+    right, left = neighbouring_rays(data.sensor)
+    spread = out.copy()
+    spread[:, left] |= out[:, right]
+    spread[:, right] |= out[:, left]
+    return spread
