@@ -23,7 +23,8 @@ from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
 from sensorgraph.diagnosis.report.driving_files import save_driving
 from sensorgraph.diagnosis.report.files import save_report
-from sensorgraph.diagnosis.without_reference import driving_of, with_driving
+from sensorgraph.diagnosis.result import ChannelResult, Unknown
+from sensorgraph.diagnosis.without_reference import Untold, driving_of, with_driving
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import parse_robot
@@ -246,9 +247,22 @@ def test_a_run_that_cannot_tell_its_wheels_gets_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_run_located_in_an_arena_without_odometry_has_no_calibration(
-    room: Arena, caplog: pytest.LogCaptureFixture
-) -> None:
-    located = replace(drive_in_room(room), meta={"pose_source": "locate"})
-    assert driving_of(located, parse_robot(ROOM_ROBOT)) is None
-    assert "no odometry that moves" in caplog.text
+def test_wheels_of_a_located_run_that_driving_alone_cannot_tell_are_not_looked_at(room: Arena) -> None:
+    """The odometry channel would compare them with poses that they have helped to find."""
+    robot = parse_robot(ROOM_ROBOT)
+    shown = drive_in_room(room)
+    located = replace(shown, meta={"pose_source": "locate"})
+    untold = driving_of(located, robot)
+    assert isinstance(untold, Untold)
+    assert "no odometry that moves" in untold.why
+    some = replace(shown, stamps=shown.stamps[::2], ranges=shown.ranges[::2])
+    finding = diagnose(some, room, robot, plan_next=False)
+    assert with_driving(finding, untold, robot).channels["odometry"] is finding.channels["odometry"]
+    doubted = ChannelResult(
+        channel="odometry", unknown=Unknown(statement="wheels and poses do not belong together")
+    )
+    looked = replace(finding, channels={**finding.channels, "odometry": doubted})
+    told = with_driving(looked, Untold(why="drive longer"), robot)
+    assert told.unknown is None
+    assert not told.effects
+    assert told.channels["odometry"].skipped.endswith("drive longer")

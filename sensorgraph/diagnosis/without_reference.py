@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from sensorgraph.localization.kept import needs_locating
 from sensorgraph.localization.locate import is_located, locate, located_run
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
-
-logger = logging.getLogger(__name__)
 
 STRETCHES = (RANGE_SCALE, MAP_SCALE)
 METRES = "a wall of the map measured with a tape, or wheels whose metre is known"
@@ -119,27 +116,44 @@ def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) ->
     return replace(finding, channels={**finding.channels, "scan": scan})
 
 
+def _without_wheels(finding: Finding, why: str) -> Finding:
+    if finding.channels["odometry"].skipped:
+        return finding
+    why = f"its poses were located with the scans, and driving alone does not tell: {why}"
+    skipped = ChannelResult(channel="odometry", skipped=why)
+    return replace(finding, channels={**finding.channels, "odometry": skipped})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Untold:
+    """Driving alone tells nothing of a located run."""
+
+    why: str
+
+
 def driving_of(
     run: Run, robot: Robot, *, name: str = "the run", progress: ProgressBars = no_progress
-) -> DrivingFinding | None:
-    """Calibrate wheels and mount of a located run; None for a run with a reference, and where driving tells nothing."""
+) -> DrivingFinding | Untold | None:
+    """Calibrate wheels and mount of a located run; None for a run with a reference."""
     if not is_located(run):
         return None
     try:
         return diagnose_driving({name: (run, run)}, base=robot.wheels.base, progress=progress)
     except SensorgraphError as exc:
-        logger.warning("%s", exc)
-        return None
+        return Untold(why=str(exc))
 
 
-def with_driving(finding: Finding, driving: DrivingFinding | None, robot: Robot) -> Finding:
+def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robot: Robot) -> Finding:
     """Put what driving alone tells in place of the odometry channel, which compares wheels with poses of their making.
 
+    Where it tells nothing, wheels are not looked at: located poses are no reference for them.
     Where readings are longer or shorter than the map, laser, map and wheels each have a metre: the one that disagrees with the
     other two is wrong. Poses that were located in the map have stretched with it, so that scans alone cannot tell.
     """
     if finding.explained is None:
         return finding
+    if isinstance(driving, Untold):
+        finding, driving = _without_wheels(finding, driving.why), None
     stretch = next((a for a in finding.effects if a.effect in STRETCHES and not a.place), None)
     if stretch is not None and finding.data.from_scans:
         driving, wrong = _wrong_metre(driving, stretch, robot)
