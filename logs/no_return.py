@@ -10,8 +10,8 @@ import numpy as np
 from logs.errors import LogError
 from logs.types import Floats
 
-NO_RETURNS = ("range_max", "zero", "inf")
-"""How a missing return may be logged: exactly as range_max, as 0, or as REP-117 says."""
+NO_RETURNS = ("range_max", "zero", "inf", "nan")
+"""How a missing return may be logged: exactly as range_max, as 0, as REP-117 says, or as nan (urg_node), an invalid reading there."""
 SICK_CODES = (81.83, 81.87, 81.91, 32.767, 8.191, 8.183, 327.67)
 """[m] codes of SICK scanners (8183 and up in cm or mm) and of a full 15 or 16 bit word; one alone is believed."""
 
@@ -111,6 +111,23 @@ def apply_no_return(ranges: Floats, range_max: float, no_return: str | None) -> 
         ranges[np.isfinite(ranges) & (ranges >= range_max - CODE_SEARCH.stated_tolerance)] = np.inf
     if no_return == "zero":
         ranges[ranges == 0] = np.inf
+    if no_return == "nan":
+        ranges[np.isnan(ranges)] = np.inf
+
+
+def frequent_nans(parts: Sequence[Floats]) -> str:
+    """Say that nan is frequent, which may be how the driver logs a missing return; empty where it is not.
+
+    Rays that are nan in every scan do not count: something masks them.
+    """
+    total = sum(part.size for part in parts)
+    n = sum(int((np.isnan(part) & ~np.isnan(part).all(axis=0)).sum()) for part in parts)
+    if n <= max(CODE_SEARCH.frequent * total, CODE_SEARCH.min_count):
+        return ""
+    return (
+        f"{n} ranges ({n / total:.1%}) are nan, an invalid reading: not judged "
+        "(if the driver means nothing seen, set `no_return` nan)"
+    )
 
 
 def find_code(ranges: Floats, range_max: float | None = None) -> float | None:
@@ -193,6 +210,11 @@ def mask(parts: Sequence[Floats], code: float | None, *, is_zero: bool = False) 
 def zero_text(count: int, total: int) -> str:
     """Say that 0 was taken as nothing seen."""
     return f"0 means nothing seen: {_share(count, total)} +inf (if not so, set `no_return` inf)"
+
+
+def nan_text(count: int, total: int) -> str:
+    """Say that nan was taken as nothing seen."""
+    return f"nan means nothing seen: {_share(count, total)} +inf"
 
 
 def range_max_text(range_max: float, count: int, total: int) -> str:

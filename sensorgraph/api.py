@@ -70,7 +70,7 @@ def read(
     Parameters
     ----------
     topics : role (`scan`, `pose`, `odom`, `cmd`) -> topic, where a log names them otherwise
-    no_return : how a missing return was logged: `range_max`, `zero` or `inf`; None: noticed from its frequency
+    no_return : how a missing return was logged: `range_max`, `zero`, `inf` or `nan`; None: noticed from its frequency
     robot : whose `sensors` sit where no transform in the log says
 
     Raises

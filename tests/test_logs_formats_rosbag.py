@@ -305,6 +305,8 @@ def test_split_and_compressed_folders_give_the_whole_run(
         (10.0, "inf", 10.0, ""),
         (0.0, "range_max", np.nan, "80 ranges are exactly 0, which tells nothing: nan"),
         (0.0, "zero", np.inf, "0 means nothing seen"),
+        (np.nan, None, np.nan, "80 ranges (10.0%) are nan, an invalid reading: not judged"),
+        (np.nan, "nan", np.inf, "nan means nothing seen: 80 rays (10.0%) are +inf"),
     ],
 )
 def test_a_missing_return_is_noticed_by_its_frequency_or_named(
@@ -322,7 +324,7 @@ def test_a_missing_return_is_noticed_by_its_frequency_or_named(
 
 
 def test_a_name_that_is_no_way_to_log_a_missing_return_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(logs.LogError, match="expected one of range_max, zero, inf"):
+    with pytest.raises(logs.LogError, match="expected one of range_max, zero, inf, nan"):
         logs.read(write_bag2(tmp_path / "bag", trip()), no_return="81.83")
 
 

@@ -50,7 +50,7 @@ def read(
     Parameters
     ----------
     topics : role -> topic, for files with other names than ours: roles scan, pose, odom, cmd
-    no_return : how a missing return was logged: `range_max` (exactly that range), `zero` or `inf`; None: noticed from
+    no_return : how a missing return was logged: `range_max` (exactly that range), `zero`, `inf` or `nan`; None: noticed from
         its frequency, and said in the notes
     mounts : topic or frame of a sensor -> (3,) [m, m, rad] where it sits in base_link, where no transform says it
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.errors import LogError
-from logs.no_return import CODE_SEARCH, notice, range_max_text, zero_text
+from logs.no_return import CODE_SEARCH, frequent_nans, nan_text, notice, range_max_text, zero_text
 from logs.resampling import resample, resampled_text
 from logs.ros import cdr
 from logs.ros.recording import Topic, settle
@@ -192,10 +192,11 @@ def clean_ranges(
         range_min = 0.0
     if no_return is None:
         no_return = notice(parts, range_max)
-    total, at_max, zeros = sum(part.size for part in parts), 0, 0
+    invalid = frequent_nans(parts)
+    total, at_max, zeros, nans = sum(part.size for part in parts), 0, 0, 0
     counts = Counter[str]()
     for part in parts:
-        zero, finite = part == 0, np.isfinite(part)
+        zero, finite, unread = part == 0, np.isfinite(part), np.isnan(part)
         full = finite & (np.abs(part - range_max) <= CODE_SEARCH.stated_tolerance)
         above = finite & (part > range_max) & ~full
         broken, near = finite & (part < 0), finite & (part > 0) & (part < range_min)
@@ -206,6 +207,8 @@ def clean_ranges(
             part[zero], zeros = np.inf, zeros + int(zero.sum())
         else:
             counts["are exactly 0, which tells nothing: nan"] += int(zero.sum())
+        if no_return == "nan":
+            part[unread], nans = np.inf, nans + int(unread.sum())
         counts["are negative: nan"] += int(broken.sum())
         counts[f"are below range_min {range_min:g} m: -inf"] += int(near.sum())
         counts[f"are above range_max {range_max:g} m: +inf"] += int(above.sum())
@@ -213,6 +216,10 @@ def clean_ranges(
         notes.append(range_max_text(range_max, at_max, total))
     if no_return == "zero":
         notes.append(zero_text(zeros, total))
+    if no_return == "nan":
+        notes.append(nan_text(nans, total))
+    elif invalid:
+        notes.append(invalid)
     notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
     return range_min, range_max, no_return
 

@@ -28,7 +28,7 @@ RunRobot = Annotated[
 ]
 NoReturn = Annotated[
     str | None,
-    typer.Option(help="How the log writes a missing return: range_max, zero or inf; default: noticed."),
+    typer.Option(help="How the log writes a missing return: range_max, zero, inf or nan; default: noticed."),
 ]
 
 PosesFrom = Annotated[
