@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.diagnosis.scan.standard_errors import (
     jagged_error,
     lattice_error,
@@ -136,3 +138,13 @@ def test_a_size_that_the_run_does_not_tell_is_no_name() -> None:
     assert is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 0.1}))
     assert not is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 31623.0}))
     assert is_measured(replace(EFFECTS["max_range"](R=3.0), stderr={"R": 100.0}))  # it has no size
+
+
+def test_at_a_site_that_is_known_its_spread_from_run_to_run_is_part_of_the_error(hall: Arena) -> None:
+    bias = EFFECTS["range_bias"](b=0.03)
+    got, alone = fitted(hall, bias, bias)
+    usual = BaselineInterval(mean={"b": 0.0}, spread={"b": 0.004}, stderr={"b": 0.001}, dof=8.0)
+    known = replace(got, solver=copy(got.solver))
+    known.solver.data = replace(got.solver.data, baseline_intervals={"range_bias": usual}, memo={})
+    (told,) = standard_errors(known, NoiseBounds())
+    assert told["b"] == pytest.approx(np.hypot(alone["b"], 0.004), rel=0.05)

@@ -65,6 +65,10 @@ class BaselineInterval:
         own = stderr or {}
         return {k: prediction_half_width(self.spread[k], self.dof, own.get(k, 0.0)) for k in self.mean}
 
+    def spread_of(self, name: str) -> dict[str, float]:
+        """Return the spread of those parameters of the effect `name` that spread evenly as they are."""
+        return {k: v for k, v in self.spread.items() if k not in _powers(name)}
+
     def limits(self, name: str) -> dict[str, list[float]]:
         """Return the two ends of the interval of each parameter of the effect `name`, for a window like the others."""
         far = self.half_width(self.stderr)

@@ -172,16 +172,21 @@ def _by_block(data: ScanData, slope: Floats) -> float:
 
 
 def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return what a careful set-up may hide of an effect, by parameter, and what a reference that wanders adds to it."""
+    """Return what a careful set-up may hide of an effect, by parameter, and what a reference that wanders adds to it.
+
+    At a site known by its good runs, its spread from one to the next adds, too.
+    """
     data = fitted.solver.data
     nuisances, wanders = prior_widths(data.tolerances), wander_widths(fitted)
     set_up = set_up_of(data)
-    out = {}
+    baseline = data.baseline_intervals.get(amendment.name)
+    out = {} if baseline is None else baseline.spread_of(amendment.name)
     for p in amendment.effect.parameters:
         if p.hidden is not None:
-            out[p.name] = p.hidden(set_up)
+            out[p.name] = float(np.hypot(out.get(p.name, 0.0), p.hidden(set_up)))
         elif p.nuisance is not None:
-            out[p.name] = float(np.hypot(nuisances[p.nuisance], wanders.get(p.nuisance, 0.0)))
+            widths = (out.get(p.name, 0.0), nuisances[p.nuisance], wanders.get(p.nuisance, 0.0))
+            out[p.name] = float(np.hypot.reduce(widths))
     return out
 
 
