@@ -12,7 +12,13 @@ from scan_samples import drive
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.worth import nats_away_from_edges, price, shows_everywhere, worth
+from sensorgraph.diagnosis.scan.worth import (
+    led_on_plain_walls,
+    nats_away_from_edges,
+    price,
+    shows_everywhere,
+    worth,
+)
 from sensorgraph.effects import EFFECTS
 from sensorgraph.types import Bools
 from sensorgraph.world.robot import parse_robot
@@ -69,3 +75,19 @@ def test_what_goes_with_the_whole_laser_or_the_whole_map_shows_everywhere() -> N
     names = {name for name, effect in EFFECTS.items() if shows_everywhere(effect)}
     assert {"range_bias", "range_scale", "mount_xy", "mount_yaw", "latency", "map_scale"} <= names
     assert not names & {"moved_wall", "moved_obstacle", "mixed_pixels", "people", "sector_bias", "glass"}
+
+
+def test_rays_beside_edges_do_not_choose_between_two_smooth_effects(scans: ScanData, null: Fitted) -> None:
+    at_edges = edge_rays(null)
+    scale, stretch = EFFECTS["range_scale"](s=0.004), EFFECTS["map_scale"](s=0.004, dx=0.0, dy=0.0)
+    disc = EFFECTS["unmapped_obstacle"](x=1.5, y=2.0, r=0.1)
+    of_laser = replace(gaining(null, scans.returned, 500.0), model=(scale,))
+    of_map = replace(gaining(gaining(null, scans.returned, 300.0), at_edges, 600.0), model=(stretch,))
+    local = replace(gaining(null, at_edges, 700.0), model=(disc,))
+    tried = [(fitted, worth(scans, fitted.model[-1], fitted, null)) for fitted in (of_map, of_laser, local)]
+    led = {fitted.model[-1].name: gain for fitted, gain in led_on_plain_walls(scans, tried, null)}
+    assert led["range_scale"] == tried[1][1]
+    assert led["unmapped_obstacle"] == tried[2][1]
+    assert led["range_scale"] - led["map_scale"] > 150  # 200 nats, and a price of two more parameters
+    assert tried[0][1] > tried[1][1]
+    assert led_on_plain_walls(replace(scans, clutter_nats={"people": 100.0}), tried, null) == tried

@@ -27,7 +27,7 @@ from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
-from sensorgraph.diagnosis.scan.worth import price, worth
+from sensorgraph.diagnosis.scan.worth import led_on_plain_walls, price, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
 from sensorgraph.effects.shared import STRETCHED
@@ -83,7 +83,7 @@ def explain(
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
             break
-        order = ranked(data, tried, threshold)
+        order = ranked(data, led_on_plain_walls(data, tried, current), threshold)
         best, gain = order[0]
         if gain >= threshold:
             again = fit(data, current.model, best.state, noise_bounds, outer=casts, inner=4)

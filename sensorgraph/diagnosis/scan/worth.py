@@ -2,7 +2,8 @@
 
 A smooth effect of the whole laser or the whole map shows on plain walls. Beside an edge in depth a reading hangs on which
 side of it a ray passes, and where things are thin, walls a millimetre from where they are bring rays from one to the other:
-a fit finds such a place by moving everything a little. What only rays beside edges tell is no smooth effect.
+a fit finds such a place by moving everything a little. What only rays beside edges tell is no smooth effect, and they do not
+choose between two of them. (A site that is known by its good runs has sharper tests, and a map made of scraps is full of edges.)
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.ranking import n_parameters
+from sensorgraph.diagnosis.scan.ranking import Tried, n_parameters
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
@@ -24,10 +25,29 @@ from sensorgraph.world.sensor_parts import sensor_of_rays
 def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
     """Return the evidence of a fit over one without the effect, less its price [nats]."""
     gain = evidence(data, amendment, better, plain) - price(amendment, data)
-    if gain < SCAN.selection.threshold or not shows_everywhere(amendment.effect):
+    if gain < SCAN.selection.threshold or data.clutter_nats or not shows_everywhere(amendment.effect):
         return gain
     away = nats_away_from_edges(data, better, plain) - price(amendment, data)
     return gain if away >= SCAN.selection.threshold else min(gain, away)
+
+
+def led_on_plain_walls(data: ScanData, tried: Tried, plain: Fitted) -> Tried:
+    """Return what was tried, with leads of smooth effects over each other as on rays away from edges.
+
+    Parameters
+    ----------
+    plain : the fit that all were tried beside
+    """
+    smooth = [pair for pair in tried if shows_everywhere(pair[0].model[-1].effect)]
+    if data.clutter_nats or len(smooth) < 2:
+        return tried
+    away = [nats_away_from_edges(data, fitted, plain) - price(fitted.model[-1], data) for fitted, _ in smooth]
+    best = int(np.argmax(away))
+    told = {
+        id(f): min(gain, smooth[best][1] - (away[best] - a))
+        for (f, gain), a in zip(smooth, away, strict=True)
+    }
+    return [(fitted, told.get(id(fitted), gain)) for fitted, gain in tried]
 
 
 def price(amendment: Amendment, data: ScanData) -> float:
