@@ -16,6 +16,8 @@ from sensorgraph.world.scene import Scene, fade
 
 FAR_SHARE = 0.75
 """Of range_max, that a shorter maximal range should show at."""
+BEYOND_SHARE = 0.3
+"""Of the rays that are lost beyond a limit, that strays from beyond it may come to; more returns show that it is none."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -28,7 +30,15 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 def propose(residuals: Residuals) -> list[Proposal]:
     """Look for the range beyond which nothing returns."""
-    return cut_off(residuals, "R", within_range(residuals), residuals.certain_loss, upward=True)
+    found = cut_off(residuals, "R", within_range(residuals), residuals.certain_loss, upward=True)
+    return [proposal for proposal in found if is_limit(residuals, proposal.values["R"])]
+
+
+def is_limit(residuals: Residuals, limit: float) -> bool:
+    """Tell whether hardly anything returns from beyond a range [m], of as much as is lost there."""
+    lost = residuals.lost & (residuals.mu > limit)
+    back = residuals.returned & (residuals.z > limit + residuals.sigma)
+    return int(back.sum()) <= BEYOND_SHARE * int(lost.sum())
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
