@@ -196,10 +196,11 @@ def _beyond_tolerances(
 def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
     """Return what a fit's tolerances alone say of the set-up where they are far wider than stated; None where they are not.
 
-    Where effects have taken much of the readings, and none of them deserves its name, nothing else would say it.
+    Where effects have taken much of the readings, nothing else would say it: a room that is longer than its plan along one
+    side is a scale of the map to a good part, and the rest is left to its corners.
     """
     data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
-    limit = settings.max_tolerance_scale_of_nameless if fitted.model else settings.max_tolerance_scale
+    limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
     doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans, limit)
     if not doubts:
         return None

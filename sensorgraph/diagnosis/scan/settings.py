@@ -381,8 +381,8 @@ class GoodnessOfFitSettings:
     """Rays that must ask for it."""
     max_tolerance_scale: float = 3.2
     """Times the nominal tolerances beyond which the set-up is not the one described."""
-    max_tolerance_scale_of_nameless: float = 2.0
-    """The same where effects stand in the model, none of which deserves its name: they have taken a part of it."""
+    max_tolerance_scale_beside_effects: float = 2.0
+    """The same where effects stand in the model: they have taken a part of it."""
     widened_max_scale: float = 1.3
     """Largest further scale of the tolerances, once they have been widened."""
     outline_distance: float = 0.1
