@@ -269,6 +269,10 @@ def test_wean_lines_become_metres_with_their_mount(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.ranges[:, 2], [1.0, 1.01, 1.02, 1.03])
     np.testing.assert_allclose(run.sensor.mount, [0.25, 0, 0], atol=1e-12)
     np.testing.assert_allclose(run.poses[:, 0], np.arange(4))
+    np.testing.assert_allclose(
+        run.odom_stamps, np.arange(4)
+    )  # of the O lines: those of L lines are older than their stamps
+    np.testing.assert_allclose(run.odometry[:, 0], np.arange(4))
 
 
 REAL = {  # name -> scans, rays, range_max, rays without return, pose_source (as first read; ple-* checked by a separate script)

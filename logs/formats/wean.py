@@ -70,7 +70,9 @@ def read(
     notes = mask([ranges], code, is_zero=no_return == "zero")
     if broken:
         notes.append(f"{len(broken)} broken lines left out, the first is line {broken[0]}")
-    wheel = np.array([*odom, *np.column_stack([table[:, :3], stamps])], dtype=np.float64)
+    # an L line holds the pose of the O line before it, which is older than its stamp: among these it would zigzag
+    own = np.column_stack([table[:, :3], stamps])
+    wheel = np.array(odom, dtype=np.float64) if len(odom) > 1 else own
     wheel = wheel[np.argsort(wheel[:, 3], kind="stable")]
     wheel[:, :2] /= 100.0
     return Run(

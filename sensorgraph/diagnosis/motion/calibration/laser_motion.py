@@ -110,12 +110,11 @@ def laser_motion(
 
 def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
     """Return a run with its odometry checked, and that at each scan (n_scans, 3) [m, m, rad]; refuse one without."""
-    run, _ = with_checked_odometry(run)
+    run, notes = with_checked_odometry(run)
     motion = odometry_of(run)
     if motion is None:
-        raise SensorgraphError(
-            "the run has no odometry that moves; wheels and mount can be told only from a drive with odometry"
-        )
+        why = notes[0] if notes else "the run has no odometry that moves"
+        raise SensorgraphError(f"{why}; wheels and mount can be told only from a drive with odometry")
     return run, odometry_at_scans(run, motion)
 
 
