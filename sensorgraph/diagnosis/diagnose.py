@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
     as_one_doubt,
+    beside_shown_reference,
     name_motion_effects,
     without_echoes_of_doubted_wheels,
 )
@@ -122,7 +123,7 @@ def diagnose(
         with clock.stage("odometry and drive"):
             odometry, drive = motion(is_reference_straight=True)
     return Finding(
-        channels={one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)},
+        channels=_channels(scans, odometry, drive, simulated),
         intake={**laid.notes, "cannot_tell_apart": scans.cannot_tell_apart},
         data=laid.data,
         explained=scans.explained,
@@ -132,6 +133,14 @@ def diagnose(
         next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )
+
+
+def _channels(
+    scans: ScanDiagnosis, odometry: ChannelResult, drive: ChannelResult, simulated: Sequence[Amendment]
+) -> dict[str, ChannelResult]:
+    """Return what each channel names beside the others, and beside a simulation."""
+    odometry = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
+    return {one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)}
 
 
 def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:

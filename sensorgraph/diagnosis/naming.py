@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import expit
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.wheels.structure import CLOCK
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
@@ -25,7 +24,7 @@ from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, m
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
-from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.effect import Effect, size_ratio
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
@@ -261,24 +260,41 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
 def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
     """Leave out names of the motors that the wheels may make where these are doubted.
 
-    Wheels that misread at speed look like a limit of the speed, and a clock of the odometry that wanders like a lag or a
-    dead time, as far as these bring less evidence.
+    Wheels that misread at speed look like a limit of the speed, and whatever is doubted of them with more evidence (a clock
+    that wanders, one encoder that is late) may look like a lag or a dead time.
     """
     unknown = odometry.unknown
     if unknown is None or "reference_m" in unknown.size:
         return drive
-    echoes = {
-        SPEED_SATURATION: "the odometry is doubted itself: wheels that misread at speed look like a limit"
-    }
-    if unknown.deviation is not None and unknown.deviation.partition == CLOCK:
-        why = "the clock of the odometry wanders, which looks like a lag"
-        weak = {a.effect for a in drive.effects if (a.evidence or 0.0) <= unknown.statistic}
-        echoes |= {effect: why for effect in (ACTUATOR_LAG, DEAD_TIME) if effect in weak}
-    left_out = {a.name: echoes[a.effect] for a in drive.effects if a.effect in echoes}
-    if not left_out:
-        return drive
-    kept = tuple(a for a in drive.effects if a.effect not in echoes)
-    return replace(drive, effects=kept, not_observable={**drive.not_observable, **left_out})
+    why = {SPEED_SATURATION: "the odometry is doubted itself: wheels that misread at speed look like a limit"}
+    weak = {a.effect for a in drive.effects if (a.evidence or 0.0) <= unknown.statistic}
+    why |= dict.fromkeys(weak - why.keys(), "the odometry is doubted itself, with more evidence")
+    return _without(drive, why)
+
+
+def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> ChannelResult:
+    """Leave out names of the wheels for which the evidence is too little beside a reference as bad as the scans show it.
+
+    Evidence is half of a chi square of what differs over what the reference may be off: it falls with the square of that.
+
+    Parameters
+    ----------
+    pose_scale : how many times worse than stated the scans show the reference
+    """
+    if pose_scale < SCAN.nuisance.stretched_scale:
+        return odometry
+    least = EVIDENCE.threshold * pose_scale**2
+    why = f"the scans show the reference {pose_scale:.1f} times worse than stated, which may be this"
+    return _without(odometry, {a.effect: why for a in odometry.effects if (a.evidence or 0.0) < least})
+
+
+def _without(result: ChannelResult, why: Mapping[Effect, str]) -> ChannelResult:
+    """Return a channel without names of some effects, which this run does not show for a reason each."""
+    kept = tuple(a for a in result.effects if a.effect not in why)
+    if len(kept) == len(result.effects):
+        return result
+    left_out = {a.name: why[a.effect] for a in result.effects if a.effect in why}
+    return replace(result, effects=kept, not_observable={**result.not_observable, **left_out})
 
 
 def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
