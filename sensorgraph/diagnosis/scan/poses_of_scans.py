@@ -23,12 +23,13 @@ def freed_of_scans(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:
     errors = at_likely_poses(free, noise_bounds).pose_start
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     ahead, aside = c * errors[:, 0] + s * errors[:, 1], c * errors[:, 1] - s * errors[:, 0]
-    t = free.tolerances
+    (xy, yaw), t = SCAN.intake.located_pose, data.tolerances
     off = np.abs([np.median(ahead), np.median(aside), np.median(errors[:, 2])])
-    return data if (off > [t.pose_xy, t.pose_xy, t.pose_yaw]).any() else free
+    may_be_off = [max(t.pose_xy, xy), max(t.pose_xy, xy), max(t.pose_yaw, yaw)]
+    return data if (off > may_be_off).any() else free
 
 
 def freed_tolerances(told: Tolerances) -> Tolerances:
     """Return tolerances whose poses may be off by what an effect has pulled them."""
-    xy, yaw = SCAN.intake.located_pose
+    xy, yaw = np.array(SCAN.intake.located_pose) * SCAN.intake.located_freedom
     return replace(told, pose_xy=max(told.pose_xy, xy), pose_yaw=max(told.pose_yaw, yaw))

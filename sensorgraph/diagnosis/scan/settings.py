@@ -61,8 +61,10 @@ class IntakeSettings:
     max_share_beyond_range: float = 0.01
     """Share of readings that may exceed even that."""
     located_pose: tuple[float, float] = (0.03, 0.015)
-    """[m, rad] tolerance of poses that were found from these very scans: a bias, a wall or a stretch of the map has pulled them
-    by up to its own size, from one and a half to several times what is material."""
+    """[m, rad] by which poses that were found from these very scans may be off: a bias, a wall or a stretch of the map has pulled
+    them by up to its own size, from one and a half to several times what is material."""
+    located_freedom: float = 3.0
+    """Times that, their tolerance: what pulls them pulls all of them alike, and a tolerance of single scans would count it in each."""
     min_tolerances: Tolerances = field(
         default_factory=lambda: Tolerances(
             map=2e-4, mount_xy=1e-4, mount_yaw=2e-5, pose_xy=2e-4, pose_yaw=1e-4, stamp=1e-4
