@@ -121,7 +121,7 @@ def frequent_nans(parts: Sequence[Floats]) -> str:
     Rays that are nan in every scan do not count: something masks them.
     """
     total = sum(part.size for part in parts)
-    n = sum(int((np.isnan(part) & ~np.isnan(part).all(axis=0)).sum()) for part in parts)
+    n = sum(int((nan & ~nan.all(axis=0)).sum()) for nan in map(np.isnan, parts))
     if n <= max(CODE_SEARCH.frequent * total, CODE_SEARCH.min_count):
         return ""
     return (

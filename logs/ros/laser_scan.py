@@ -192,14 +192,17 @@ def clean_ranges(
         range_min = 0.0
     if no_return is None:
         no_return = notice(parts, range_max)
-    invalid = frequent_nans(parts)
+    invalid = "" if no_return == "nan" else frequent_nans(parts)
     total, at_max, zeros, nans = sum(part.size for part in parts), 0, 0, 0
     counts = Counter[str]()
     for part in parts:
-        zero, finite, unread = part == 0, np.isfinite(part), np.isnan(part)
+        zero, finite = part == 0, np.isfinite(part)
         full = finite & (np.abs(part - range_max) <= CODE_SEARCH.stated_tolerance)
         above = finite & (part > range_max) & ~full
         broken, near = finite & (part < 0), finite & (part > 0) & (part < range_min)
+        if no_return == "nan":
+            unread = np.isnan(part)
+            part[unread], nans = np.inf, nans + int(unread.sum())
         part[zero | broken], part[near], part[above] = np.nan, -np.inf, np.inf
         if no_return == "range_max":
             part[full], at_max = np.inf, at_max + int(full.sum())
@@ -207,8 +210,6 @@ def clean_ranges(
             part[zero], zeros = np.inf, zeros + int(zero.sum())
         else:
             counts["are exactly 0, which tells nothing: nan"] += int(zero.sum())
-        if no_return == "nan":
-            part[unread], nans = np.inf, nans + int(unread.sum())
         counts["are negative: nan"] += int(broken.sum())
         counts[f"are below range_min {range_min:g} m: -inf"] += int(near.sum())
         counts[f"are above range_max {range_max:g} m: +inf"] += int(above.sum())
@@ -218,7 +219,7 @@ def clean_ranges(
         notes.append(zero_text(zeros, total))
     if no_return == "nan":
         notes.append(nan_text(nans, total))
-    elif invalid:
+    if invalid:
         notes.append(invalid)
     notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
     return range_min, range_max, no_return
