@@ -21,6 +21,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     EvidenceQuadratic,
     MotionSamples,
     OpenQuestion,
+    planned_scans,
 )
 from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
 from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
@@ -122,7 +123,7 @@ def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena
         MotionSamples(poses=poses, twists=np.tile([0.0, omega], (10, 1)), times=when, duration=60.0)
         for omega in (0.0, 1.0)
     )
-    forecast = EvidenceForecast(question, [still, turning], arena, robot, 60.0)
+    forecast = EvidenceForecast(question, planned_scans([still, turning], arena, robot, 60.0))
     nothing, much = (forecast.nats(one * 60.0) for one in forecast.per_second())
     assert nothing < 1e-6 < 100.0 < much
 
@@ -138,10 +139,7 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
     for tau in (0.01, 0.02):
         forecast = EvidenceForecast(
             OpenQuestion(truth=(effect("latency", tau=tau),), alternative=(), text=""),
-            [motion],
-            arena,
-            robot,
-            60.0,
+            planned_scans([motion], arena, robot, 60.0),
         )
         (one,) = forecast.per_second()
         assert forecast.nats(one * 120.0) > forecast.nats(one * 60.0)

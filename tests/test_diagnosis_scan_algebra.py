@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensorgraph.diagnosis.scan.corner_sums import corner_sums, plain_corner_sums
-from sensorgraph.diagnosis.scan.deviations import clipped_variance
+from sensorgraph.diagnosis.scan.deviations import clipped_variance, numbered
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.proposals import best_run
@@ -23,6 +23,14 @@ def test_compiled_sums_by_corner_are_the_plain_ones() -> None:
     got, plain = (sums(w, pose, stack, ends, wall, y, *walls) for sums in (corner_sums, plain_corner_sums))
     for one, other in zip(got, plain, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [0, 1, 500])
+@pytest.mark.parametrize("top", [3, 200, 10**7])
+def test_keys_are_numbered_as_unique_does(n: int, top: int) -> None:
+    keys = np.random.default_rng(n).integers(0, top, n)
+    for got, plain in zip(numbered(keys), np.unique(keys, return_inverse=True), strict=True):
+        np.testing.assert_array_equal(got, plain)
 
 
 def test_the_box_holds_and_binds_only_where_it_must() -> None:

@@ -30,7 +30,12 @@ from sensorgraph.diagnosis.next_run.candidate_motions import (
     candidate_motions,
 )
 from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
-from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
+from sensorgraph.diagnosis.next_run.forecast import (
+    EvidenceForecast,
+    MotionSamples,
+    OpenQuestion,
+    planned_scans,
+)
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.types import Floats
@@ -123,7 +128,8 @@ def next_run(
     duration = 60.0 * minutes
     motions = candidate_motions(space, rng)
     samples = [_motion_samples(motion, robot, duration) for motion in motions]
-    forecasts = [EvidenceForecast(q, samples, arena, robot, duration) for q in questions]
+    scans = planned_scans(samples, arena, robot, duration)
+    forecasts = [EvidenceForecast(q, scans) for q in questions]
     per_second = [QuadraticsOfMotions.of(forecast.per_second()) for forecast in forecasts]
     allocations = [
         allocate_time(forecasts, per_second, duration, part)
@@ -182,9 +188,9 @@ def expected_evidence(
     duration: float,
 ) -> Floats:
     """Return the nats (n_questions, n_drives) that whole drives are expected to bring."""
-    out = np.zeros((len(questions), len(drives)))
+    out, scans = np.zeros((len(questions), len(drives))), planned_scans(drives, arena, robot, duration)
     for i, question in enumerate(questions):
-        forecast = EvidenceForecast(question, drives, arena, robot, duration)
+        forecast = EvidenceForecast(question, scans)
         out[i] = [
             forecast.nats(quadratic * drive.duration)
             for quadratic, drive in zip(forecast.per_second(), drives, strict=True)

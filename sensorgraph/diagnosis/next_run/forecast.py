@@ -93,7 +93,12 @@ class EvidenceQuadratic:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedScans(ScanData):
-    """Scans that nobody has taken: each at its own pose, with its own twist."""
+    """Scans that nobody has taken: each at its own pose, with its own twist. Questions share them, and what is cast."""
+
+    motions: Sequence[MotionSamples]
+    """Whose moments they are, one motion after the other."""
+    rays_per_cast: float
+    """Rays of the sensor that each ray stands for."""
 
     def motion(self, times: Floats) -> Floats:
         """Return poses (..., 3) at times (n_scans, ...) [s] near the stamps of the scans."""
@@ -106,26 +111,13 @@ class PlannedScans(ScanData):
 
 
 class EvidenceForecast:
-    """The expected evidence of many motions between the two models of a question.
+    """The expected evidence of many motions between the two models of a question."""
 
-    Parameters
-    ----------
-    run_duration : [s] of the whole run, over which effects that change with time change
-    """
-
-    def __init__(
-        self,
-        question: OpenQuestion,
-        motions: Sequence[MotionSamples],
-        arena: Arena,
-        robot: Robot,
-        run_duration: float,
-    ) -> None:
-        self.motions, self.rate = motions, robot.sensor.rate
-        data, rays_per_cast = _planned_scans(motions, arena, robot, run_duration)
-        true_cast = cast(data, question.truth)
+    def __init__(self, question: OpenQuestion, scans: PlannedScans) -> None:
+        self.motions, self.rate = scans.motions, scans.sensor.rate
+        true_cast = cast(scans, question.truth)
         truth = true_cast.expected
-        data = replace(data, ranges=_noise_free_readings(truth, data))
+        data = replace(scans, ranges=_noise_free_readings(truth, scans))
         self.solver, alternative_cast = solver_for(data, question.alternative)
         self.walls = alternative_cast.scene.walls
         self.tau = self.solver.tau
@@ -138,7 +130,7 @@ class EvidenceForecast:
             *NEXT_RUN.forecast.variance_ratio,
         )
         weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
-        self.weight, self.constant = rays_per_cast * weight, rays_per_cast * constant
+        self.weight, self.constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
 
     def per_second(self) -> list[EvidenceQuadratic]:
         """Return the evidence of one second of each motion."""
@@ -173,10 +165,15 @@ class EvidenceForecast:
         return max(quadratic.at(x) + prior, 0.0)
 
 
-def _planned_scans(
+def planned_scans(
     motions: Sequence[MotionSamples], arena: Arena, robot: Robot, run_duration: float
-) -> tuple[PlannedScans, float]:
-    """Return scans at all moments, with fewer rays, and how many rays each stands for."""
+) -> PlannedScans:
+    """Return scans at all moments, with fewer rays.
+
+    Parameters
+    ----------
+    run_duration : [s] of the whole run, over which effects that change with time change
+    """
     poses = np.concatenate([m.poses for m in motions])
     v, omega = np.concatenate([m.twists for m in motions]).T
     times = np.concatenate([m.times for m in motions])
@@ -184,7 +181,7 @@ def _planned_scans(
     step = max(1, -(-sensor.n_rays // NEXT_RUN.forecast.max_rays))
     rays = np.arange(step // 2, sensor.n_rays, step)
     phi = poses[:, 2]
-    data = PlannedScans(
+    return PlannedScans(
         arena=arena,
         sensor=sensor.take(rays),
         tolerances=robot.tolerances,
@@ -196,8 +193,9 @@ def _planned_scans(
         begin=0.0,
         span=run_duration,
         laser_frame=False,
+        motions=motions,
+        rays_per_cast=sensor.n_rays / len(rays),
     )
-    return data, sensor.n_rays / len(rays)
 
 
 def _noise_free_readings(expected: ExpectedReadings, data: ScanData) -> Floats:

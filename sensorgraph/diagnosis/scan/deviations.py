@@ -19,6 +19,9 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
 
+MAX_BINS_PER_KEY = 4
+"""Beyond so many bins for each key they are sorted, and not counted: a long run in a large building would fill the memory."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scores:
@@ -138,8 +141,7 @@ def _in_partition(
     """Return the deviating bins of one partition; `blocks` (n_scans,) tells the block of each scan."""
     settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
     inside = part.index >= 0
-    # a building has thousands of bins, each met in a few blocks: only the pairs that occur are summed
-    pairs, pair = np.unique((blocks[:, None] * part.count + part.index)[inside], return_inverse=True)
+    pairs, pair = numbered((blocks[:, None] * part.count + part.index)[inside])
     bins = pairs % part.count  # of each pair (block, bin)
 
     def by_block(values: Floats | Bools) -> Floats:
@@ -186,6 +188,18 @@ def _in_partition(
                 )
             )
     return found
+
+
+def numbered(keys: Ints) -> tuple[Ints, Ints]:
+    """Return the keys (n,) that occur, ascending, and the position of each key among them: np.unique, mostly without sorting.
+
+    A building has thousands of bins, each met in a few blocks: only the pairs that occur are summed.
+    """
+    if not len(keys) or keys.max() > MAX_BINS_PER_KEY * len(keys):
+        found = np.unique(keys, return_inverse=True)
+        return found[0], found[1]
+    occurs = np.bincount(keys) > 0
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[keys]
 
 
 def _is_of_one_wall(view: FitResiduals, value: Floats, some: Bools, least: float) -> bool:

@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.wheels.slip_kernel import lost_inside
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -47,24 +48,6 @@ class SlipPatch:
     def is_unbounded(self) -> bool:
         """Whether the disc may be as large as is searched: then its rim is not known, and it may be no disc."""
         return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= ODOMETRY.patch.radius_range[1])
-
-
-def share_inside(positions: Floats, discs: Floats) -> Floats:
-    """Return how much of each increment lies inside each disc, (n_increments, n_discs), 1 inside, soft at the edge.
-
-    Parameters
-    ----------
-    positions : (n_increments, 2 or more) [m, map]
-    discs : (n_discs, 3) x, y, r [m, map]
-    """
-    dx, dy = (positions[:, axis, None] - discs[None, :, axis] for axis in (0, 1))
-    dx *= dx
-    dy *= dy
-    dx += dy
-    far = np.sqrt(dx, out=dx)  # much quicker than np.hypot
-    far *= -1 / ODOMETRY.patch.rim
-    far += discs[None, :, 2] / ODOMETRY.patch.rim + 0.5
-    return np.clip(far, 0.0, 1.0, out=far)
 
 
 def clock_sigma(robot: Robot, settings: EvidenceSettings) -> float:
@@ -111,17 +94,12 @@ class WheelModel:
         ----------
         track : [m] between the wheels that slip, each inside or not; 0: both are where the body's middle is
         """
+        apart = track or self.robot.wheels.base  # of two points at the middle no choice matters
         middle, phi = self.rows.increment_poses[:, :2], self.rows.increment_poses[:, 2]
-        if track == 0:
-            inside = share_inside(middle, discs)
-            return -self.rows.of_wheels(
-                self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
-            )
         aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
-        left, right = self.motion.sides(track)
-        lost_left = left[:, None] * share_inside(middle + aside, discs)
-        lost_right = right[:, None] * share_inside(middle - aside, discs)
-        return -self.rows.of_sides(lost_left, lost_right, track)
+        left, right = self.motion.sides(apart)
+        lost = lost_inside(middle + aside, middle - aside, left, right, apart, discs, ODOMETRY.patch.rim)
+        return -self.rows.of_wheels(*lost)
 
     # noise
 
