@@ -12,6 +12,7 @@ from scan_samples import data_of, drive, hall_arena
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.naming import is_material
+from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
@@ -146,3 +147,8 @@ def test_a_disc_that_may_be_as_large_as_discs_are_is_something_flat(
     """The largest is 0.8 m."""
     disc = replace(EFFECTS["unmapped_obstacle"](x=2.0, y=1.5, r=r), stderr={"r": error})
     assert is_map_error(null, disc) != is_named
+
+
+@pytest.mark.parametrize(("offset", "words"), [(0.0123, "1.2 cm"), (1.0, "1 m"), (12.3, "12 m")])
+def test_what_it_costs_is_told_in_plain_lengths(offset: float, words: str) -> None:
+    assert f"off by {words} in 3.4 %" in ScanError(offset=offset, affected=0.034).sentence()

@@ -104,9 +104,9 @@ class ScanError:
         """Say it in words."""
         parts, affected = [], _percent(self.affected)
         if self.offset:
-            parts.append(f"off by {100 * self.offset:.2g} cm in {affected} of the readings")
+            parts.append(f"off by {length(self.offset)} in {affected} of the readings")
         if self.noise:
-            parts.append(f"too quiet by {100 * self.noise:.2g} cm in {affected} of the readings")
+            parts.append(f"too quiet by {length(self.noise)} in {affected} of the readings")
         if self.wrong:
             parts.append(f"wrong in {_percent(self.wrong)} of the readings, which are strays or missing")
         return f"a simulation without it is {' and '.join(parts)}"
@@ -145,6 +145,17 @@ def scan_error(deviations: Sequence[Deviation], sigma: float, n_readings: int) -
 def excess_noise(spread: float, sigma: float) -> float:
     """Return by how much a standard deviation [m] is too small if the variance is too small by this ratio."""
     return float(sigma * (np.sqrt(1 + max(spread, 0.0)) - 1))
+
+
+def length(metres: float) -> str:
+    """Return a length with two digits and its unit: `28 cm`, `1.2 m`."""
+    return (
+        f"{100 * metres:.2g} cm"
+        if metres < 0.995
+        else f"{metres:.2g} m"
+        if metres < 9.95
+        else f"{metres:.0f} m"
+    )
 
 
 def _percent(share: float) -> str:

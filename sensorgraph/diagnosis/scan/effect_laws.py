@@ -172,10 +172,13 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
 
 def _size_of(view: FitResiduals, index: int) -> ScanError:
     """Return by how much readings are off that are simulated without one effect of the model."""
-    fitted = view.fitted
-    rest = without(fitted.model, index)
+    fitted, data = view.fitted, view.fitted.solver.data
+    # the fit's own cast may be of values that have moved since, and so differ by other effects
+    whole, rest = (
+        cast(data, model).expected.reading for model in (fitted.model, without(fitted.model, index))
+    )
     with np.errstate(invalid="ignore"):
-        off = np.abs(cast(fitted.solver.data, rest).expected.reading - fitted.cast.expected.reading)
+        off = np.abs(rest - whole)
     some = view.returned & (off > LEAST_CHANGE)
     return ScanError(
         offset=float(np.sqrt(np.square(off[some & np.isfinite(off)]).mean())) if some.any() else 0.0,

@@ -15,7 +15,7 @@ from scipy.special import fdtri
 
 from sensorgraph.diagnosis.result import Profile
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, inverse_of_whole, is_better_alone
-from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
+from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError, length
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -111,7 +111,7 @@ class ErrorProfile:
             where = (
                 f"most at {at:.1f} m, in a way that depends on the range as neither a bias nor a scale does"
             )
-        return f"readings are off by up to {100 * most:.2g} cm, {where}"
+        return f"readings are off by up to {length(most)}, {where}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

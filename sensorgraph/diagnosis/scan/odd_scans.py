@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, is_better_alone
-from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.consequence import ScanError, length
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
@@ -106,7 +106,7 @@ class ScansElsewhere(OddScans):
     def sentence(self) -> str:
         """Say it in words."""
         return (
-            f"{100 * self.share:.0f} % of the scans were taken elsewhere than the reference says, by {100 * self.distance:.2g} cm "
+            f"{100 * self.share:.0f} % of the scans were taken elsewhere than the reference says, by {length(self.distance)} "
             f"and {np.degrees(self.turn):.2g}°"
         )
 
@@ -119,7 +119,7 @@ class ScansWithOffsets(OddScans):
 
     def sentence(self) -> str:
         """Say it in words."""
-        return f"every scan reads longer or shorter than the others by an offset of its own, {100 * self.offset:.2g} cm (rms)"
+        return f"every scan reads longer or shorter than the others by an offset of its own, {length(self.offset)} (rms)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
