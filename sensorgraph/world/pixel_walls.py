@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -42,8 +43,8 @@ MIN_THIN = 3.0
 """[pixel] cells in a row of this length are a wall without thickness; fewer are a box, which may be seen from its end, too."""
 CURVE_STEP = 2
 """[pixel] between corners of a wall that is round, whose steps are averaged over as much either way [half pixel]."""
-MAX_OFF_CIRCLE = 0.5
-"""[pixel] r.m.s. by which the borders of the cells of a circle are off it; those of straight walls with a corner are more."""
+MAX_OFF_LINES = 1.25
+"""By how much the borders of a circle's cells may stray more from it than from lines of their own: circles of 3 to 20 pixels do."""
 MIN_BULGE = 0.5
 """[pixel] by which something round strays from its chord at least; with less a straight wall does."""
 LONG_RUN = 8.0
@@ -243,9 +244,10 @@ class _Outline:
         return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
     def _curved(self) -> list[bool]:
-        """Tell which stretches are chords of something round: a circle fits them with half of their neighbours.
+        """Tell which stretches are chords of something round: a circle fits them and half of their neighbours as well as lines.
 
-        A neighbour that turns the other way is none of it.
+        A neighbour that turns the other way is none of it. A long wall between two jogs lies near a large circle, and nearer
+        its own line.
         """
         ways = np.array([way for _, way in self.lines])
         before = np.roll(ways, 1, axis=0)
@@ -255,11 +257,27 @@ class _Outline:
         for k, (first, last) in enumerate(self.ends):
             earlier, later = self.ends[k - 1], self.ends[(k + 1) % len(self.ends)]
             low, high = first - (earlier[1] - earlier[0]) // 2, last + (later[1] - later[0]) // 2
-            windows = [(low, high)] if turn[k] * after[k] > 0 else [(low, last), (first, high)]
+            is_one = turn[k] * after[k] > 0
+            cuts = [(low, first, last, high)] if is_one else [(low, first, last), (first, last, high)]
             length = float(np.hypot(*(self.steps[last % len(self.steps)] - self.steps[first]))) / self.pixel
-            fits = [_circle(self._between(*window)[1::2] / self.pixel) for window in windows]
-            out.append(any(rms < MAX_OFF_CIRCLE and length**2 / 8 > MIN_BULGE * r for r, rms in fits))
+            fits = [_circle(self._borders(at[0], at[-1])) for at in cuts]
+            out.append(
+                any(
+                    length**2 / 8 > MIN_BULGE * radius and spread <= MAX_OFF_LINES * self._off_lines(at)
+                    for at, (radius, spread) in zip(cuts, fits, strict=True)
+                )
+            )
         return out
+
+    def _borders(self, first: int, last: int) -> Floats:
+        """Return the middles of the borders between two steps, (n, 2) [pixel]."""
+        return np.asarray(self._between(first, last)[1::2] / self.pixel)
+
+    def _off_lines(self, cuts: Sequence[int]) -> float:
+        """Return the standard deviation [pixel] of borders about a straight line of their own between each two steps."""
+        parts = [self._borders(first, last) for first, last in pairwise(cuts)]
+        squares = sum(float((_off_line(part) ** 2).sum()) for part in parts)
+        return float(np.sqrt(squares / max(sum(map(len, parts)) - 2 * len(parts), 1)))
 
     def _round(self, first: int, last: int) -> Floats:
         """Return corners (n, 2) of something round, between two steps."""
@@ -331,15 +349,25 @@ def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:
     return np.asarray(right - left)
 
 
+def _off_line(points: Floats) -> Floats:
+    """Return the distances (n,) of points (n, 2) from the line that fits them best."""
+    if not len(points):
+        return np.zeros(0)
+    apart = points - points.mean(axis=0)
+    across = np.linalg.eigh(apart.T @ apart)[1][:, 0]
+    return np.asarray(apart @ across)
+
+
 def _circle(points: Floats) -> tuple[float, float]:
-    """Return the radius of the circle that fits points (n, 2) (Kasa 1976), and their r.m.s. distance from it."""
+    """Return the radius of the circle that fits points (n, 2) (Kasa 1976), and their standard deviation about it."""
     if len(points) < 4:
         return np.inf, np.inf
     middle = points.mean(axis=0)
     q = points - middle
     (x, y, c), *_ = np.linalg.lstsq(np.column_stack([2 * q, np.ones(len(q))]), (q**2).sum(axis=1), rcond=None)
     radius = float(np.sqrt(max(c + x * x + y * y, 0.0)))
-    return radius, float(np.sqrt(np.mean((np.hypot(*(q - [x, y]).T) - radius) ** 2)))
+    off = np.hypot(*(q - [x, y]).T) - radius
+    return radius, float(np.sqrt((off**2).sum() / (len(off) - 3)))
 
 
 def _dense(ring: Floats, pixel: float) -> Floats:
