@@ -45,17 +45,15 @@ def not_observable(
     fitted: Fitted,
     *,
     threshold: float = SCAN.selection.threshold,
-    from_scans: bool | None = None,
 ) -> dict[str, str]:
     """Say, effect by effect, what this run could not have shown, and why.
 
     Parameters
     ----------
     threshold : [nats] of evidence that a name takes, beyond the price of its parameters
-    from_scans : the poses were estimated from these very scans in a map of their own (SLAM); None: if they are the laser's own
     """
     exposure = RunExposure(data, fitted, threshold)
-    out = _hidden_by_poses(data, data.laser_frame if from_scans is None else from_scans)
+    out = _hidden_by_poses(data)
     present = set(fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):
         for name, why in found.items():
@@ -70,7 +68,7 @@ def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.t
     return [*_alike_smooth(exposure), *_look_alikes(exposure)]
 
 
-def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
+def _hidden_by_poses(data: ScanData) -> dict[str, str]:
     out: dict[str, str] = {}
     if data.laser_frame:
         why = "the poses are the laser's own, so that the mount has no part in them"
@@ -80,7 +78,7 @@ def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
         out |= {
             name: why for name, effect in EFFECTS.items() if not data.may_show(effect) and name not in out
         }
-    elif from_scans:
+    elif data.laser_frame:
         why = "poses that were fitted to these very scans have taken it along"
         out |= {
             name: why
