@@ -100,6 +100,9 @@ def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
         texts.append((tmp_path / name / "report.json").read_text())
         assert json.loads((tmp_path / name / "timing.json").read_text())["cpu_s"]
     assert texts[0] == texts[1]
+    settings = json.loads(texts[0])["settings"]
+    assert settings["robot_yaml"] == (folder / "robot.yaml").read_text()
+    assert (settings["poses"], settings["topics"], settings["no_return"]) == (None, [], None)
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
 

@@ -106,6 +106,9 @@ def diagnose(
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
         **_said(machine, known),
+        "poses": poses,
+        "topics": list(topic or []),
+        "no_return": no_return,
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
@@ -126,6 +129,7 @@ def _said(machine: Robot, known: Sequence[Amendment]) -> dict[str, Any]:
     """Return what the report keeps of the robot and of what was known."""
     return {
         "robot": machine.name,
+        "robot_yaml": machine.text,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
     }
