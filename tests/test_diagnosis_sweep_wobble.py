@@ -17,7 +17,13 @@ from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.sweep_wobble import drawn_wobble, wobble_of_readings
+from sensorgraph.diagnosis.scan.sweep_wobble import (
+    drawn_wobble,
+    estimated_wobble,
+    references_in_sweep,
+    share_within,
+    wobble_of_readings,
+)
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot
 
@@ -51,9 +57,40 @@ def sweeps(sweep: float, memory: float) -> ScanData:
 
 def test_noise_that_is_new_in_every_pose_wobbles_and_noise_that_lasts_hardly_does() -> None:
     white, lasting = sweeps(0.2, 0.0).wobble, sweeps(0.2, 0.95).wobble
-    assert white == pytest.approx((0.003 * np.sqrt(8 / 15), 0.008 * np.sqrt(8 / 15)), rel=0.15)
+    assert white == pytest.approx((0.003 * np.sqrt(0.485), 0.008 * np.sqrt(0.485)), rel=0.15)
     assert lasting[0] < 0.4 * white[0] and lasting[1] < 0.4 * white[1]
     assert sweeps(0.0, 0.0).wobble == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("count", [0.3, 0.85, 1.0, 1.5, 2.0, 5.0])
+def test_what_varies_within_a_sweep_is_that_of_errors_interpolated_between_poses(count: float) -> None:
+    """Drawn anew in every pose; a sweep that is shorter than the time between two poses has a part of it, too."""
+    rng = np.random.default_rng(0)
+    known, begin = rng.normal(size=(20_000, int(count) + 3)), rng.random((20_000, 1))
+    at = begin + count * np.linspace(0.0, 1.0, 101)
+    k, part = at.astype(np.intp), at % 1
+    error = np.take_along_axis(known, k, 1) * (1 - part) + np.take_along_axis(known, k + 1, 1) * part
+    assert share_within(count) == pytest.approx(error.var(axis=1).mean(), rel=0.03)
+
+
+def test_interlaced_sweeps_take_as_long_as_from_the_first_ray_to_the_last() -> None:
+    """Two sweeps of 30 ms, 40 ms apart, beside a pose every 0.1 s: half of the rays see the robot elsewhere."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, 40.0, 0.1)
+    sensor = parse_robot(
+        "sensor: {n_rays: 90, sweep_time: 0.03, interlaced_sweeps: 2, sweep_period: 0.04}"
+    ).sensor
+    poses = path(t) + rng.normal(size=(len(t), 3)) * [0.004, 0.004, 0.002]
+    run = Run(
+        sensor=sensor, stamps=t, ranges=np.ones((len(t), 90)), pose_stamps=t,
+        poses=np.column_stack([poses[:, :2], wrap(poses[:, 2])]),
+    )  # fmt: skip
+    assert references_in_sweep(run, sensor) == pytest.approx(0.7)
+    xy, yaw = estimated_wobble(
+        run, sensor, parse_robot("tolerances: {pose_xy: 0.01, pose_yaw: 0.01}").tolerances
+    )
+    assert (xy, yaw) == pytest.approx(
+        (0.004 * share_within(0.7) ** 0.5, 0.002 * share_within(0.7) ** 0.5), rel=0.2
+    )
 
 
 def test_slanting_rays_scatter_as_the_wobble_says() -> None:

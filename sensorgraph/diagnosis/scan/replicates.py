@@ -24,7 +24,8 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
     if any(data.wobble):  # neighbouring rays share it, which they do not in the spread of each
         spread = wobble_of_readings(data.wobble, jacobian.pose)
         alone = np.sqrt(np.maximum(expected.sigma**2 - spread**2, 0.0))
-        when = np.abs(data.sensor.sweep_share)
+        delays = data.sensor.ray_delays
+        when = (delays - delays.min()) / data.sensor.scan_duration
         mu = mu + drawn_wobble(data.wobble, data.references_in_sweep, when, jacobian.pose, rng)
         z = sample(data, replace(expected, sigma=alone), mu, state.noise, rng)
     else:

@@ -26,24 +26,33 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
     unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     bent = np.abs(np.diff(unwrapped, n=2, axis=0))
     noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
-    x, y, phi = noise * np.sqrt(_share(count))
+    x, y, phi = noise * np.sqrt(share_within(count))
     return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
 
 
 def references_in_sweep(run: Run, sensor: RangeSensor) -> float:
-    """Return how many references fall into a sweep; 0: the laser does not sweep, or there are too few."""
+    """Return the time from the first ray to the last over that between references; 0: no sweep, or too few references."""
     stamps = run.pose_stamps[np.isfinite(run.poses).all(axis=1)]
-    if sensor.sweep_time == 0 or len(stamps) < SCAN.intake.min_scans:
+    if sensor.scan_duration == 0 or len(stamps) < SCAN.intake.min_scans:
         return 0.0
-    return float(abs(sensor.sweep_time) / max(float(np.median(np.diff(stamps))), 1e-6))
+    return float(sensor.scan_duration / max(float(np.median(np.diff(stamps))), 1e-6))
 
 
-def _share(count: float) -> float:
-    """Return the share of a reference's variance that varies within a sweep of so many references.
+def share_within(count: float) -> float:
+    """Return the share of a reference's variance that varies within a sweep that takes as long as so many references.
 
-    Between two poses errors average to 2/3 of the variance; what is common to the sweep is no wobble.
+    Errors that are new in every pose and interpolated between poses have, at a random time, the covariance R of a cubic
+    B-spline: 2/3, and 0 from two poses on. What is common to the sweep is no wobble, which leaves 2/3 less the mean of R
+    over all pairs of times of the sweep.
     """
-    return 2 / 3 * max(0.0, 1 - 1 / count)
+    if count <= 0:
+        return 0.0
+    near, beyond = min(count, 1.0), min(max(count - 1, 0.0), 1.0)
+    # twice integrated, from 0 to 1, to 2, and beyond: the sum of (count - lag) R(lag)
+    pairs = near**2 / 3 - near**4 / 12 + near**5 / 40
+    pairs += 11 / 24 * beyond + ((1 - beyond) ** 5 - 1) / 120 + beyond / 24
+    pairs += 1 / 2 * max(count - 2, 0.0)
+    return 2 / 3 - 2 * pairs / count**2
 
 
 def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
@@ -71,11 +80,11 @@ def drawn_wobble(
     Parameters
     ----------
     wobble : [m, rad] standard deviation of the error, along each axis and in heading
-    count : references in a sweep, more than one
-    when : (n_rays,) 0 to 1, of the sweep
+    count : references in a sweep
+    when : (n_rays,) 0 to 1, of the time from the first ray to the last
     pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi
     """
-    sizes = np.array(wobble)[[0, 0, 1]] / np.sqrt(_share(count))
+    sizes = np.array(wobble)[[0, 0, 1]] / np.sqrt(share_within(count))
     known = sizes[:, None] * rng.normal(size=(len(pose), 3, int(count) + 3))
     at = rng.random((len(pose), 1)) + count * when
     before, part = at.astype(np.intp)[:, None, :], (at % 1)[:, None, :]
