@@ -31,6 +31,7 @@ from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.tolerance_scale import tolerance_scale
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Tolerances
 
@@ -40,6 +41,11 @@ POSE_CAUSES = (
     "a reference that is worse than stated: a poor calibration, a slow filter, lost markers",
     "stamps of scans or poses that are late or jitter",
 )
+STAMP_CAUSES = (
+    "stamps of scans or poses that are late or jitter",
+    "a laser that moves on the robot: a bracket with play, a mast that sways",
+)
+HEADING_CAUSES = ("a reference whose heading is worse than stated: a slow filter, a course over ground",)
 MAP_CAUSES = (
     "a map that was measured more coarsely than stated",
     "things that have moved since the map was made",
@@ -202,9 +208,44 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
     data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
     limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
     doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans, limit)
+    doubts += [] if data.from_scans else _one_part_of_the_poses(fitted)
     if not doubts:
         return None
     return _of_doubts(max(doubts, key=lambda d: d.statistic), doubts, doubts[0].causes, ())
+
+
+def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
+    """Doubt stamps, or a heading, that are far worse than stated beside places that are not."""
+    data, limit = fitted.solver.data, SCAN.goodness_of_fit.max_tolerance_scale
+    speed, turn = np.hypot(*data.twists[:, :2].T), np.abs(data.twists[:, 2])
+    far = float(np.median(data.ranges[data.returned])) if data.returned.any() else 0.0
+    told = data.tolerances
+    off = float(np.sqrt(np.mean(speed**2 + (far * turn) ** 2))) * told.stamp
+    parts = (
+        ("stamps of the scans", tolerance_scale(fitted, "stamp"), off, STAMP_CAUSES),
+        (
+            "heading of the reference",
+            tolerance_scale(fitted, "pose_yaw"),
+            far * told.pose_yaw,
+            HEADING_CAUSES,
+        ),
+    )
+    # where the robot turns, jitter of stamps is an error of the heading
+    worse = sorted((part for part in parts if part[1] >= limit), key=lambda part: -part[1])
+    if not worse:
+        return []
+    scale, one = worse[0][1:3]
+    names = " or the ".join(name for name, *_ in worse)
+    return [
+        Doubt(
+            statement=f"the {names} would have to be {scale:.1f} times worse than stated",
+            misfit=(scale - 1) * data.n_scans,
+            statistic=scale,
+            threshold=limit,
+            size=ScanError(offset=scale * one, affected=1.0),
+            causes=tuple(cause for *_, causes in worse for cause in causes),
+        )
+    ]
 
 
 def _of_doubts(
