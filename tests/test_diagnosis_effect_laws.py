@@ -41,3 +41,19 @@ def test_what_one_effect_costs_is_told_without_what_others_have_moved_since_the_
         shares.append(doubt.size.affected)
     assert shares[0] == pytest.approx(shares[1], rel=1e-6)
     assert np.mean(data.ranges < 0.3) > 2 * shares[0] > 0
+
+
+@pytest.mark.parametrize("is_rounded", [True, False])
+def test_rounding_to_steps_that_grow_with_the_range_is_no_noise_that_does(is_rounded: bool) -> None:
+    """Steps of 6 % between readings, or normal noise of the same variance."""
+    rng, plain = np.random.default_rng(2), data_of(hall_arena())
+    step = 0.06
+    ranges = (
+        np.where(plain.returned, np.exp(step * np.round(np.log(np.abs(plain.ranges)) / step)), plain.ranges)
+        if is_rounded
+        else plain.ranges * (1 + step / np.sqrt(12) * rng.normal(size=plain.ranges.shape))
+    )
+    data, model = replace(plain, ranges=ranges, memo={}), (EFFECTS["range_noise"](k=0.017),)
+    got = fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=2)
+    doubts = broken_laws(FitResiduals(data, got), {0: 1000.0}, 1000.0)
+    assert ["between two limits" in doubt.statement for doubt in doubts] == [True] * is_rounded

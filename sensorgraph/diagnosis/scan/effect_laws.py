@@ -28,6 +28,12 @@ from sensorgraph.types import Bools, Floats, Ints
 
 LEAST_CHANGE = 1e-4
 """[m] by which an effect changes a reading at least, where it does."""
+WIDENED = 2.0
+"""Times the stated noise, from which on most of it is an effect's."""
+FAR = 4.0
+"""Standard deviations within which its shape is asked: further off a reading is of something else."""
+FLAT = -0.3
+"""Excess of the fourth moment, below which noise is no bell; 0 of a bell, -1.2 between two limits."""
 WALL_CAUSES: tuple[str, ...] = (
     "furniture that leans at the wall, a door that stands open, a radiator",
     "a reflector, which seems wider than it is",
@@ -89,6 +95,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     or (a.effect.diagnostics.explains == "strays" and view.data.grain > 0),
                 )
             )
+    out += [doubt for i, gain in gains.items() if (doubt := _flat_noise(view, i, gain)) is not None]
     for telltale in _telltales():
         members = [
             i
@@ -109,6 +116,44 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                 )
             )
     return out
+
+
+def _flat_noise(view: FitResiduals, index: int, gain: float) -> Doubt | None:
+    """Doubt noise that lies between two limits: rounding to steps that are not all of one size is none.
+
+    Where an effect makes most of the noise, the fourth moment of the residuals must be that of a bell; between limits it is
+    1.8 of the squared variance, in place of 3.
+
+    Parameters
+    ----------
+    gain : [nats] that the effect brings
+    """
+    effect, settings = view.fitted.model[index].effect, SCAN.goodness_of_fit
+    if effect.stage != "noise" or effect.diagnostics.is_lattice or effect.diagnostics.explains:
+        return None
+    wide = view.returned & view.valid & (view.sigma > WIDENED * view.data.sensor.sigma)
+    wide &= view.fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
+    wide &= np.abs(view.residual) < FAR * view.sigma
+    n = int(wide.sum())
+    if n < settings.min_rays:
+        return None
+    squares = np.square(view.residual[wide] / view.sigma[wide])
+    excess = float(np.square(squares).mean() / squares.mean() ** 2) - 3.0
+    if excess + 3 * np.sqrt(24 / n) > FLAT:
+        return None
+    return Doubt(
+        statement="readings scatter between two limits, and not as noise does: as if they were rounded to steps that grow "
+        "with the range",
+        misfit=settings.failed_law_share * gain,
+        statistic=excess,
+        threshold=FLAT,
+        failed=frozenset([index]),
+        size=ScanError(noise=float(np.median(view.sigma[wide])), affected=float(wide.mean())),
+        causes=(
+            "ranges that are packed into few bits",
+            "a laser that counts in steps which grow with the range",
+        ),
+    )
 
 
 def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, ...], float]:
