@@ -189,3 +189,11 @@ def test_a_long_wall_between_two_jogs_is_one_wall_and_not_round(depth: float) ->
     length = np.hypot(*np.diff(straight.walls, axis=1)[:, 0].T)
     back = np.abs(straight.walls[..., 1].mean(axis=1) - 4 - depth) < PIXEL
     assert length[back].max() == pytest.approx(1.7, abs=4 * PIXEL)
+
+
+def test_a_pilaster_of_a_few_pixels_keeps_its_corners() -> None:
+    """12 cm wide, 15 cm deep, and a niche of 28 cm beside it: lines slanted from the foot of one to the head of the other."""
+    foot = [(0, 0), (3.16, 0), (3.16, 0.145), (3.29, 0.145), (3.29, 0), (3.57, 0), (3.57, 0.12), (10.4, 0.16)]
+    room = shapely.Polygon([(x, y + 0.01) for x, y in [*foot, (10.4, 3.0), (0, 3.0)]])
+    straight, _ = straightened(drawn(room))
+    assert off(straight.walls, room.exterior).max() < 0.9

@@ -17,6 +17,8 @@ DIGITAL = 0.75
 """[step] by which the middles of the borders of cells are off the line that is drawn in them, at most 0.71."""
 CUT = 2
 """Points that a corner may cut off at either end of a stretch."""
+CUT_OFF = DIGITAL + 0.5
+"""[step] by which these are off at most: the middle of a border half a step further. Else the corner of a pilaster is lost."""
 
 
 def closed_corners(points: Floats, tolerance: float) -> Ints:
@@ -47,17 +49,19 @@ def _merged(points: Floats, corners: Ints) -> Ints:
 def _off_line(points: Floats, first: int, last: int) -> float:
     """Return how far points from one to another, but for their ends, are off the line that fits them at most.
 
-    Where they go back along it, as into a slit and out again, there is no such line: inf.
+    Where they go back along it, as into a slit and out again, or an end is more than a corner that is cut off, there is no
+    such line: inf.
     """
     n = len(points)
     own = points[np.arange(first, last + (n if last <= first else 0) + 1) % n]
-    own = own[CUT:-CUT] if len(own) > 4 * CUT else own
-    q = own - own.mean(axis=0)
-    way = np.linalg.svd(q, full_matrices=False)[2][0]
-    along = q @ way
-    if np.ptp(along) > abs(along[-1] - along[0]) + 2 * DIGITAL:
+    inner = own[CUT:-CUT] if len(own) > 4 * CUT else own
+    middle = inner.mean(axis=0)
+    way = np.linalg.svd(inner - middle, full_matrices=False)[2][0]
+    along, across = (inner - middle) @ way, np.array([-way[1], way[0]])
+    goes_back = np.ptp(along) > abs(along[-1] - along[0]) + 2 * DIGITAL
+    if goes_back or np.abs((own - middle) @ across).max() > CUT_OFF:
         return np.inf
-    return float(np.abs(q @ np.array([-way[1], way[0]])).max())
+    return float(np.abs((inner - middle) @ across).max())
 
 
 @kernel
