@@ -93,6 +93,18 @@ def test_interlaced_sweeps_take_as_long_as_from_the_first_ray_to_the_last() -> N
     )
 
 
+def test_the_turning_of_a_robot_between_rare_poses_is_no_noise() -> None:
+    """Poses every half second of one that weaves, without any noise, and a sweep of 0.2 s; one of 26 ms has none at all."""
+    t = np.arange(0.0, 60.0, 0.5)
+    poses = np.column_stack([0.5 * t, np.sin(t), 0.9 * np.sin(1.3 * t)])
+    robot = parse_robot(
+        "sensor: {n_rays: 90, sweep_time: 0.026}\ntolerances: {pose_xy: 0.003, pose_yaw: 0.001}"
+    )
+    run = Run(sensor=robot.sensor, stamps=t, ranges=np.ones((len(t), 90)), pose_stamps=t, poses=poses)
+    xy, yaw = estimated_wobble(run, robot.sensor, robot.tolerances)
+    assert xy < 0.03 * 0.003 and yaw < 0.03 * 0.001
+
+
 def test_slanting_rays_scatter_as_the_wobble_says() -> None:
     """By how much does their scatter exceed that of rays that meet their wall head-on?"""
     data = sweeps(0.2, 0.0)

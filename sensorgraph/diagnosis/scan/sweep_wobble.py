@@ -9,6 +9,8 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
+MIN_SHARE = 0.01
+"""Of the reference's variance, that varies within a sweep; less is less than a tenth of the error of a pose, and none."""
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal."""
 
@@ -17,17 +19,18 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
     """Estimate how much the error of the reference varies within a sweep [m, rad].
 
     Second differences of the poses hold six times the variance of noise that is new in every pose, and hardly any of the
-    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops.
+    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops. Where
+    poses are rare they hold its turning, too: the noise is no more than stated.
     """
     poses = run.poses[np.isfinite(run.poses).all(axis=1)]
-    count = references_in_sweep(run, sensor)
-    if count == 0:
+    share = share_within(references_in_sweep(run, sensor))
+    if share < MIN_SHARE:
         return 0.0, 0.0
     unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     bent = np.abs(np.diff(unwrapped, n=2, axis=0))
     noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
-    x, y, phi = noise * np.sqrt(share_within(count))
-    return float(min(max(x, y), tolerances.pose_xy)), float(min(phi, tolerances.pose_yaw))
+    x, y, phi = np.minimum(noise, [tolerances.pose_xy, tolerances.pose_xy, tolerances.pose_yaw])
+    return float(np.sqrt(share) * max(x, y)), float(np.sqrt(share) * phi)
 
 
 def references_in_sweep(run: Run, sensor: RangeSensor) -> float:
