@@ -105,10 +105,7 @@ def diagnose(
         "seed": seed,
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
-        **_said(machine, known),
-        "poses": poses,
-        "topics": list(topic or []),
-        "no_return": no_return,
+        **_said(machine, known, poses, topic, no_return),
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
@@ -125,9 +122,14 @@ def _say_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot
         say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
 
 
-def _said(machine: Robot, known: Sequence[Amendment]) -> dict[str, Any]:
-    """Return what the report keeps of the robot and of what was known."""
+def _said(
+    machine: Robot, known: Sequence[Amendment], poses: str | None, topic: Topics, no_return: str | None
+) -> dict[str, Any]:
+    """Return what the report keeps of the robot, of what was known, and of how the log was read."""
     return {
+        "poses": poses,
+        "topics": list(topic or []),
+        "no_return": no_return,
         "robot": machine.name,
         "robot_yaml": machine.text,
         "tolerances": vars(machine.tolerances),
