@@ -17,7 +17,6 @@ it as C and LaTeX. Nothing heavy is imported until a name is used.
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -123,23 +122,9 @@ _HOMES = {
     "scores": "robotmodic_ident.validation.score",
 }
 
-_RENAMED = {
-    "Check": "ResidualTest",
-    "Lagged": "LaggedData",
-    "Outside": "Extrapolation",
-    "Scored": "HorizonScore",
-    "outside": "extrapolation",
-}
-"""Names from before 0.1.0 -> names of today; the old ones go with 0.2."""
-
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its home when it is first used."""
-    if name in _RENAMED:
-        warnings.warn(
-            f"{name} is now {_RENAMED[name]}; the old name goes with 0.2", DeprecationWarning, stacklevel=2
-        )
-        name = _RENAMED[name]
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(_HOMES[name]), name)

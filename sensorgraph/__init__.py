@@ -17,7 +17,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sensorgraph import deprecated
 from sensorgraph.packages import check_packages
 from sensorgraph.version import __version__ as __version__
 
@@ -96,7 +95,6 @@ _HOMES = {
 
 
 check_packages()  # before anything else can fail on a package of the same name
-deprecated.install()
 
 
 def __getattr__(name: str) -> Any:

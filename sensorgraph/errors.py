@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
@@ -40,12 +39,3 @@ def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
             raise SensorgraphError(str(exc)) from exc
 
     return raising
-
-
-def __getattr__(name: str) -> type[SensorgraphError]:
-    if name == "GapError":  # its name before 0.1.0
-        warnings.warn(
-            "GapError is now SensorgraphError; the old name goes after 0.1", DeprecationWarning, stacklevel=2
-        )
-        return SensorgraphError
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -57,21 +57,6 @@ def test_every_command_that_writes_a_file_calls_it_out(
 
 
 @pytest.mark.parametrize(
-    ("words", "option"),
-    [
-        ("build {0}/a --output {0}/b", "b"),
-        ("predict {0}/a --poses {0}/p --output {0}/b", "b"),
-        ("show {0}/a --figure {0}/b", "b"),
-    ],
-)
-def test_older_names_of_options_are_understood(
-    words: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli(words.format(tmp_path).split()) == 2
-    assert "No such option" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     ("bearing", "ray"), [(0, 9), (90, 18), (-90, 0), (44, 13), (46, 14), (360, 9), (-450, 0)]
 )
 def test_a_bearing_counts_from_ahead_counter_clockwise(bearing: float, ray: int) -> None:

@@ -82,7 +82,7 @@ def test_a_wall_that_moved_shows_as_the_residual_along_its_face(
 @pytest.mark.parametrize("with_run", [True, False])
 def test_faces_and_cells_are_drawn(name: str, with_run: bool, files: Path, tmp_path: Path) -> None:
     out = tmp_path / "figure.png"
-    words = ["show", str(files / f"{name}.sensorgraph"), "--figure", str(out)]
+    words = ["show", str(files / f"{name}.sensorgraph"), "--out", str(out)]
     assert cli([*words, *(["--run", str(files / "run.mcap")] if with_run else [])]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
     first = out.read_bytes()
@@ -93,9 +93,9 @@ def test_faces_and_cells_are_drawn(name: str, with_run: bool, files: Path, tmp_p
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("{d}/plain.sensorgraph --figure {out}/a.png", "neither faces nor cells to draw"),
+        ("{d}/plain.sensorgraph --out {out}/a.png", "neither faces nor cells to draw"),
         ("{d}/faces.sensorgraph --run {d}/run.mcap", "--run is for the picture"),
-        ("{d}/faces.sensorgraph --figure {out}/a.pdf", "name it a.png"),
+        ("{d}/faces.sensorgraph --out {out}/a.pdf", "name it a.png"),
     ],
 )
 def test_what_cannot_be_drawn_is_said_in_one_line(

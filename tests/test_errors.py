@@ -1,4 +1,4 @@
-"""One error behind `import sensorgraph`, and its old name."""
+"""`import sensorgraph` raises one error, whichever package finds the fault."""
 
 from __future__ import annotations
 
@@ -8,16 +8,6 @@ import pytest
 
 import sensorgraph as sg
 from sensorgraph import errors
-
-
-def test_the_old_name_is_the_same_class_and_warns() -> None:
-    with pytest.warns(DeprecationWarning, match="SensorgraphError"):
-        assert errors.GapError is errors.SensorgraphError
-
-
-def test_other_names_are_not_there() -> None:
-    with pytest.raises(AttributeError, match="NoSuchError"):
-        _ = errors.NoSuchError
 
 
 def test_a_fault_that_another_package_finds_arrives_as_the_one_error(tmp_path: Path) -> None:

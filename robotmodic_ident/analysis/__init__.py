@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from typing import Any
-
 from robotmodic_ident.analysis.calculus import (
     antiderivative_model,
     derivative,
@@ -51,21 +48,3 @@ __all__ = [
     "surface",
     "without_noise",
 ]
-
-_RENAMED = {
-    "Cleaned": "DenoisedOrbit",
-    "Dimension": "CorrelationDimension",
-    "Exponents": "LyapunovExponents",
-    "Parting": "NeighbourDivergence",
-    "Sobol": "SobolIndices",
-}
-"""Names from before 0.1.0 -> names of today; the old ones go with 0.2."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _RENAMED:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    warnings.warn(
-        f"{name} is now {_RENAMED[name]}; the old name goes with 0.2", DeprecationWarning, stacklevel=2
-    )
-    return globals()[_RENAMED[name]]

@@ -62,17 +62,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-OLD_NAMES = {"build": {"output": "out"}, "predict": {"output": "out"}, "show": {"figure": "out"}}
-"""Command -> option as it was once called -> as it is called; the old name keeps working."""
-
-
-def _as_now(command: str) -> Callable[[str], str]:
-    names = OLD_NAMES.get(command, {})
-    return lambda option: names.get(option, option)
-
 
 for _name, _command in COMMANDS.items():
-    app.command(_name, context_settings={"token_normalize_func": _as_now(_name)})(_command)
+    app.command(_name)(_command)
 
 
 def _show_version(value: bool) -> None:
