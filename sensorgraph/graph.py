@@ -1,4 +1,4 @@
-"""Sensorgraph: what the sensor perceives at every (x, y, phi), where it may be trusted, and its file."""
+"""The sensorgraph: what the sensor perceives at every (x, y, phi), where this is supported by data, and its file."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ from sensorgraph.types import Floats, Progress
 
 FORMAT = "sensorgraph"
 VERSION = 1
-"""Of the file; a reader refuses a newer one."""
+"""Version of the file format; a reader refuses a newer one."""
 POSES_AT_A_TIME = 2048
-"""Poses that are predicted together; more would take memory, and leave the progress silent."""
+"""Number of poses predicted together; it limits memory and sets the interval of progress reports."""
 MAX_POSE_DISTANCE = 1e8
-"""[m] from the origin of map: a pose farther off is a mistake."""
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
+"""[m] Largest accepted distance of a pose from the origin of map."""
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # a fixed date, so that the same graph gives the same bytes
 _MAY_BE_NAN = ("calibration.offset_se",)
-"""Arrays of a file in which nan says that something was not identified."""
+"""Arrays of a file in which nan marks a quantity that was not identified."""
 _SENSOR_FIELDS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensorgraph:
-    """A fitted model of perception with its sensor and its origin."""
+    """A fitted model of perception, its sensor and its origin."""
 
     model: Model
     sensor: RangeSensor
     pose_frame: PoseFrame
-    """Whose poses `predict` takes: the frame of the training poses."""
+    """Frame of the poses that `predict` takes: that of the training poses."""
     origin: Mapping[str, Any]
-    """Where it came from: `version`, `inputs`, `options`, `split`, counts; plain data."""
+    """Origin of the graph as plain data: `version`, `inputs`, `options`, `split` and counts."""
     memory: ResidualMemory | None = None
-    """How what the model leaves belongs to places; None: not identified. It is drawn, not predicted."""
+    """Correlation of the residuals between places and times, used for drawing only; None: not identified."""
 
     def predict(
         self,
@@ -61,15 +61,15 @@ class Sensorgraph:
         point: Point = "mode",
         progress: Progress | None = None,
     ) -> Prediction:
-        """Predict what is seen.
+        """Predict what the sensor perceives.
 
         Parameters
         ----------
-        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map; (n_poses, n_rays, 3) where each ray has its own, as
-            while a laser sweeps on a moving robot (`logs.motion.ray_poses`)
-        rays : indices of the rays wanted; None: all
-        point : which value of the mixture `ranges` is
-        progress : takes the count of poses done and of all
+        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map; or (n_poses, n_rays, 3), one pose for each ray,
+            as while a laser sweeps on a moving robot (`logs.motion.ray_poses`).
+        rays : Indices of the predicted rays. None: all rays.
+        point : Point value of the mixture that `Prediction.ranges` holds.
+        progress : Called with the number of poses done and the total.
 
         Returns
         -------
@@ -77,8 +77,8 @@ class Sensorgraph:
 
         Raises
         ------
-        ValueError : poses of another shape
-        SensorgraphError : a pose that is not finite or too far off, an unknown ray or point value
+        ValueError : The poses have another shape.
+        SensorgraphError : A pose is not finite or too far from the origin, or a ray or point value is unknown.
         """
         poses = np.asarray(poses, dtype=np.float64)
         index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
@@ -96,7 +96,7 @@ class Sensorgraph:
         return parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
 
     def _predict_some(self, poses: Floats, index: NDArray[np.intp], point: Point) -> Prediction:
-        """Predict the rays `index` at poses that fit into memory together, (n, 3) or (n, n_rays, 3)."""
+        """Predict the rays `index` at one batch of poses, (n, 3) or (n, n_rays, 3)."""
         if poses.ndim == 2:
             return self.model.predict(poses, index, point)
         of_rays = [
@@ -108,20 +108,20 @@ class Sensorgraph:
     def _check_poses(self, poses: Floats, n_rays: int) -> None:
         if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (n_rays,)):
             raise ValueError(
-                f"poses has shape {poses.shape}, expected (n_poses, 3), x, y, phi, or (n_poses, {n_rays}, 3)"
+                f"poses has shape {poses.shape}, expected (n_poses, 3) for x, y, phi or (n_poses, {n_rays}, 3)"
             )
         flat = poses.reshape(len(poses), -1, 3)
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
-            raise SensorgraphError(f"pose {row} is not finite; leave such poses out")
+            raise SensorgraphError(f"pose {row} is not finite; remove such poses")
         if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
             row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
             raise SensorgraphError(
-                f"pose {row} is {flat[row, ray, :2].tolist()}, expected metres within {MAX_POSE_DISTANCE:g} of the origin"
+                f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_POSE_DISTANCE:g} m from the origin"
             )
 
     def __repr__(self) -> str:
-        """Say in a few lines what it holds and where it came from."""
+        """Summarise the contents and the origin in a few lines."""
         facts = "; ".join(f"{label}: {text}" for label, text in self.model.summary().items())
         inputs = ", ".join(str(entry.get("name", "?")) for entry in self.origin.get("inputs", ()))
         lines = [
@@ -132,7 +132,7 @@ class Sensorgraph:
         return "\n".join(textwrap.shorten(line, 160, placeholder=" ...") for line in lines)
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the facts of the model and the runs it was built from."""
+        """Return the table that a notebook shows: facts of the model and its training runs."""
         inputs = ", ".join(str(entry.get("name", "?")) for entry in self.origin.get("inputs", ()))
         rows = [
             ("rays", f"{self.sensor.n_rays}, poses of {self.pose_frame}"),
@@ -142,14 +142,14 @@ class Sensorgraph:
         return html_table(f"Sensorgraph, model {self.model.name}", rows)
 
     def facts(self) -> dict[str, str]:
-        """Return what a reader wants to know first, label -> text: of the model, and of the memory if there is one."""
+        """Return the main facts of the model and of the memory, if there is one, as label -> text."""
         return {
             **self.model.summary(),
             **({} if self.memory is None else {"memory": self.memory.summary()}),
         }
 
     def equation(self, ray: int) -> str:
-        """Print the explicit equation of one ray, given by index."""
+        """Return the explicit equation of one ray, given by index."""
         self._check_rays(np.array([ray]))
         return self.model.equation(ray)
 
@@ -165,7 +165,7 @@ class Sensorgraph:
 
         Raises
         ------
-        OSError : the file cannot be written
+        OSError : The file cannot be written.
         """
         header, arrays = self.model.state()
         sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS} | rare_times(self.sensor)
@@ -197,11 +197,11 @@ class Sensorgraph:
 
     @classmethod
     def load(cls, path: Path | str) -> Sensorgraph:
-        """Read what `save` wrote; nothing in the file is executed.
+        """Read a file written by `save`; no code of the file is executed.
 
         Raises
         ------
-        SensorgraphError : not a sensorgraph, damaged, or written by a newer version
+        SensorgraphError : The file is not a sensorgraph, is damaged, or has a newer version.
         """
         path = Path(path)
         top, arrays = _read(path)
@@ -209,7 +209,7 @@ class Sensorgraph:
             raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
         if top["version"] > VERSION:
             raise SensorgraphError(
-                f"{path}: written as version {top['version']}, this software reads up to {VERSION}; "
+                f"{path}: the file has version {top['version']}, this software reads up to version {VERSION}; "
                 "install a newer sensorgraph"
             )
         if top.get("model") not in MODELS:
@@ -247,16 +247,16 @@ class Sensorgraph:
 
 
 def _check_origin(top: Mapping[str, Any]) -> None:
-    """Check whose poses it takes, and that it says where it came from as `save` does."""
+    """Check the frame of the poses and the form of the origin against what `save` writes."""
     if top["pose_frame"] not in get_args(PoseFrame):
         raise ValueError(f"pose_frame is {top['pose_frame']!r}, expected {' or '.join(get_args(PoseFrame))}")
     inputs = top["origin"].get("inputs", [])
     if not isinstance(inputs, list) or not all(isinstance(entry, dict) for entry in inputs):
-        raise ValueError(f"the inputs are {inputs!r}, expected one entry for each run")
+        raise ValueError(f"the inputs are {inputs!r}, expected a list with one entry for each run")
 
 
 def _sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a sensor; those of several sensors as one only where they say something."""
+    """Return the arrays of a sensor; origins and cones only where they differ from those of a single laser."""
     arrays = {"sensor.bearings": sensor.bearings, "sensor.mount": sensor.mount}
     if sensor.is_composite:
         arrays["sensor.origins"] = sensor.origins
@@ -272,8 +272,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             stored, promised = path.stat().st_size, sum(info.file_size for info in file.infolist())
             if promised > most_plain(stored):
                 raise SensorgraphError(
-                    f"{path}: {stored:,} bytes that say to unpack to {promised:,}, which no sensorgraph does; "
-                    "it is damaged, or made to fill the memory: build it again"
+                    f"{path}: {stored:,} bytes claim to unpack to {promised:,}, which no sensorgraph does; "
+                    "the file is damaged or malicious: build it again"
                 )
             top = json.loads(file.read("header.json"))
             for name in file.namelist():
@@ -281,8 +281,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
                     arrays[name.removesuffix(".npy")] = _array(file.read(name))
     except SensorgraphError:
         raise
-    except Exception as exc:  # zipfile, zlib and numpy meet a damaged file with errors of many kinds
-        if isinstance(exc, OSError) and exc.filename is not None:  # it cannot be opened
+    except Exception as exc:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
+        if isinstance(exc, OSError) and exc.filename is not None:  # the file cannot be opened
             raise
         raise SensorgraphError(
             f"{path}: not a sensorgraph, or damaged ({exc}); build it again with `sensorgraph build`"
@@ -293,16 +293,16 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    """Read one array in numpy's format; its header must promise exactly the bytes that follow it."""
+    """Read one array in numpy's format; its header must declare exactly the bytes that follow."""
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("an array of another version of numpy's format")
+        raise ValueError("an array is stored in another version of numpy's format, expected 1.0")
     shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
     if (
         dtype.hasobject
         or min(shape, default=0) < 0
         or math.prod(shape) * dtype.itemsize != len(data) - file.tell()
     ):
-        raise ValueError(f"an array says {shape} of {dtype}, and holds {len(data) - file.tell()} bytes")
+        raise ValueError(f"an array declares {shape} of {dtype}, but holds {len(data) - file.tell()} bytes")
     flat = np.frombuffer(data, dtype=dtype, offset=file.tell()).astype(dtype.newbyteorder("="))
     return flat.reshape(shape, order="F" if fortran else "C")

@@ -1,4 +1,4 @@
-"""What is refused of a log before anything is made of it, unless the user insists, and what was taken for granted."""
+"""Checks that refuse a log before it is used, unless the user forces it, and the notes on assumptions made."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import MAX_ERROR_RATIO, orientation
 
-SCATTERED = 0.25
-"""Share of the steps that jump, above which the poses are no drive but places one by one."""
-STANDS_STILL = 1e-3
-"""[m, rad] poses that change less in all of a run are all the same."""
-LEAST_WAY = 0.5
-"""[m] that wheels drive beyond doubt."""
+MAX_JUMP_SHARE = 0.25
+"""Fraction of steps that jump above which the poses are single measurements and not a drive."""
+STANDSTILL = 1e-3
+"""[m, rad] Poses of a run that vary by less than this are constant."""
+MIN_WHEEL_DISTANCE = 0.5
+"""[m] Distance of the odometry above which the wheels certainly drove."""
 
 
 def log_notes(*runs: Run) -> list[str]:
-    """Return what was assumed, mended or left out when runs were read, each once and with the name of its log."""
+    """Return the notes on assumed, repaired and omitted data of runs, without repetition, each with its log's name."""
     return list(
         dict.fromkeys(
             f"{run.meta.get('source', 'the run')}: {note}" for run in runs for note in assumptions_of(run)
@@ -37,54 +37,54 @@ def check_jumps(
     name: str | None = None,
     last: tuple[Floats, Floats] = (np.zeros(0), np.zeros((0, 3))),
 ) -> None:
-    """Refuse a run whose pose jumps between consecutive scans; with `force`, take it as it is.
+    """Refuse a run whose pose jumps between consecutive scans, unless `force` is set.
 
-    Poses that jump at every other scan are no drive: where the scans themselves fit together at these poses
-    (`orientation`), they are single measurements, and are taken.
+    Poses that jump at many scans are not a drive. They are accepted as single measurements if the scans agree with
+    each other at these poses (`orientation`).
 
     Parameters
     ----------
-    last : stamp (1,) and pose (1, 3) of the scan before, where the run is a piece of a log
+    last : Stamp (1,) and pose (1, 3) of the preceding scan, if the run is a piece of a log.
 
     Raises
     ------
-    SensorgraphError : it jumps farther than a robot drives
+    SensorgraphError : A pose jumps farther than a robot can drive.
     """
     if force:
         return
     stamps = np.concatenate([last[0], run.stamps[pairing.paired]])
     poses = np.concatenate([last[1], pairing.poses[pairing.paired]])
     jumps = find_jumps(stamps, poses, is_timed=run.meta.get("clock") != "assumed")
-    if jumps is None or (jumps.share > SCATTERED and _fits_itself(run)):
+    if jumps is None or (jumps.share > MAX_JUMP_SHARE and _scans_agree(run)):
         return
     raise SensorgraphError(
         f"{name or run.meta.get('source', 'the run')}: {jumps}; expected poses along which a robot can drive: check the "
-        "clocks and where the poses are from (sensorgraph inspect), or set `force` to use them as they are"
+        "clocks and the source of the poses (sensorgraph inspect), or set `force` to use them as they are"
     )
 
 
 def check_moves(run: Run) -> None:
-    """Refuse a run whose wheels drive while its reference stands.
+    """Refuse a run whose reference pose is constant while the wheels drive.
 
     Raises
     ------
-    SensorgraphError : the poses are all the same, and the odometry moves
+    SensorgraphError : The poses are constant and the odometry moves.
     """
-    still = len(run.poses) > 1 and float(np.ptp(run.poses, axis=0).max()) < STANDS_STILL
+    still = len(run.poses) > 1 and float(np.ptp(run.poses, axis=0).max()) < STANDSTILL
     if not still or not len(run.odometry):
         return
-    way = float(np.hypot(*np.diff(run.odometry[:, :2], axis=0).T).sum())
-    if way > LEAST_WAY:
+    distance = float(np.hypot(*np.diff(run.odometry[:, :2], axis=0).T).sum())
+    if distance > MIN_WHEEL_DISTANCE:
         raise SensorgraphError(
-            f"the poses never change while the wheels drive {way:.1f} m; "
-            "name the topic of the reference with `topics` pose=..."
+            f"the reference pose is constant while the wheels drive {distance:.1f} m; "
+            "select the topic of the reference with `topics` pose=..."
         )
 
 
-def _fits_itself(run: Run) -> bool:
-    """Tell whether end points of the scans fall on each other clearly better than those of turned or mirrored scans.
+def _scans_agree(run: Run) -> bool:
+    """Return whether end points of the scans coincide clearly better than those of turned or mirrored scans.
 
-    Where that cannot be told (a few scans, several sensors as one), they are believed.
+    Return True where this cannot be decided: a few scans, or several sensors as one.
     """
     found = orientation(run, None)
     if found is None:
@@ -94,17 +94,17 @@ def _fits_itself(run: Run) -> bool:
 
 
 def check_rays(sensor: RangeSensor, name: str, *, takes: str, remedy: str, one_place: bool = True) -> None:
-    """Refuse wide cones, and rays that start at several places, where these are not understood.
+    """Refuse wide cones, and rays with several origins, for functions that do not support them.
 
     Parameters
     ----------
-    takes : who takes thin rays, for the message
-    remedy : what to do
-    one_place : rays must start in one place
+    takes : Subject and verb of the message, such as "locate takes".
+    remedy : What the user can do.
+    one_place : Whether all rays must have the same origin.
 
     Raises
     ------
-    SensorgraphError : the sensor has such rays
+    SensorgraphError : The sensor has such rays.
     """
     if measures_cones(sensor):
         widest = np.degrees(sensor.cones.max())

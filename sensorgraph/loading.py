@@ -1,4 +1,4 @@
-"""Open what the steps of the loop take: arenas and robots, from files, shipped examples, or what a run keeps."""
+"""Load arenas and robots from files, shipped examples or the attachments of a run."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ from sensorgraph.world.robot import Robot, load_robot, parse_robot
 
 @as_sensorgraph_error
 def load_arena(source: str | Path) -> Arena:
-    """Open an arena.
+    """Load an arena.
 
     Parameters
     ----------
-    source : a GeoJSON file, a map_server yaml, a sensorgraph of faces (its identified walls), or the name of a
-        shipped arena: `square`, `office`
+    source : A GeoJSON file, a map_server yaml, a sensorgraph of faces (its identified walls), or the name of a
+        shipped arena: `square` or `office`.
 
     Raises
     ------
-    SensorgraphError : there is no such file, or the sensorgraph holds no walls
-    SensorgraphError : the file is no arena
+    SensorgraphError : The file does not exist or is not an arena, or the sensorgraph holds no walls.
     """
     name = str(source)
     shipped = sorted(
@@ -62,7 +61,7 @@ def read_poses(path: Path) -> Floats:
 
     Raises
     ------
-    SensorgraphError : a column is missing, a line holds no numbers, or there is no pose
+    SensorgraphError : A column is missing, a line holds no numbers, or there is no pose.
     """
     rows: list[list[float]] = []
     try:
@@ -80,8 +79,8 @@ def read_poses(path: Path) -> Floats:
                     rows.append([float(row[name]) for name in ("x", "y", "phi")])
                 except (TypeError, ValueError):
                     raise SensorgraphError(
-                        f"{path}: line {reader.line_num}: cannot read numbers in {list(row.values())}; "
-                        "expected x,y,phi"
+                        f"{path}: line {reader.line_num}: expected numbers, found {list(row.values())}; "
+                        "each line needs x,y,phi"
                     ) from None
     except (UnicodeDecodeError, csv.Error) as exc:
         raise SensorgraphError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
@@ -90,7 +89,7 @@ def read_poses(path: Path) -> Floats:
         raise SensorgraphError(f"{path}: no pose below the header; expected lines of x,y,phi")
     if not np.isfinite(poses).all():
         line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-        raise SensorgraphError(f"{path}: line {line}: a number is not finite; leave such poses out")
+        raise SensorgraphError(f"{path}: line {line}: a number is not finite; remove such poses")
     return poses
 
 
@@ -99,23 +98,23 @@ def read_plan_report(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    SensorgraphError : it is not JSON, or no object whose coverage is a number
+    SensorgraphError : The file is not JSON, or not an object whose coverage is a number.
     """
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as exc:
-        raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
+        raise SensorgraphError(f"{path}: not JSON ({exc}); plan again or remove the file") from exc
     if not isinstance(report, dict) or not isinstance(report.get("coverage", 0.0), int | float):
-        raise SensorgraphError(f"{path}: holds no report of a plan; plan again, or take the file away")
+        raise SensorgraphError(f"{path}: holds no report of a plan; plan again or remove the file")
     return report
 
 
 def arena_in(run: Run) -> Arena | None:
-    """Return the arena that a run keeps as an attachment; None if it keeps none.
+    """Return the arena attached to a run; None if there is none.
 
     Raises
     ------
-    SensorgraphError : the attachment is no arena
+    SensorgraphError : The attachment is not an arena.
     """
     text = run.attachments.get("arena.geojson")
     if text is None:
@@ -123,11 +122,11 @@ def arena_in(run: Run) -> Arena | None:
     try:
         return geojson.loads(text.decode(errors="replace"))
     except PlanError as exc:
-        raise SensorgraphError(f"the arena kept in the run cannot be used ({exc}); give another one") from exc
+        raise SensorgraphError(f"the arena kept in the run is invalid ({exc}); pass another arena") from exc
 
 
 def robot_in(run: Run) -> Robot | None:
-    """Return the robot that a run keeps as an attachment; None if it keeps none."""
+    """Return the robot attached to a run; None if there is none."""
     text = run.attachments.get("robot.yaml")
     if text is None:
         return None
@@ -135,7 +134,7 @@ def robot_in(run: Run) -> Robot | None:
 
 
 def robot_for(run: Run, source: str | Path | None = None) -> Robot:
-    """Open a robot.yaml; without a source, the shipped robot with the sensor that the run itself describes."""
+    """Load a robot.yaml; without a source, return the shipped robot with the sensor of the run."""
     robot = load_robot(source)
     if source is None and ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
         height = run.sensor.height or robot.sensor.height

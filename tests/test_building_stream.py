@@ -136,7 +136,7 @@ def one_scan(run: Run) -> Run:
     [
         (in_centimetres, "looks like centimetres, expected metres; divide the ranges by 100"),
         (blind, "no ray of the log returned; check range_max"),
-        (still, "the pose never changes over 700 scans; did the robot move"),
+        (still, "the pose never changes over 700 scans; check that the robot moved"),
         (one_scan, "1 scans to fit, expected 10 or more"),
     ],
 )

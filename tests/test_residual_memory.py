@@ -157,7 +157,7 @@ def test_graph_keeps_its_memory_in_the_file(tmp_path: Path) -> None:
 
 
 def test_too_few_readings_have_no_memory() -> None:
-    with pytest.raises(SensorgraphError, match="training readings tell nothing of a `memory`"):
+    with pytest.raises(SensorgraphError, match="training readings are too few to identify a `memory`"):
         build([square_run(200)], model="polynomial", degree=2, harmonics=2, memory=True)
 
 

@@ -48,29 +48,29 @@ def build(
 
     Parameters
     ----------
-    runs : recordings of one sensor, with poses of one frame; a `LogStream` is read piece by piece
-    arena : its bounds give the scale of x and y, so that graphs of several runs share it
-    model : a name in MODELS
-    names : what to call each run in messages and in the graph; None: the file it says it came from
-    split : `every10` or `block` hold scans out of each run; the graph remembers it
-    map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
-    update : a graph of faces to which the runs are added; its own runs are not needed
-    force : take a run whose poses jump, too; False: refuse it, as the commands do
-    memory : also identify how residuals depend on the scan before and on neighbours, for drawing (`record --graph`);
-        with `update` on the new runs, where it stays as it was otherwise
-    progress : opens a bar for each stage
-    options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
+    runs : Recordings of one sensor, with poses of one frame. A `LogStream` is read piece by piece.
+    arena : Its bounds set the scale of x and y, so that graphs of several runs share it.
+    model : A name in MODELS.
+    names : Name of each run in messages and in the graph. None: the name of its file.
+    split : `every10` or `block` hold out scans of each run. The graph records the split.
+    map_blocks : Function that reduces blocks of scans; `map` runs here. See `sensorgraph.building.dask_cluster`.
+    update : A graph of faces to which the runs are added; its own runs are not needed.
+    force : Accept a run whose poses jump. False: refuse it, as the commands do.
+    memory : Also identify how residuals depend on the previous scan and on neighbouring rays, for drawing
+        (`record --graph`). With `update` it is identified on the new runs; otherwise an existing one is kept.
+    progress : Opens a progress bar for each stage.
+    options : Options of the model. The polynomial takes `degree`, `harmonics` and `n_terms`, a number or `auto` each.
     """
     if model not in MODELS:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
-    for is_asked, what, remedy in (
+    for applies, what, remedy in (
         (model == "cells" or options.get("cells"), "cells take", "set `model` faces or polynomial"),
         (options.get("calibrate"), "a calibration takes", "leave `calibrate` out"),
     ):
-        if is_asked:
+        if applies:
             for source, name in zip(sources, names, strict=True):
                 check_rays(
                     source.head.sensor, name, takes=what, one_place=False,
@@ -81,7 +81,7 @@ def build(
     feed = feed_again()
     if update is not None:
         graph = _updated(update, feed, map_blocks, progress, options)
-        return _remembering(graph, feed_again(), progress) if memory else graph
+        return _add_memory(graph, feed_again(), progress) if memory else graph
     fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
     origin = {
         "software": __version__,
@@ -91,10 +91,10 @@ def build(
         "arena_bounds": None if arena is None else list(arena.bounds),
     }
     graph = Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
-    return _remembering(graph, feed_again(), progress) if memory else graph
+    return _add_memory(graph, feed_again(), progress) if memory else graph
 
 
-def _remembering(graph: Sensorgraph, feed: TrainingData, progress: ProgressBars) -> Sensorgraph:
+def _add_memory(graph: Sensorgraph, feed: TrainingData, progress: ProgressBars) -> Sensorgraph:
     scans = all_scans(feed)
     assert scans is not None
     with progress("identifying memory", "scans") as tick:
@@ -108,7 +108,7 @@ def _fit(
     progress: ProgressBars,
     options: dict[str, Any],
 ) -> Model:
-    """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
+    """Fit a model block by block if it supports that, otherwise to all scans together."""
     if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
         mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
         own = dict(options)
@@ -151,8 +151,8 @@ def _updated(
     """Add the runs of a feed to a graph."""
     model = graph.model
     if not isinstance(model, Faces) or options:
-        asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
-        raise SensorgraphError(f"`update` adds runs to a graph of faces; this one is of {model.name}{asked}")
+        reason = f", and option {', '.join(sorted(options))} applies to a new fit only" if options else ""
+        raise SensorgraphError(f"`update` adds runs to a graph of faces; this one is of {model.name}{reason}")
     of_log = feed.logs[0].head.sensor
     sensor = with_rays_like(of_log, graph.sensor.bearings)
     if sensor is None:
@@ -163,40 +163,38 @@ def _updated(
     feed.sensor = sensor
     if feed.pose_frame != graph.pose_frame:
         raise SensorgraphError(
-            f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}"
+            f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}; expected the same frame"
         )
     if feed.split != graph.origin["split"]:
         raise SensorgraphError(
-            f"the graph was built with split {graph.origin['split']}; update it with the same"
+            f"the graph was built with split {graph.origin['split']}; update it with the same split"
         )
     fitted = model.updated(feed, n_scans=feed.n_scans, map_blocks=map_blocks, progress=progress)
     _check_enough(feed)
     known = {entry["sha256"] for entry in graph.origin["inputs"]}
     for entry in feed.entries:
         if entry["sha256"] in known:
-            raise SensorgraphError(
-                f"{entry['name']} is part of the graph already; give runs that it has not seen"
-            )
+            raise SensorgraphError(f"{entry['name']} is part of the graph already; add only new runs")
     origin = {**graph.origin, "inputs": [*graph.origin["inputs"], *feed.entries]}
     return replace(graph, model=fitted, origin=origin)
 
 
 def _check_enough(feed: TrainingData) -> None:
-    """Refuse to build from next to nothing, once all was read."""
+    """Refuse a fit with too few scans, once all logs have been read."""
     n_trained = sum(entry["trained"] for entry in feed.entries)
     if len(feed.entries) == len(feed.logs) and n_trained < MIN_SCANS:
         raise SensorgraphError(_too_few(n_trained, feed.entries))
 
 
 def digest(run: Run) -> str:
-    """Return the sha256 of what a run measured: bearings and ranges, not its file's layout nor its poses."""
+    """Return the sha256 of a run's bearings and ranges; it does not depend on the file's layout or the poses."""
     total = begin_digest(run.sensor)
     total.update(ranges_bytes(run.ranges))
     return total.hexdigest()
 
 
 def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
-    """Tell which scans (n_scans,) of a run the graph was fitted to; None if it has not seen this run."""
+    """Return a mask (n_scans,) of the scans of a run that the graph was fitted to; None for an unknown run."""
     mine = digest(run)
     for entry in graph.origin["inputs"]:
         if entry["sha256"] == mine:
@@ -206,7 +204,7 @@ def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
 
 def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
     if not runs:
-        raise SensorgraphError("no run to build from; give at least one recording")
+        raise SensorgraphError("no run to build from; give one recording or more")
     first = runs[0]
     for name, run in zip(names[1:], runs[1:], strict=True):
         if ray_order(run.sensor.bearings, first.sensor.bearings) is None:
@@ -217,12 +215,12 @@ def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
         if run.pose_frame != first.pose_frame:
             raise SensorgraphError(
                 f"{name} has poses of {run.pose_frame}, {names[0]} of {first.pose_frame}; "
-                "build from runs whose poses are of one frame"
+                "expected runs with poses in one frame"
             )
 
 
 def _name(run: Run | LogStream, i: int) -> str:
-    """Return the file's name without its folder, so that a graph does not depend on where the log lay."""
+    """Return the file's name without its folder, so that the graph does not depend on the folder."""
     run = run if isinstance(run, Run) else run.head
     return PurePath(run.meta["source"]).name if "source" in run.meta else f"run {i}"
 
@@ -230,12 +228,12 @@ def _name(run: Run | LogStream, i: int) -> str:
 def _too_few(n: int, inputs: Sequence[dict[str, Any]]) -> str:
     reasons = "; ".join(
         f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans have a pose"
-        + (f", {entry['empty']} of them no valid range" if entry["empty"] else "")
+        + (f", {entry['empty']} of them without a valid range" if entry["empty"] else "")
         + (f", {entry['held_out']} held out" if entry["held_out"] else "")
         + "".join(f", {count} {why}" for why, count in entry["dropped"].items())
         for entry in inputs
     )
     return (
         f"{n} scans to fit, expected {MIN_SCANS} or more ({reasons}); "
-        "record poses with the scans, or name their topic with `topics` pose=NAME"
+        "record poses with the scans, or select their topic with `topics` pose=NAME"
     )

@@ -1,4 +1,4 @@
-"""Blocks reduced on a Dask cluster: the same work in the same order as here, so the same graph to the last byte."""
+"""Reduction of blocks on a Dask cluster; same work and order as locally, so the graph has the same bytes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.faces.reduction import Block, MapBlocks, Reduction
 
-CONNECT_TIMEOUT = 10.0  # [s] to find the scheduler
+CONNECT_TIMEOUT = 10.0  # [s]
 BLOCKS_AHEAD = 2
-"""Blocks under way for each worker's thread: memory is bounded by them, wherever they wait."""
+"""Number of pending blocks for each thread of the workers; it bounds the memory."""
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[MapBlocks]:
-    """Yield a `map` that a Dask cluster does, whose scheduler is at `address`, for example tcp://10.0.0.5:8786."""
+    """Yield a `map` that runs on the Dask cluster whose scheduler is at `address`, such as tcp://10.0.0.5:8786."""
     try:
         from distributed import Client
     except ImportError:

@@ -1,4 +1,4 @@
-"""What a graph leaves of its training scans, and the memory that this has."""
+"""Identification of the memory of a graph's residuals on its training scans."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sensorgraph.models.residual_memory import MEMORY, ResidualMemory, events_of
 from sensorgraph.types import Progress
 
 BETWEEN_RUNS = 1e7
-"""[s] as far apart the memory takes runs: only what places keep for ever is the same in two."""
+"""[s] Time between runs for the memory, so that two runs share only what is permanent."""
 
 
 def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | None = None) -> Sensorgraph:
@@ -23,14 +23,14 @@ def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | N
 
     Raises
     ------
-    SensorgraphError : too few readings
+    SensorgraphError : There are too few readings.
     """
     n = min(MEMORY.max_scans, -(-MEMORY.max_readings // graph.sensor.n_rays))
     some = scans.part(slice(0, n))
     if some.ranges.size < MEMORY.min_readings:
         raise SensorgraphError(
-            f"{some.ranges.size} training readings tell nothing of a `memory`, expected {MEMORY.min_readings:,} or "
-            "more; give a longer log"
+            f"{some.ranges.size} training readings are too few to identify a `memory`, expected {MEMORY.min_readings:,} "
+            "or more; give a longer log"
         )
     parts = []
     for first in range(0, len(some), POSES_AT_A_TIME):
@@ -38,11 +38,11 @@ def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | N
             progress(first, len(some))
         rows = slice(first, first + POSES_AT_A_TIME)
         poses = some.poses[rows] if some.ray_poses is None else some.ray_poses[rows]
-        said = graph.predict(poses)
+        predicted = graph.predict(poses)
         starts = compose(poses, scans.laser_mount)
-        places = places_of(starts, graph.sensor.bearings, said.mode, graph.sensor.range_max)
-        seen = events_of(some.ranges[rows], said.mode, said.p_no_return, said.p_off)
-        parts.append({**seen, "places": places})
+        places = places_of(starts, graph.sensor.bearings, predicted.mode, graph.sensor.range_max)
+        events = events_of(some.ranges[rows], predicted.mode, predicted.p_no_return, predicted.p_off)
+        parts.append({**events, "places": places})
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     stamps = np.arange(len(some)) / graph.sensor.rate if some.stamps is None else some.stamps
     return replace(graph, memory=ResidualMemory.fit(**whole, stamps=stamps + BETWEEN_RUNS * some.run))

@@ -1,4 +1,4 @@
-"""Which scans of one log are held out: the same answer for building and for evaluating."""
+"""Held-out scans of a log: the same selection for building and for evaluating."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ N_STRETCHES, STRETCH_SHARE = 5, 0.02
 
 
 def held_out(run: Run | int, split: str | None) -> Bools:
-    """Tell which scans (n_scans,) are held out; none without a split.
+    """Return a mask (n_scans,) of the held-out scans; all False without a split.
 
     `every10`: scans 9, 19, 29, ... (counted from 0).
     `block`: five contiguous stretches of 2 % of the scans each (at least one scan), centred at 10, 30, 50, 70
-    and 90 % of the log. Nothing is left out beside a stretch: its first and last scans have near neighbours
-    in the training part.
+    and 90 % of the log. There is no gap around a stretch: its first and last scans have near neighbours in the
+    training part.
     """
     n = run if isinstance(run, int) else run.n_scans
     held = np.zeros(n, dtype=np.bool_)
@@ -31,7 +31,7 @@ def held_out(run: Run | int, split: str | None) -> Bools:
         raise SensorgraphError(f"split is {split!r}, expected one of {', '.join(SPLITS)}")
     if n < 2 * N_STRETCHES:
         raise SensorgraphError(
-            f"{n} scans are too few to hold some out; give a log of {2 * N_STRETCHES} or more"
+            f"{n} scans are too few to hold some out; give a log of {2 * N_STRETCHES} scans or more"
         )
     if split == "every10":
         held[9::10] = True

@@ -1,4 +1,4 @@
-"""From logs to blocks of training scans: paired, held out or not, checked, and counted, piece by piece."""
+"""Training scans of logs as blocks: paired with poses, split, checked and counted, piece by piece."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from sensorgraph.world.ray_order import bearings_text, ray_order, ray_order_line
 logger = logging.getLogger(__name__)
 
 MAX_MEDIAN_RANGE = 60.0
-"""[m] a median range above this is of another unit."""
+"""[m] A larger median range means that the ranges have another unit."""
 STANDSTILL = (1e-4, 1e-4, 1e-4)
-"""[m, m, rad] a robot that moved less stood still."""
+"""[m, m, rad] A robot whose poses vary by less stood still."""
 
 
 class TrainingData:
-    """The training scans of several logs, as blocks; `entries` are complete when all blocks were taken."""
+    """The training scans of several logs as blocks; `entries` are complete after the last block."""
 
     def __init__(
         self,
@@ -46,16 +46,16 @@ class TrainingData:
         self.logs, self.names, self.split, self.bounds, self.force = logs, names, split, bounds, force
         self.entries: list[dict[str, Any]] = []
         self.sensor = logs[0].head.sensor
-        """Of all logs; the rays of a log that numbers them otherwise are brought to its order."""
+        """Sensor of all logs; logs that number the rays differently are reordered."""
 
     @property
     def pose_frame(self) -> PoseFrame:
-        """Of all logs."""
+        """Frame of the poses of all logs."""
         return self.logs[0].head.pose_frame
 
     @property
     def n_scans(self) -> int:
-        """Of all logs, trained on or not."""
+        """Number of scans of all logs, used for training or not."""
         return sum(log.n_scans for log in self.logs)
 
     def __iter__(self) -> Iterator[Block]:
@@ -87,10 +87,10 @@ class TrainingData:
                 yield self._block(first, i, *(np.concatenate(parts) for parts in zip(*rows, strict=True)))
                 first += waiting
             entry = intake.entry()
-            twin = next((known for known in self.entries if known["sha256"] == entry["sha256"]), None)
-            if twin is not None:
+            duplicate = next((known for known in self.entries if known["sha256"] == entry["sha256"]), None)
+            if duplicate is not None:
                 raise SensorgraphError(
-                    f"{name} holds the same scans as {twin['name']}, and would count twice; give each run once"
+                    f"{name} holds the same scans as {duplicate['name']}, which would count twice; give each run once"
                 )
             self.entries.append(entry)
 
@@ -112,7 +112,7 @@ class TrainingData:
 
 
 class _LogIntake:
-    """What is known of one log, piece after piece."""
+    """State of one log while it is read piece by piece."""
 
     def __init__(self, name: str, n_scans: int, split: str | None, *, force: bool) -> None:
         self.name, self.n_scans, self.split, self.force = name, n_scans, split, force
@@ -125,23 +125,23 @@ class _LogIntake:
         self.last: tuple[Floats, Floats] = np.zeros(0), np.zeros((0, 3))
         self.period: float | None = None
         self.end: float | None = None
-        """[s] Stamp of the last scan, if it was taken."""
+        """[s] Stamp of the last scan, if it was used."""
         self.n_stretches = 0
 
     def take(self, run: Run) -> tuple[Floats, ...]:
-        """Return poses, stamps with stretches, and ranges of the scans of a piece to train on.
+        """Return poses, stamps with stretch numbers, and ranges of the training scans of a piece.
 
-        Of a sweep, the poses of its rays, too.
+        For a sweep, also return the poses of its rays.
         """
         if self.digest is None:
             self.digest = begin_digest(run.sensor)
-            self._look(run)
+            self._check_first_piece(run)
         self.digest.update(ranges_bytes(run.ranges))
         start = self.counts["n_scans"]
         held = self.held[start : start + run.n_scans]
         if len(held) < run.n_scans:
             raise SensorgraphError(
-                f"{self.name} has more scans than the {self.n_scans} it said; read it again"
+                f"{self.name} holds more scans than the {self.n_scans} that it announced; read it again"
             )
         pairing = pair(run)
         self._check_jumps(run, pairing)
@@ -170,7 +170,7 @@ class _LogIntake:
         return poses, time, run.ranges[use], ray_poses(run, pairing, np.flatnonzero(use))
 
     def _time(self, stamps: Floats, use: Bools) -> Floats:
-        """Return stamp [s] and number of the stretch (n_used, 2); a stretch goes on from one piece to the next."""
+        """Return stamp [s] and stretch number (n_used, 2); a stretch continues from one piece to the next."""
         if self.period is None:
             self.period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
         number = stretches(stamps, use, self.period)
@@ -185,13 +185,13 @@ class _LogIntake:
         return np.column_stack([stamps[use], number])
 
     def _check_jumps(self, run: Run, pairing: Pairing) -> None:
-        """Refuse poses that jump between the scans of this piece, or from the last one."""
+        """Refuse poses that jump between the scans of this piece or from the preceding scan."""
         check_jumps(run, pairing, force=self.force, name=self.name, last=self.last)
         if pairing.paired.any():
             self.last = run.stamps[pairing.paired][-1:], pairing.poses[pairing.paired][-1:]
 
-    def _look(self, run: Run) -> None:
-        """Refuse what no map can come of, from the first piece: other units, a mirrored scan."""
+    def _check_first_piece(self, run: Run) -> None:
+        """Refuse ranges in another unit, and warn of a mirrored or turned scan."""
         finite = run.ranges[np.isfinite(run.ranges)]
         middle = float(np.median(finite)) if len(finite) else 0.0
         if middle > MAX_MEDIAN_RANGE:
@@ -204,16 +204,16 @@ class _LogIntake:
         if oriented is not None and oriented.best != "as logged":
             self.warnings["orientation"] = (
                 f"the scan fits itself better {oriented.best}: check the sign of angle_increment, the mount's yaw "
-                f"and the driver's `inverted` setting (sensorgraph inspect {self.name} says more)"
+                f"and the driver's `inverted` setting (for details: sensorgraph inspect {self.name})"
             )
 
     def entry(self) -> dict[str, Any]:
-        """Return what the graph keeps of the log; refuse a robot that stood still."""
+        """Return the log's entry in the graph; refuse a robot that stood still."""
         n = self.counts["trained"]
         if n > 1 and (self.box[1] - self.box[0] < STANDSTILL).all():
             raise SensorgraphError(
-                f"{self.name}: the pose never changes over {n} scans; did the robot move, does the reference run? "
-                "Record while driving, or name the topic of the poses with `topics` pose=NAME"
+                f"{self.name}: the pose never changes over {n} scans; check that the robot moved and the reference was running. "
+                "Record while driving, or select the topic of the poses with `topics` pose=NAME"
             )
         pairing = f"{self.counts['paired']} of {self.counts['n_scans']} scans paired with poses"
         logger.info("%s: %s", self.name, pairing)
@@ -223,19 +223,19 @@ class _LogIntake:
 
 
 def begin_digest(sensor: RangeSensor) -> hashlib._Hash:
-    """Start the sha256 of what a run measured: the bearings, then every range in the order of the scans."""
+    """Start the sha256 of a run's measurements: its bearings, then every range in the order of the scans."""
     total = hashlib.sha256()
     total.update(np.ascontiguousarray(sensor.bearings, dtype="<f8").tobytes())
     return total
 
 
 def ranges_bytes(ranges: Floats) -> bytes:
-    """Return ranges (n_scans, n_rays) as the digest takes them."""
+    """Return ranges (n_scans, n_rays) as bytes for the digest."""
     return np.ascontiguousarray(ranges, dtype="<f8").tobytes()
 
 
 def all_scans(feed: TrainingData) -> TrainingScans | None:
-    """Put all blocks into memory together, for models that need that; None where there is no scan."""
+    """Load all blocks into memory, for models that need all scans; None without scans."""
     parts = [block.scans for block in feed]
     if not parts:
         return None
@@ -253,7 +253,7 @@ def all_scans(feed: TrainingData) -> TrainingScans | None:
 
 
 def _all_ray_poses(parts: Sequence[TrainingScans]) -> Floats | None:
-    """Put the poses of all rays together, if the laser swept in any part."""
+    """Concatenate the poses of all rays if the laser swept in any part; otherwise return None."""
     if all(part.ray_poses is None for part in parts):
         return None
     return np.concatenate([part.poses_of_rays for part in parts])

@@ -1,4 +1,4 @@
-"""Evaluate a sensorgraph on a run: errors, shares, shape of the scan, calibration; numbers as INTERFACE names them."""
+"""Evaluate a sensorgraph on a run: errors, shares, scan shape and calibration, with the names of INTERFACE."""
 
 from __future__ import annotations
 
@@ -29,57 +29,57 @@ from sensorgraph.world.raycast import laser_poses
 from sensorgraph.world.simulate import SCANS_PER_STEP
 
 MIN_SCORED_RANGE = 0.1
-"""[m] a shorter return does not count: the robot's own body, or a broken reading."""
+"""[m] Shorter returns are not scored: they are the robot's own body or broken readings."""
 MAX_SCORED_RANGE = 10.0
-"""[m] a longer return does not count, unless another cap is asked for."""
+"""[m] Longer returns are not scored, unless another cap is given."""
 SCANS_AT_A_TIME = 2048
-"""Scans that are predicted together: memory does not grow with the run."""
+"""Number of scans predicted together, so that memory does not grow with the run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evaluation:
-    """How well a graph predicts a run."""
+    """The evaluation of a graph on a run."""
 
     scan_indices: NDArray[np.intp]
-    """(n_scans,) which scans of the run were evaluated."""
+    """(n_scans,) indices of the evaluated scans in the run."""
     graph: Sensorgraph
     run: Run
     point: Point
-    """Which value of the mixture `residual` and `prediction.ranges` are of."""
+    """Point value of the mixture used for `residual` and `prediction.ranges`."""
     answered_rays: Bools
-    """(n_scans, n_rays) the graph answers."""
+    """(n_scans, n_rays) whether the graph answers."""
     residual: Floats
-    """(n_scans, n_rays) [m] measured - predicted (mode, or the point asked for); nan where not scored."""
+    """(n_scans, n_rays) [m] measured - predicted (mode, or the chosen point value); nan where not scored."""
     all: Metrics
     answered_only: Metrics
     calibration: list[dict[str, float]]
-    """Bins {said, seen, n}: said and seen chance of being more than 5 cm off."""
+    """Bins {said, seen, n}: predicted and observed probability of an error above 5 cm, and the number of rays."""
     in_sequence: Mapping[str, Metrics]
-    """`one_step`, `free_run` and `persistence` of a model with memory, on the rays of `all`; else empty."""
+    """`one_step`, `free_run` and `persistence` of a model with memory, on the rays of `all`; otherwise empty."""
     answered: float
     """Share of the scored rays that the graph answers."""
     settings: dict[str, Any]
-    """`scored`, `point`, `split`, `sigma_m`, `training`, counts."""
+    """`scored`, `point`, `split`, `sigma_m`, `training` and counts."""
 
     @cached_property
     def prediction(self) -> Prediction:
-        """(n_scans, n_rays) what the graph says of the scans; predicted again, since it is large and seldom needed."""
+        """(n_scans, n_rays) prediction of the scans; computed again on access, since it is large and seldom needed."""
         return predict_scans(self.graph, self.run, pair(self.run), self.scan_indices, point=self.point)
 
     @property
     def n_rays(self) -> int:
-        """Count of scored rays."""
+        """Number of scored rays."""
         return int(np.isfinite(self.residual).sum())
 
     @property
     def rmse_per_ray(self) -> Floats:
-        """(n_rays,) [m] root mean square of the residual of each ray; nan where none was scored."""
+        """(n_rays,) [m] root mean square residual of each ray; nan where no reading was scored."""
         square = np.where(np.isfinite(self.residual), self.residual**2, 0.0).sum(axis=0)
         count = np.isfinite(self.residual).sum(axis=0)
         return np.sqrt(np.where(count > 0, square / np.maximum(count, 1), np.nan))
 
     def __repr__(self) -> str:
-        """Say how many rays were scored, and how well."""
+        """Summarise the number of scored rays and the metrics in a few lines."""
 
         def line(label: str, metrics: Metrics) -> str:
             shown = [f"{name} {value:.3g}" for name, value in metrics.items() if value is not None]
@@ -89,7 +89,7 @@ class Evaluation:
         return "\n".join([scored, line("all", self.all), line("answered only", self.answered_only)])
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: every metric of all rays, and of the answered ones."""
+        """Return the table that a notebook shows: every metric of all rays and of the answered rays."""
 
         def cell(value: float | None) -> str:
             return "–" if value is None else f"{value:.3g}"
@@ -101,7 +101,7 @@ class Evaluation:
         return html_table(caption, rows, head=("", "all", "answered only"))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; a number that is not defined is None."""
+        """Return plain data for JSON; an undefined number is None."""
         return {
             "n_rays": self.n_rays,
             "answered": self.answered,
@@ -123,16 +123,16 @@ def evaluate(
     force: bool = True,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Predict the scans of a run that have a pose, and compare.
+    """Predict the scans of a run that have a pose, and score the predictions.
 
-    A ray is scored where a return between 0.1 m and `cap` was measured (default: 10 m, or range_max if that
-    is smaller). Errors compare it with the value predicted given a return; whether a return was predicted
-    at all is scored by `no_return_recall` and `no_return_precision`, over all rays that are not broken.
+    A ray is scored if its measured return lies between 0.1 m and `cap` (default: 10 m, or range_max if that is
+    smaller). Errors compare the return with the value predicted given a return. `no_return_recall` and
+    `no_return_precision` score the prediction of missing returns over all valid rays.
     Without `force`, a run whose poses jump is refused, as the commands do.
 
     Raises
     ------
-    SensorgraphError : another sensor, poses that jump, nothing to evaluate, or no ray that can be scored
+    SensorgraphError : The sensor differs, the poses jump, or no scan or ray can be scored.
     """
     cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
     _check_fits(graph, run, cap)
@@ -143,11 +143,11 @@ def evaluate(
         held = "" if split is None else f", none of them in split {split}"
         raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
-    every, answered = (
+    all_rays, answered = (
         MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in ("all", "answered")
     )
     there = poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses)
-    beside = SequenceScores(
+    in_sequence = SequenceScores(
         sequence_predictions(graph, run, pairing, there, _rays_of(graph, run)),
         MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma),
         pairing.paired,
@@ -165,11 +165,11 @@ def evaluate(
         off = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
         residual[some], answered_rays[some] = off, prediction.answered
         valid = ~np.isnan(measured)
-        every.add(measured, prediction, scored, valid)
+        all_rays.add(measured, prediction, scored, valid)
         answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered)
-        beside.add(index[some], measured, scored, valid)
+        in_sequence.add(index[some], measured, scored, valid)
         calibration.add(prediction.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
-    if not every.total["n"]:
+    if not all_rays.total["n"]:
         raise SensorgraphError(
             f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
         )
@@ -180,11 +180,11 @@ def evaluate(
         point=point or "mode",
         answered_rays=answered_rays,
         residual=residual,
-        all=every.metrics(np.abs(residual[np.isfinite(residual)])),
+        all=all_rays.metrics(np.abs(residual[np.isfinite(residual)])),
         answered_only=answered.metrics(np.abs(residual[np.isfinite(residual) & answered_rays])),
         calibration=calibration.rows(),
-        in_sequence=beside.metrics(),
-        answered=answered.total["n"] / every.total["n"],
+        in_sequence=in_sequence.metrics(),
+        answered=answered.total["n"] / all_rays.total["n"],
         settings={
             "scored": _scored(cap, len(index), run),
             "point": {name: point or default for name, default in POINT_OF.items()},
@@ -200,14 +200,14 @@ def _scored(cap: float, n_scans: int, run: Run) -> dict[str, Any]:
 
 
 def _check_fits(graph: Sensorgraph, run: Run, cap: float) -> None:
-    """Refuse a cap below what is scored at all, and a run of another sensor."""
+    """Refuse a cap below the shortest scored range, and a run of another sensor."""
     if not cap > MIN_SCORED_RANGE:
         raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
     _rays_of(graph, run)
 
 
 def _rays_of(graph: Sensorgraph, run: Run) -> Ints:
-    """Return the ray of the graph that each ray (n_rays,) of the run is."""
+    """Return the index (n_rays,) of the graph's ray for each ray of the run."""
     rays = ray_order(graph.sensor.bearings, run.sensor.bearings)
     if rays is None:
         raise SensorgraphError(
@@ -220,16 +220,16 @@ def _rays_of(graph: Sensorgraph, run: Run) -> Ints:
 def predict_scans(
     graph: Sensorgraph, run: Run, pairing: Pairing, scans: Ints, *, point: Point = "mode"
 ) -> Prediction:
-    """Predict paired scans (n,) of a run, each ray of a sweep from where the robot was at its time.
+    """Predict paired scans (n,) of a run; for a sweep, each ray starts from the robot's pose at the time of the ray.
 
-    The rays are numbered as those of the run.
+    The rays are numbered as in the run.
 
     Raises
     ------
-    SensorgraphError : the run is of another sensor
+    SensorgraphError : The run is of another sensor.
     """
     mount, rays = run.sensor.mount, _rays_of(graph, run)
-    if not run.sensor.has_ray_delays:  # where the rays of several sensors start knows the graph
+    if not run.sensor.has_ray_delays:  # the graph stores the origins of the rays of several sensors
         return graph.predict(
             poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), rays=rays, point=point
         )
@@ -241,7 +241,7 @@ def predict_scans(
 
 
 def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats) -> Floats:
-    """Express poses (..., 3) of a frame in the frame that the graph was built from; `mount` (3,): T_base_laser."""
+    """Convert poses (..., 3) to the frame of the graph's training poses; `mount` (3,) is T_base_laser."""
     if frame == graph.pose_frame:
         return poses
     x, y, yaw = map(float, mount)
@@ -254,7 +254,7 @@ def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats
 
 
 def _training_overlap(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:
-    """Say whether the evaluated scans were seen in training."""
+    """Return a sentence on whether the evaluated scans were used for training."""
     trained = training_scans(graph, run)
     if trained is None:
         return "the graph has not seen this run"

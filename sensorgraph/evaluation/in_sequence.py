@@ -1,4 +1,4 @@
-"""Predictions of scans in a row, by models with memory: one step ahead, in free run, and beside them persistence."""
+"""Predictions of consecutive scans by models with memory: one step ahead, in free run, and persistence."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ ONE_STEP, FREE_RUN, PERSISTENCE = "one_step", "free_run", "persistence"
 def sequence_predictions(
     graph: Sensorgraph, run: Run, pairing: Pairing, poses: Floats, rays: Ints
 ) -> dict[str, Prediction]:
-    """Predict every paired scan of a run from the scans before it; nothing where the model has no memory.
+    """Predict every paired scan of a run from the preceding scans; empty for a model without memory.
 
-    A stretch ends at a scan without a pose and at a gap in time; no lag crosses one. `one_step` reads what was measured
-    before a scan, `free_run` what was predicted. `persistence` says that a ray returns what it returned last.
+    A stretch ends at a scan without a pose and at a gap in time; no lag crosses its ends. Lagged readings are the
+    measured ones in `one_step` and the predicted ones in `free_run`. `persistence` repeats the last reading of a ray.
 
     Parameters
     ----------
-    poses : (n_scans, 3) of the graph's frame; nan where not paired
-    rays : (n_rays,) ray of the graph that each ray of the run is
+    poses : (n_scans, 3) Poses in the graph's frame; nan where not paired.
+    rays : (n_rays,) Index of the graph's ray for each ray of the run.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def sequence_predictions(
 
 
 def _persistence(measured: Floats, position: Ints, like: Prediction) -> Prediction:
-    """Return the last reading of each ray; where a stretch has none yet, what `like` says."""
+    """Return the last reading of each ray; `like` where the stretch has no earlier reading."""
     last = np.vstack([np.full((1, measured.shape[1]), np.nan), held(measured, position)[:-1]])
     lost = np.vstack([np.zeros((1, measured.shape[1])), np.isposinf(measured[:-1])]).astype(np.float64)
     value = np.where(np.isfinite(last) & (position > 0)[:, None], last, like.mode)
@@ -64,10 +64,10 @@ def _persistence(measured: Floats, position: Ints, like: Prediction) -> Predicti
 
 
 class SequenceScores:
-    """Metrics of predictions in sequence, added up piece by piece."""
+    """Metrics of sequence predictions, accumulated piece by piece."""
 
     def __init__(self, predictions: Mapping[str, Prediction], sums: MetricSums, paired: Bools) -> None:
-        """Take predictions of the paired scans, empty sums to begin from, and which scans (n_scans,) are paired."""
+        """Store the predictions of the paired scans, empty sums as a template, and the mask (n_scans,) of paired scans."""
         self.predictions, self.place = predictions, np.cumsum(paired) - 1
         self.sums = {
             name: MetricSums(bearings=sums.bearings, point=sums.point, sigma=sums.sigma)
@@ -84,5 +84,5 @@ class SequenceScores:
             self.errors[name].append(np.abs(measured - part.point(self.sums[name].point or "mode"))[scored])
 
     def metrics(self) -> dict[str, Metrics]:
-        """Return the metrics by name of the prediction."""
+        """Return the metrics of each prediction by name."""
         return {name: sums.metrics(np.concatenate(self.errors[name])) for name, sums in self.sums.items()}

@@ -1,4 +1,4 @@
-"""What `evaluate` measures, added up piece by piece, so that a run of hours takes no more memory than one of minutes."""
+"""Metrics of `evaluate`, accumulated piece by piece, so that memory does not grow with the length of the run."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats
 
 MATCH_DISTANCE = 0.1
-"""[m] end points closer than this match in the f-score."""
+"""[m] End points closer than this match in the f-score."""
 RELIABILITY_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
-"""Bins of the said chance of being off."""
+"""Bin edges of the predicted probability of being off."""
 POINT_OF: dict[str, Point] = {
     "median_m": "mode",
     "mae_m": "median",
@@ -29,34 +29,34 @@ POINT_OF: dict[str, Point] = {
     "chamfer_m": "mode",
     "f_score": "mode",
 }
-"""Which point value a number belongs to, unless one is asked for."""
+"""Default point value of each metric."""
 
 Metrics = dict[str, float | None]
 
 
 @dataclass(kw_only=True, eq=False)
 class MetricSums:
-    """One block of metrics in the making."""
+    """Sums from which one block of metrics is computed."""
 
     bearings: Floats
     """(n_rays,) [rad]"""
     point: Point | None
-    """For all numbers; None: to each its own of POINT_OF."""
+    """Point value for all metrics; None: the default of each in POINT_OF."""
     sigma: float
-    """[m] of the sensor."""
+    """[m] Noise of the sensor."""
     total: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     """Sums over the rays, by name."""
     chamfer: list[float] = field(default_factory=list)
     f_score: list[float] = field(default_factory=list)
-    """Of each scan with a scored ray."""
+    """One value for each scan with a scored ray."""
 
     def add(self, measured: Floats, prediction: Prediction, scored: Bools, valid: Bools) -> None:
-        """Add scans (n_scans, n_rays) [m]; `scored` and `valid` say which rays count."""
-        nothing, said = np.isposinf(measured) & valid, np.isposinf(prediction.ranges) & valid
+        """Add scans (n_scans, n_rays) [m]; `scored` and `valid` are masks of the rays that count."""
+        missing, predicted = np.isposinf(measured) & valid, np.isposinf(prediction.ranges) & valid
         add = self.total
-        add["nothing"] += int(nothing.sum())
-        add["said"] += int(said.sum())
-        add["both"] += int((nothing & said).sum())
+        add["no_return_measured"] += int(missing.sum())
+        add["no_return_predicted"] += int(predicted.sum())
+        add["no_return_both"] += int((missing & predicted).sum())
         if not scored.any():
             return
         truth = measured[scored]
@@ -77,7 +77,7 @@ class MetricSums:
         self._add_shape(measured, prediction.point(self.point or POINT_OF["chamfer_m"]), scored)
 
     def _add_correlation(self, a: Floats, b: Floats) -> None:
-        """Merge means and co-moments (Chan, Golub and LeVeque 1979), so that nothing cancels."""
+        """Merge means and co-moments (Chan, Golub and LeVeque 1979), which avoids cancellation."""
         add, n = self.total, len(a)
         before = add["pairs"]
         mean_a, mean_b = float(a.mean()), float(b.mean())
@@ -93,8 +93,8 @@ class MetricSums:
     def _add_shape(self, measured: Floats, value: Floats, scored: Bools) -> None:
         """Compare the end points of each scan in the plane.
 
-        Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and
-        back; the f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
+        Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and predicted to
+        measured. The f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
         """
         order = np.argsort(self.bearings % (2 * np.pi))
         chamfer, f_score = np.empty(len(measured)), np.empty(len(measured))
@@ -112,16 +112,20 @@ class MetricSums:
         self.f_score += f_score[counted].tolist()
 
     def metrics(self, errors: Floats) -> Metrics:
-        """Return the block.
+        """Compute the metrics of the block.
 
         Parameters
         ----------
-        errors : (n,) [m] absolute errors of all scored rays, by the point value of `median_m`; put into another order
+        errors : (n,) [m] Absolute errors of all scored rays, by the point value of `median_m`; reordered in place.
         """
         total = self.total
         out: Metrics = dict.fromkeys((*POINT_OF, "no_return_recall", "no_return_precision"))
-        out["no_return_recall"] = total["both"] / total["nothing"] if total["nothing"] else None
-        out["no_return_precision"] = total["both"] / total["said"] if total["said"] else None
+        out["no_return_recall"] = (
+            total["no_return_both"] / total["no_return_measured"] if total["no_return_measured"] else None
+        )
+        out["no_return_precision"] = (
+            total["no_return_both"] / total["no_return_predicted"] if total["no_return_predicted"] else None
+        )
         out["within_3sigma_said"] = None
         n = total["n"]
         if not n:
@@ -147,7 +151,7 @@ class MetricSums:
 def _compare_end_points(
     measured: Any, value: Any, scored: Any, bearings: Any, match: float, chamfer: Any, f_score: Any
 ) -> None:
-    """Fill chamfer and f-score (n_scans,) of scans whose rays are in the order of their bearings."""
+    """Fill chamfer and f-score (n_scans,) of scans whose rays are sorted by bearing."""
     for i in range(len(measured)):
         n = 0
         total, recall, precision = 0.0, 0.0, 0.0
@@ -166,42 +170,44 @@ def _compare_end_points(
 
 @inner_kernel
 def _nearest(r: Any, j: Any, others: Any, scored: Any, bearings: Any) -> Any:
-    """Return how far the end point at range r of ray j is from the nearest one of other ranges.
+    """Return the distance of the end point at range r of ray j to the nearest end point among `others`.
 
-    A ray at an angle from it passes at r sin(angle), or at r beyond a right angle: neighbours are tried outwards, both
-    ways, until even their rays pass farther away than what is found.
+    A ray at `angle` from ray j passes the end point at a distance r sin(angle), or r beyond a right angle. Neighbours
+    are tried outwards on both sides until even their rays pass farther away than the nearest end point so far.
     """
-    n, found = len(bearings), abs(others[j] - r)
-    for way in (-1, 1):
+    n, nearest = len(bearings), abs(others[j] - r)
+    for sign in (-1, 1):
         for step in range(1, n):
-            k = (j + way * step) % n
-            angle = (way * (bearings[k] - bearings[j])) % (2 * math.pi)
-            if angle > math.pi or r * math.sin(min(angle, math.pi / 2)) >= found:
+            k = (j + sign * step) % n
+            angle = (sign * (bearings[k] - bearings[j])) % (2 * math.pi)
+            if angle > math.pi or r * math.sin(min(angle, math.pi / 2)) >= nearest:
                 break
             if scored[k]:
-                side = others[k]
-                found = min(found, math.sqrt((r - side) ** 2 + 4 * r * side * math.sin(angle / 2) ** 2))
-    return found
+                other = others[k]
+                nearest = min(nearest, math.sqrt((r - other) ** 2 + 4 * r * other * math.sin(angle / 2) ** 2))
+    return nearest
 
 
 @dataclass(kw_only=True, eq=False)
 class Reliability:
-    """Said and seen chance of being off, in bins of the said one."""
+    """Predicted and observed probability of being off, in bins of the predicted one."""
 
     sums: Floats = field(default_factory=lambda: np.zeros((3, len(RELIABILITY_EDGES) - 1)))
-    """Said chances, rays that were off, and rays."""
+    """Rows: sum of predicted probabilities, number of rays that were off, number of rays."""
 
-    def add(self, said: Floats, wrong: Bools) -> None:
+    def add(self, predicted: Floats, wrong: Bools) -> None:
         """Add rays (n,)."""
         last = len(RELIABILITY_EDGES) - 2
-        place = np.clip(np.searchsorted(RELIABILITY_EDGES, said, side="right") - 1, 0, last)
-        for row, weights in zip(self.sums, (said, wrong.astype(np.float64), np.ones(len(said))), strict=True):
+        place = np.clip(np.searchsorted(RELIABILITY_EDGES, predicted, side="right") - 1, 0, last)
+        for row, weights in zip(
+            self.sums, (predicted, wrong.astype(np.float64), np.ones(len(predicted))), strict=True
+        ):
             row += np.bincount(place, weights, minlength=last + 1)
 
     def rows(self) -> list[dict[str, float]]:
-        """Return {said, seen, n} of every bin that holds a ray."""
+        """Return {said, seen, n} of every bin that holds a ray: predicted, observed, number of rays."""
         return [
-            {"said": float(said / n), "seen": float(wrong / n), "n": int(n)}
-            for said, wrong, n in self.sums.T.tolist()
+            {"said": float(predicted / n), "seen": float(wrong / n), "n": int(n)}
+            for predicted, wrong, n in self.sums.T.tolist()
             if n
         ]

@@ -1,4 +1,4 @@
-"""The ray caster as a model of perception: what it predicts for a run, as mapped and amended by effects."""
+"""The ray caster as a baseline: its prediction of a run, with the arena as mapped and with amending effects."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def compare(
     point: Point | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Metrics]:
-    """Score the ray caster on the very rays that a graph was scored on: `nominal` as mapped, and `amended`.
+    """Score the ray caster on the rays that a graph was scored on: `nominal` as mapped, and `amended` by effects.
 
     Parameters
     ----------
-    sensor : what robot.yaml says of the sensor that recorded the run
-    effects : those of the scan channel count; odometry and drive have no part in it
+    sensor : Sensor of the run as specified in robot.yaml.
+    effects : Only effects of the scan channel are used; those of odometry and drive are ignored.
     """
     described = with_rays_like(sensor, run.sensor.bearings)
     if described is None:
@@ -68,7 +68,7 @@ def predict(
     *,
     progress: Progress | None = None,
 ) -> Prediction:
-    """Predict some scans (n,) of a run from its reference poses; people are a chance of short readings."""
+    """Predict some scans (n,) of a run from its reference poses; people are modelled as a chance of short readings."""
     motion = motion_of(run) if sensor.has_ray_delays else _motion_of_scans(run)
     if run.pose_frame == "laser":
         sensor = replace(sensor, mount=np.zeros(3))
@@ -90,7 +90,7 @@ def predict(
 
 
 def _motion_of_scans(run: Run) -> Motion:
-    """Return the motion through the poses at the stamps of the scans."""
+    """Return the motion through the reference poses at the stamps of the scans."""
     pairing = pair(run)
     poses = pairing.poses[pairing.paired]
     return Motion(
@@ -99,14 +99,14 @@ def _motion_of_scans(run: Run) -> Motion:
 
 
 def _prediction_of(scene: Scene) -> Prediction:
-    """Put what a scene expects into the words of a prediction."""
+    """Convert what a scene expects to a prediction."""
     beams, sensor = scene.beams, scene.sensor
     shape = beams.reading.shape
     sigma = np.broadcast_to(np.maximum(beams.sigma, 1e-6), shape)
     beyond = np.where(np.isfinite(beams.reading), fade(beams.reading - sensor.range_max, sigma), 1.0)
     p_no_return = 1 - (1 - beyond) * beams.p_return
     value = np.minimum(beams.reading, sensor.range_max)
-    stray = 1 - (1 - scene.shorts) * (1 - scene.outliers)
+    p_outlier = 1 - (1 - scene.shorts) * (1 - scene.outliers)
     return Prediction(
         ranges=np.where(p_no_return > 0.5, np.inf, value),
         median=value,
@@ -114,6 +114,6 @@ def _prediction_of(scene: Scene) -> Prediction:
         mean=value,
         sigma=sigma,
         p_no_return=p_no_return,
-        p_off=stray + (1 - stray) * 2 * ndtr(-OFF_DISTANCE / sigma),
+        p_off=p_outlier + (1 - p_outlier) * 2 * ndtr(-OFF_DISTANCE / sigma),
         answered=np.ones(shape, dtype=np.bool_),
     )
