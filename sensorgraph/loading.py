@@ -110,7 +110,7 @@ def read_plan_report(path: Path) -> dict[str, Any]:
 
 
 def arena_in(run: Run) -> Arena | None:
-    """Return the arena attached to a run; None if there is none.
+    """Return the arena kept in a run as an attachment; None if it has no such attachment.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def arena_in(run: Run) -> Arena | None:
 
 
 def robot_in(run: Run) -> Robot | None:
-    """Return the robot attached to a run; None if there is none."""
+    """Return the robot kept in a run as an attachment; None if it has no such attachment."""
     text = run.attachments.get("robot.yaml")
     if text is None:
         return None

@@ -153,7 +153,7 @@ def test_graph_keeps_its_memory_in_the_file(tmp_path: Path) -> None:
     assert again.memory is not None
     for name, array in fitted.memory.arrays().items():
         assert np.array_equal(array, again.memory.arrays()[name])
-    assert "belong to places" in fitted.facts()["memory"]
+    assert "places keep" in fitted.facts()["memory"]
 
 
 def test_too_few_readings_have_no_memory() -> None:

@@ -14,4 +14,4 @@ MODELS: dict[str, type[Model]] = {
     "polynomial": Polynomial,
     "narmax": RayNarmax,
 }
-"""Name -> class with `fit`, `predict`, `state`, `restore`."""
+"""Name -> class with `fit`, `predict`, `state` and `restore`."""

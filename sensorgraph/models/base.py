@@ -1,4 +1,4 @@
-"""What every model of perception takes and gives: Scans in, Prediction out."""
+"""Interface of every model of perception: training scans in, `Prediction` out."""
 
 from __future__ import annotations
 
@@ -17,45 +17,45 @@ from sensorgraph.types import Bools, Floats, Ints, Progress
 Point = Literal["mode", "median", "mean"]
 POINTS: tuple[str, ...] = get_args(Point)
 OFF_DISTANCE = 0.05
-"""[m] farther from the measured range than this, a prediction shows another surface: it is wrong."""
+"""[m] A prediction that differs from the measured range by more shows another surface and counts as wrong."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingScans:
-    """Scans with poses, from one or several runs, in the order of the log."""
+    """Scans with poses from one or several runs, in the order of the log."""
 
     sensor: RangeSensor
     poses: Floats
     """(n_scans, 3) [m, m, rad] finite."""
     ranges: Floats
-    """(n_scans, n_rays) [m]; +inf nothing seen, -inf too close, nan broken."""
+    """(n_scans, n_rays) [m]; +inf: no return, -inf: closer than range_min, nan: broken reading."""
     run: Ints
-    """(n_scans,) which run a scan comes from; neighbours in time stand beside each other."""
+    """(n_scans,) index of each scan's run; scans of a run are consecutive and in the order of time."""
     bounds: tuple[float, float, float, float] | None = None
-    """(x_min, y_min, x_max, y_max) [m] of the arena, if it is known."""
+    """(x_min, y_min, x_max, y_max) [m] of the arena, if known."""
     pose_frame: PoseFrame = "base_link"
-    """Whose poses these are; base_link carries the laser at `sensor.mount`."""
+    """Frame of the poses; base_link carries the laser at `sensor.mount`."""
     ray_poses: Floats | None = None
-    """(n_scans, n_rays, 3) [m, m, rad] where each ray of a sweep was taken; None: all rays of a scan at `poses`."""
+    """(n_scans, n_rays, 3) [m, m, rad] pose at the time of each ray of a sweep; None: all rays of a scan at `poses`."""
     stamps: Floats | None = None
-    """(n_scans,) [s] of each run; None: not known."""
+    """(n_scans,) [s] stamps within each run; None: unknown."""
     sequence: Ints | None = None
-    """(n_scans,) stretch without a gap, a scan left out or a pose missing that a scan is of, counted in each run."""
+    """(n_scans,) number of each scan's stretch within its run; gaps, omitted scans and missing poses end a stretch."""
 
     @property
     def laser_mount(self) -> Floats:
-        """(3,) [m, m, rad] laser in the frame of the poses."""
+        """(3,) [m, m, rad] pose of the laser in the frame of `poses`."""
         return np.zeros(3) if self.pose_frame == "laser" else self.sensor.mount
 
     @property
     def poses_of_rays(self) -> Floats:
-        """(n_scans, n_rays, 3) where each ray was taken, whether the laser sweeps or not."""
+        """(n_scans, n_rays, 3) pose at the time of each ray, for a sweeping laser or not."""
         if self.ray_poses is not None:
             return self.ray_poses
         return np.broadcast_to(self.poses[:, None], (*self.ranges.shape, 3))
 
     def part(self, index: slice) -> TrainingScans:
-        """Return some of the scans."""
+        """Return the scans of a slice."""
         return replace(
             self,
             poses=self.poses[index],
@@ -71,27 +71,27 @@ class TrainingScans:
 
 
 SAVED_ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
-"""Of a prediction, in its file."""
+"""Arrays of a prediction that its file holds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """What the sensor should see; every array is (n_poses, n_rays), lengths in m."""
+    """Predicted readings; every array is (n_poses, n_rays), lengths in m."""
 
     ranges: Floats
-    """The chosen point value; +inf where no return is the likelier outcome."""
+    """The chosen point value; +inf where no return is more probable than a return."""
     median: Floats
-    """Of the mixture given a return; so are mode and mean."""
+    """Median of the mixture given a return; `mode` and `mean` likewise."""
     mode: Floats
     mean: Floats
     sigma: Floats
-    """Standard deviation given a return, sensor noise included."""
+    """Standard deviation given a return, including the sensor noise."""
     p_no_return: Floats
-    """Chance that nothing is seen out to range_max."""
+    """Probability of no return up to range_max."""
     p_off: Floats
-    """Said chance that a measured return is more than `OFF_DISTANCE` from the chosen point value."""
+    """Predicted probability that a measured return differs from the point value by more than `OFF_DISTANCE`."""
     answered: Bools
-    """The training data support this answer."""
+    """Whether the training data support the prediction."""
 
     def __post_init__(self) -> None:
         shapes = {name: np.shape(getattr(self, name)) for name in self.__dataclass_fields__}
@@ -100,7 +100,7 @@ class Prediction:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self], *, axis: int = 0) -> Self:
-        """Put predictions one after the other: of poses (`axis` 0), or of rays (1)."""
+        """Concatenate predictions along the poses (`axis` 0) or the rays (`axis` 1)."""
         names = cls.__dataclass_fields__
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names})
 
@@ -109,17 +109,17 @@ class Prediction:
 
         Raises
         ------
-        OSError : the file cannot be written
+        OSError : The file cannot be written.
         """
         with atomic_file(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(self, name) for name in SAVED_ARRAYS})
 
     def point(self, name: Point) -> Floats:
-        """Return one point value given a return.
+        """Return a point value of the range given a return.
 
         Raises
         ------
-        ValueError : there is no such point value
+        ValueError : The point value does not exist.
         """
         if name not in POINTS:
             raise ValueError(f"point is {name!r}, expected one of {', '.join(POINTS)}")
@@ -127,13 +127,13 @@ class Prediction:
 
 
 class Model(Protocol):
-    """A fitted model; `restore(*model.state())` gives it back."""
+    """A fitted model; `restore(*model.state())` recreates it."""
 
     name: ClassVar[str]
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Identify the model from scans."""
+        """Identify the model from training scans."""
         ...
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
@@ -141,20 +141,20 @@ class Model(Protocol):
         ...
 
     def equation(self, ray: int) -> str:
-        """Print what the model says of one ray, with its numbers."""
+        """Return the model of one ray as text, with its numbers."""
         ...
 
     def summary(self) -> Mapping[str, str]:
-        """Return what a reader wants to know first, label -> text."""
+        """Return the main facts as label -> text."""
         ...
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return plain data and arrays that hold the whole model."""
+        """Return plain data and arrays that describe the whole model."""
         ...
 
     @classmethod
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave; a wrong shape is a ValueError."""
+        """Recreate the model from the output of `state`; a wrong shape raises a ValueError."""
         ...

@@ -1,7 +1,7 @@
-"""What a ray may hit: a mixture of Gaussian candidates and the chance of no return, summarised as `Prediction` asks.
+"""Mixture model of one ray: p(z) = sum_i w_i N(z; r_i, s_i²), and no return with probability 1 - sum_i w_i.
 
-Where candidates come from is the models' business; here n of them, sorted by range r [m], carry weights w and
-standard deviations s [m], and `leftover` is the chance that none of them stops the ray: sum(w) + leftover = 1.
+A model supplies n candidates sorted by range r [m], with weights w and standard deviations s [m]. `leftover` is the
+probability that none of them stops the ray: sum(w) + leftover = 1. `summarise` computes the fields of `Prediction`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ MODE_WINDOW, CLEAR_SHARE, TAIL = MIXTURE.mode_window, MIXTURE.clear_share, MIXTU
 BRACKET, MAX_STEPS, MIN_STEP = MIXTURE.bracket_sigmas, MIXTURE.max_steps, MIXTURE.min_step
 MIN_WEIGHT = MIXTURE.min_weight
 SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
-"""The square root of 1/2, and the standard normal density at 0."""
+"""sqrt(1/2), and the standard normal density at 0."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
-"""Columns that `summarise` gives."""
+"""Columns of the table that `summarise` fills."""
 
 
 @inner_kernel
 def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
-    """Return the weight of candidates first ... last - 1 that falls below x [m], Gaussian tails counted."""
+    """Return sum_i w_i Φ((x - r_i) / s_i) over candidates first ... last - 1: their weight below x [m]."""
     total = 0.0
     for i in range(first, last):
         z = (x - r[i]) / s[i]
@@ -42,7 +42,10 @@ def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: in
 
 @inner_kernel
 def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
-    """Return the median [m] of candidates first ... last - 1 as a mixture of Gaussians."""
+    """Solve sum_i w_i Φ((x - r_i) / s_i) = ½ sum_i w_i for the median x [m] of candidates first ... last - 1.
+
+    Newton's method, with bisection of a bracket where a step leaves it.
+    """
     total = 0.0
     heaviest = first
     for i in range(first, last):
@@ -61,7 +64,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
     for i in range(k + 1, last):
         widest = max(widest, s[i])
     low, high, x = r[k] - BRACKET * widest, r[k] + BRACKET * widest, r[k]
-    for _ in range(MAX_STEPS):  # Newton's, halving the bracket where they leave it
+    for _ in range(MAX_STEPS):
         over, slope = -0.5 * total, 0.0
         for i in range(first, last):
             z = (x - r[i]) / s[i]
@@ -86,7 +89,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
 
 @inner_kernel
 def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
-    """Return first and last (excluded) of the heaviest run of candidates within `MODE_WINDOW` sigma of its first."""
+    """Return first and last (excluded) of the heaviest group of candidates within `MODE_WINDOW` sigma of its first."""
     best, first, last = -1.0, 0, n
     for i in range(n):
         total = 0.0
@@ -103,18 +106,24 @@ def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
 def summarise(
     r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Summarise one ray.
+    """Summarise the mixture of one ray, with W = sum_i w_i and F(x) = sum_i w_i Φ((x - r_i) / s_i).
+
+    Mean: mean = sum_i w_i r_i / W.
+    Variance: sigma² = sum_i w_i ((r_i - mean)² + s_i²) / W.
+    Median: F(median) = W / 2. Mode: the median of the heaviest group of candidates (`densest`).
+    Probability of being off: p_off = 1 - (F(point + d) - F(point - d)) / W with d = `OFF_DISTANCE`.
 
     Parameters
     ----------
-    r, w, s : (n or more,) range [m], weight, sigma [m] > 0 of the candidates, sorted by r; the first n count
-    leftover : chance that nothing is seen out to range_max
-    farthest : [m] what is said of a return where no candidate has weight
-    which : place in `POINTS` of the point value that the chance of being off belongs to
+    r, w, s : (n or more,) Range [m], weight and standard deviation [m] > 0 of the candidates, sorted by r.
+    n : Number of candidates; later entries are ignored.
+    leftover : Probability of no return up to range_max.
+    farthest : [m] Point value of a ray whose candidates have no weight.
+    which : Index in `POINTS` of the point value that p_off refers to.
 
     Returns
     -------
-    median, mode, mean, sigma [m] given a return, chance of no return, chance that a return is off
+    median, mode, mean, sigma [m] given a return, probability of no return, p_off
     """
     total = 0.0
     mean = 0.0
@@ -141,7 +150,7 @@ def summarise(
 def summarise_plain(
     r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Do what `summarise` does, in numpy: the definition that the kernel is held against."""
+    """Compute `summarise` in numpy: the reference implementation that tests compare the kernel with."""
     r, w, s = r[:n], w[:n], s[:n]
     total = float(w.sum())
     if total <= MIN_WEIGHT:
@@ -165,7 +174,7 @@ def _median_plain(r: Floats, w: Floats, s: Floats) -> float:
 
 
 def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> Prediction:
-    """Name the columns of (n_poses, n_rays, 6) summaries; `table` was made with `which_of(point)`."""
+    """Convert summaries (n_poses, n_rays, 6) to a prediction; `table` was made with `which_of(point)`."""
     values = {"median": table[..., MEDIAN], "mode": table[..., MODE], "mean": table[..., MEAN]}
     none = table[..., NO_RETURN]
     return Prediction(
@@ -179,5 +188,5 @@ def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> 
 
 
 def which_of(point: Point) -> int:
-    """Return the number of a point value for `summarise`."""
+    """Return the index of a point value, as `summarise` takes it."""
     return POINTS.index(point)

@@ -1,7 +1,10 @@
-"""Numbers that belong to places: what is drawn for a ray is kept by the squares that it ends in, each for its lifetime.
+"""Random numbers that belong to places: each square of a grid keeps its number for a lifetime.
 
-Nothing is stored: a number is a hash of the seed, the square, the direction it is seen from and the interval of time
-(splitmix64, Steele, Lea and Flood 2014), so it does not hang on who drives, and when it comes by.
+Uniform number: u = u_sm with probability events[s, m], otherwise u_fresh.
+Normal number: z = sqrt(1 - sum_sm noise[s, m]) z_fresh + sum_sm sqrt(noise[s, m]) z_sm.
+Here u_sm and z_sm belong to the square of size s that the ray ends in, for the current interval of lifetime m.
+Nothing is stored: u_sm and z_sm are hashes of the seed, the square, the viewing direction and the interval of time
+(splitmix64, Steele, Lea and Flood 2014). They do not depend on the robot or on when it passes.
 """
 
 from __future__ import annotations
@@ -15,14 +18,14 @@ from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 
 SECTORS = 8
-"""Directions that a place is seen from; what is in front of it from one says little of another."""
+"""Number of viewing directions of a place; surfaces seen from different directions are independent."""
 TURN = 1.0
-"""[rad] of the squares to the map, so that no wall of a building lies along the border of squares."""
+"""[rad] Angle of the grid in the map, so that walls do not coincide with borders of squares."""
 _UNIT = 1.0 / 2.0**53
 
 
 def squares(places: Floats, size: float) -> Ints:
-    """Return column, row and sector (..., 3) of places (..., 3) [m, m, rad] among squares of a side [m]."""
+    """Return column, row and sector (..., 3) of places (..., 3) [m, m, rad] in a grid of squares of side `size` [m]."""
     cos, sin = math.cos(TURN), math.sin(TURN)
     x, y, angle = np.moveaxis(places, -1, 0)
     sector = np.floor(angle / (2 * np.pi) * SECTORS) % SECTORS
@@ -31,12 +34,12 @@ def squares(places: Floats, size: float) -> Ints:
 
 
 def places_of(starts: Floats, bearings: Floats, mode: Floats, range_max: float) -> Floats:
-    """Return where rays are predicted to end, and their directions (n, n_rays, 3) [m, m, rad].
+    """Return the predicted end points of rays and their directions (n, n_rays, 3) [m, m, rad].
 
     Parameters
     ----------
-    starts : (n, 3) or (n, n_rays, 3) [m, m, rad] of the laser
-    mode : (n, n_rays) [m]; a ray without a surface ends at `range_max`
+    starts : (n, 3) or (n, n_rays, 3) [m, m, rad] Poses of the laser.
+    mode : (n, n_rays) [m] Predicted ranges; a ray without a surface ends at `range_max`.
     """
     starts = starts[:, None] if starts.ndim == 2 else starts
     angle = starts[..., 2] + bearings
@@ -55,10 +58,10 @@ def numbers_at(
 
     Parameters
     ----------
-    time : [s] of the scan
-    places : (n_rays, 3) of `places_of`
-    fresh : a uniform and a normal number of each ray's own (n_rays,)
-    table : sizes [m], lifetimes [s], and the shares of events and of noise that squares keep
+    time : [s] Time of the scan.
+    places : (n_rays, 3) Places as `places_of` returns them.
+    fresh : Independent uniform and normal numbers (n_rays,) of the rays.
+    table : Sizes [m], lifetimes [s], and the shares of events and noise that squares keep.
     """
     sizes, lifetimes, events, noise = table
     keys = np.stack([squares(places, size) for size in sizes.tolist()])
@@ -68,7 +71,7 @@ def numbers_at(
 
 
 @kernel
-def _mixed(z: Any) -> Any:
+def _splitmix64(z: Any) -> Any:
     z = z + np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -76,42 +79,42 @@ def _mixed(z: Any) -> Any:
 
 
 @kernel
-def _unit(z: Any) -> Any:
+def _uniform(z: Any) -> Any:
     return (float(z >> np.uint64(11)) + 0.5) * _UNIT
 
 
 @kernel
-def _of_interval(key: Any, time: Any, lifetimes: Any, m: Any) -> Any:
-    """Return the hash of a square's interval of its m-th lifetime; the last is for ever."""
-    own = _mixed(key ^ np.uint64(m + 1))
+def _interval_hash(key: Any, time: Any, lifetimes: Any, m: Any) -> Any:
+    """Return the hash of a square for its interval of the m-th lifetime; the last lifetime is unlimited."""
+    own = _splitmix64(key ^ np.uint64(m + 1))
     if m == len(lifetimes):
         return own
-    return _mixed(own ^ np.uint64(np.int64(math.floor(time / lifetimes[m] + _unit(own)))))
+    return _splitmix64(own ^ np.uint64(np.int64(math.floor(time / lifetimes[m] + _uniform(own)))))
 
 
 @kernel
 def _draw(
     seed: Any, time: Any, squares: Any, lifetimes: Any, events: Any, noise: Any, uniform: Any, normal: Any
 ) -> Any:
-    """Replace the fresh numbers (n_rays,) by those that squares (n_sizes, n_rays, 3) keep, in their shares."""
+    """Replace the fresh numbers (n_rays,) by the mixture that the module's equations define."""
     n_sizes, n_lifetimes = events.shape
     own = math.sqrt(max(1.0 - noise.sum(), 0.0))
     for i in range(len(uniform)):
         left, is_kept = 1.0, False
         z = own * normal[i]
-        for s in range(n_sizes - 1, -1, -1):  # the large squares hold the small ones
-            key = _mixed(seed ^ np.uint64(s + 1))
+        for s in range(n_sizes - 1, -1, -1):  # from large to small squares
+            key = _splitmix64(seed ^ np.uint64(s + 1))
             for part in range(3):
-                key = _mixed(key ^ np.uint64(squares[s, i, part]))
-            choice, above = left * _unit(_mixed(key)), 0.0
+                key = _splitmix64(key ^ np.uint64(squares[s, i, part]))
+            choice, above = left * _uniform(_splitmix64(key)), 0.0
             for m in range(n_lifetimes):
                 above += events[s, m]
                 if not is_kept and choice < above:
-                    uniform[i] = _unit(_of_interval(key ^ np.uint64(1 << 32), time, lifetimes, m))
+                    uniform[i] = _uniform(_interval_hash(key ^ np.uint64(1 << 32), time, lifetimes, m))
                     is_kept = True
                 if noise[s, m] > 0:
-                    h = _of_interval(key ^ np.uint64(1 << 33), time, lifetimes, m)
-                    size = math.sqrt(-2.0 * noise[s, m] * math.log(_unit(h)))
-                    z += size * math.cos(2.0 * math.pi * _unit(_mixed(h)))
+                    h = _interval_hash(key ^ np.uint64(1 << 33), time, lifetimes, m)
+                    size = math.sqrt(-2.0 * noise[s, m] * math.log(_uniform(h)))
+                    z += size * math.cos(2.0 * math.pi * _uniform(_splitmix64(h)))
             left -= above
         normal[i] = z

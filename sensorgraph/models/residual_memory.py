@@ -1,7 +1,8 @@
-"""What a model leaves has a memory: a wall that is mapped 2 cm off stays so, and neighbours that look at it err together.
+"""Correlation of a model's residuals between places and times.
 
-The chances of a single reading stay those of the model; only their dependence is described here, as a function of the
-place that a ray is predicted to end at: squares of several sizes keep, for several lifetimes, what is drawn for them.
+A wall mapped 2 cm off stays off, and rays that end near each other err together. The marginal distribution of a
+reading remains that of the model. This module adds the dependence between readings: squares of several sizes around
+the predicted end points keep their random numbers for several lifetimes (`place_noise`).
 """
 
 from __future__ import annotations
@@ -21,37 +22,37 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class MemorySettings:
-    """What is taken for memory."""
+    """Settings of the residual memory: grids, pairs of readings and limits."""
 
     sizes: tuple[float, ...] = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-    """[m] sides of the squares, from the noise of a range to a piece of furniture; each twice the one before."""
+    """[m] Sides of the squares, from range noise to a piece of furniture; each twice the one before."""
     lifetimes: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
-    """[s] that a square keeps what it has, one a decade; one more keeps it for ever."""
+    """[s] Lifetimes of the squares' numbers, one per decade; an unlimited lifetime is added."""
     gaps: tuple[float, ...] = (0.01, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-    """[s] borders of the classes in which pairs of readings are counted; below the first they are of one scan. Sizes are
-    the borders of distance."""
+    """[s] Class limits of the time between the readings of a pair; the first class holds pairs of one scan.
+    `sizes` are the class limits of distance."""
     scan_lags: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
-    """Scans between the two readings of one ray that make a pair ..."""
+    """Numbers of scans between two readings of one ray that form a pair."""
     ray_lags: tuple[int, ...] = (1, 2)
-    """... or rays between two of one scan."""
+    """Numbers of rays between two readings of one scan that form a pair."""
     strides: tuple[int, ...] = (21, 55, 144, 377, 987, 2584)
-    """Readings of the same largest square, in order of time, between the two of a pair when a place is seen again ..."""
-    again: float = 30.0
-    """[s] ... after this long."""
+    """Numbers of readings between the two of a pair, among the readings of one largest square in order of time."""
+    revisit_time: float = 30.0
+    """[s] Minimum time between the readings of such a pair, so that the place is seen again."""
     max_pairs: int = 200_000
-    """Of each kind."""
+    """Maximum number of pairs of each kind."""
     min_pairs: float = 1000.0
-    """Without correlation, which each share must outvote: what few pairs tell is chance."""
+    """Number of uncorrelated pairs added as a prior on each share; it suppresses chance correlations of few pairs."""
     min_readings: int = 2000
-    """That a memory is told from."""
+    """Minimum number of readings from which a memory is identified."""
     max_readings: int = 2_000_000
-    """That are looked at: the first ones."""
+    """Maximum number of readings used, from the start of the log."""
     max_scans: int = 10_000
-    """Alike."""
-    largest: float = 0.98
-    """Share of a reading that is kept in all."""
-    least: float = 1e-3
-    """[m, s] side or lifetime that a file may hold."""
+    """Maximum number of scans used, from the start of the log."""
+    max_total_share: float = 0.98
+    """Upper limit of the sum of all shares."""
+    min_stored: float = 1e-3
+    """[m, s] Smallest size or lifetime accepted from a file."""
 
 
 MEMORY = MemorySettings()
@@ -59,16 +60,16 @@ MEMORY = MemorySettings()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualMemory:
-    """How the residuals of rays that end near each other depend on each other, in one scan and later."""
+    """Dependence between the residuals of rays that end near each other, within a scan and over time."""
 
     sizes: Floats
     """(n_sizes,) [m] sides of the squares, each twice the one before."""
     lifetimes: Floats
-    """(n_lifetimes,) [s]; one more, the last, is for ever."""
+    """(n_lifetimes,) [s] finite lifetimes; an unlimited one follows."""
     events: Floats
-    """(n_sizes, n_lifetimes + 1) chance that a reading takes what stops it, or does not, from such a square."""
+    """(n_sizes, n_lifetimes + 1) probability that such a square decides whether an event occurs."""
     noise: Floats
-    """(n_sizes, n_lifetimes + 1) share of the variance of a return that is such a square's."""
+    """(n_sizes, n_lifetimes + 1) share of the variance of a return that such a square contributes."""
 
     @classmethod
     def fit(cls, *, residual: Floats, chance: Floats, event: Floats, places: Floats, stamps: Floats) -> Self:
@@ -76,10 +77,10 @@ class ResidualMemory:
 
         Parameters
         ----------
-        residual : (n, n_rays) [m] measured - predicted of returns on the predicted surface; nan elsewhere
-        chance : (n, n_rays) said chance of an event
-        event : (n, n_rays) 1 where it came, 0 where not, nan where not known
-        places : (n, n_rays, 3) [m, m, rad] where each ray was predicted to end, and its direction (`places_of`)
+        residual : (n, n_rays) [m] measured - predicted of returns on the predicted surface; nan elsewhere.
+        chance : (n, n_rays) Predicted probability of an event: a reading that is not on the predicted surface.
+        event : (n, n_rays) 1 where an event occurred, 0 where not, nan where unknown.
+        places : (n, n_rays, 3) [m, m, rad] Predicted end points and directions of the rays (`places_of`).
         stamps : (n,) [s]
         """
         known = np.isfinite(residual)
@@ -91,7 +92,7 @@ class ResidualMemory:
         p, e, z = (values.ravel() for values in (chance, event, z))
 
         def of_events(a: Ints, b: Ints) -> tuple[Floats, Floats]:
-            """Where both take the same number, both events come with the smaller chance: min(p, q) - p q."""
+            """Return the products, and min(p, q) - p q: their expectation if both readings share a number."""
             return (e[a] - p[a]) * (e[b] - p[b]), np.minimum(p[a], p[b]) - p[a] * p[b]
 
         def of_noise(a: Ints, b: Ints) -> tuple[Floats, Floats]:
@@ -105,32 +106,32 @@ class ResidualMemory:
     def numbers(
         self, seed: int, time: float, places: Floats, uniform: Floats, normal: Floats
     ) -> tuple[Floats, Floats]:
-        """Return numbers with a memory from fresh ones of one scan, all (n_rays,).
+        """Return correlated numbers of one scan, computed from independent ones, all (n_rays,).
 
         Parameters
         ----------
-        seed : of the world; what places keep belongs to it, whoever drives
-        time : [s]
-        places : (n_rays, 3) as `fit` takes them
+        seed : Seed of the simulated world; the numbers of its places depend on nothing else.
+        time : [s] Time of the scan.
+        places : (n_rays, 3) Places as `fit` takes them.
         """
         table = self.sizes, self.lifetimes, self.events, self.noise
         return numbers_at(seed, time, places, (uniform, normal), table)
 
     def summary(self) -> str:
-        """Say it in one line."""
-        return f"{_in_words('events', self)}; {_in_words('noise', self)}"
+        """Return a one-line summary."""
+        return f"{_summary_of('events', self)}; {_summary_of('noise', self)}"
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a file."""
+        """Return the arrays that a file stores."""
         return {f"memory.{f.name}": getattr(self, f.name) for f in fields(self)}
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
-        """Return what `arrays` gave; None where there is none.
+        """Recreate the memory from the output of `arrays`; None if there is no memory.
 
         Raises
         ------
-        ValueError : an array has a wrong shape, or shares are no shares
+        ValueError : An array has a wrong shape, or a share is outside 0 to 1.
         """
         if "memory.events" not in arrays:
             return None
@@ -138,7 +139,7 @@ class ResidualMemory:
         shape = (found["sizes"].size, found["lifetimes"].size + 1)
         for name in ("sizes", "lifetimes"):
             check_shape(f"memory.{name}", found[name], (found[name].size,), "f")
-            check_range(f"memory.{name}", found[name], MEMORY.least)
+            check_range(f"memory.{name}", found[name], MEMORY.min_stored)
         for name in ("events", "noise"):
             check_shape(f"memory.{name}", found[name], shape, "f")
             check_range(f"memory.{name}", found[name], 0, 1)
@@ -157,31 +158,29 @@ def events_of(measured: Floats, mode: Floats, p_no_return: Floats, p_off: Floats
     }
 
 
-def _in_words(name: str, memory: ResidualMemory) -> str:
-    """Say how much of events or noise places keep, how long and how far."""
+def _summary_of(name: str, memory: ResidualMemory) -> str:
+    """Return the share of events or noise that belongs to places, in all, long-lasting and wide."""
     shares: Floats = getattr(memory, name)
     total = float(shares.sum())
     longer = float(shares[:, memory.lifetimes.searchsorted(10.0) :].sum())
     wider = float(shares[memory.sizes.searchsorted(0.4) :].sum())
-    return (
-        f"{total:.0%} of {name} belong to places: {longer:.0%} for 10 s or more, {wider:.0%} to 0.4 m or more"
-    )
+    return f"places keep {total:.0%} of {name}: {longer:.0%} for 10 s or more, {wider:.0%} over 0.4 m or more"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pairs:
-    """Pairs of readings, by their flat indices, that end near each other and look the same way."""
+    """Pairs of readings, by flat index, that end near each other and look in the same direction."""
 
     a: Ints
     b: Ints
     gap: Floats
-    """(n,) [s]"""
+    """(n,) [s] time between the readings."""
     distance: Floats
-    """(n,) [m]"""
+    """(n,) [m] distance between the end points."""
 
     @classmethod
     def of(cls, places: Floats, stamps: Floats, sizes: Floats, known: Bools) -> Self:
-        """Pair known readings (n_scans, n_rays): near in scan and ray, and of a place that is seen again."""
+        """Pair known readings (n_scans, n_rays): neighbours in scan or ray, and readings of places seen again."""
         where = places.reshape(-1, 3)
         key = _numbered(squares(where, sizes[-1]))
         time, good = np.repeat(stamps, known.shape[1]), known.ravel()
@@ -198,7 +197,7 @@ class _Pairs:
         for a, b, is_again in found:
             use = good[a] & good[b] & (sector[a] == sector[b])
             if is_again:
-                use &= (key[a] == key[b]) & (time[b] - time[a] > MEMORY.again)
+                use &= (key[a] == key[b]) & (time[b] - time[a] > MEMORY.revisit_time)
             some = np.flatnonzero(use)
             some = some[:: len(some) // MEMORY.max_pairs + 1]
             parts.append((a[some], b[some]))
@@ -210,11 +209,11 @@ class _Pairs:
     def shares(
         self, product: Callable[[Ints, Ints], tuple[Floats, Floats]], sizes: Floats, lifetimes: Floats
     ) -> Floats:
-        """Return which shares (n_sizes, n_lifetimes + 1), none below 0, explain products by places that keep numbers.
+        """Fit the shares c_sm >= 0 (n_sizes, n_lifetimes + 1) of squares to the products of pairs by least squares.
 
-        `product` gives the product of each pair, and what it would be if both took the same number. Two points lie in the
-        same square of side s with chance 1 - (4 - d/s) d/s / pi, d apart in any direction, for the same lifetime T with
-        1 - gap / T.
+        E[product] = full sum_sm c_sm P_s(d) max(1 - gap / T_m, 0), with P_s(d) = 1 - (4 - d/s) d / (pi s) for d < s.
+        P_s(d) is the probability that two points at a distance d in a random direction lie in the same square of side s.
+        `product` returns the product of each pair, and `full`: its expectation if both readings share a number.
         """
         found, full = product(self.a, self.b)
         known = np.isfinite(found)
@@ -233,22 +232,22 @@ class _Pairs:
             together = np.where(ratio < 1.0, full * (1.0 - (4.0 - ratio) * ratio / np.pi), 0.0)
             for lifetime in [*lifetimes.tolist(), np.inf]:
                 columns.append(summed(together * np.maximum(1.0 - gap / lifetime, 0.0)) * weight)
-        from scipy.optimize import nnls  # 0.2 s to import, for graphs with memory only
+        from scipy.optimize import nnls  # imported here, since it takes 0.2 s
 
-        doubt = np.sqrt(MEMORY.min_pairs * float(full.mean() if len(full) else 1.0)) * np.eye(len(columns))
-        rows = np.vstack([np.column_stack(columns), doubt])
+        ridge = np.sqrt(MEMORY.min_pairs * float(full.mean() if len(full) else 1.0)) * np.eye(len(columns))
+        rows = np.vstack([np.column_stack(columns), ridge])
         target = np.r_[summed(found) * weight, np.zeros(len(columns))]
         shares = np.asarray(nnls(rows, target)[0])
-        if shares.sum() > MEMORY.largest:  # found again, with a sum that is no more
+        if shares.sum() > MEMORY.max_total_share:  # solve again with the sum constrained
             heavy = 1e3 * float(np.linalg.norm(rows))
             rows = np.vstack([rows, np.full(len(columns), heavy)])
-            shares = np.asarray(nnls(rows, np.r_[target, heavy * MEMORY.largest])[0])
-            shares *= min(1.0, MEMORY.largest / float(shares.sum()))
+            shares = np.asarray(nnls(rows, np.r_[target, heavy * MEMORY.max_total_share])[0])
+            shares *= min(1.0, MEMORY.max_total_share / float(shares.sum()))
         return shares.reshape(len(sizes), -1)
 
 
 def _numbered(keys: Ints) -> Ints:
-    """Return numbers (n,) that are equal where the rows of keys (n, 3) are."""
+    """Return integers (n,) that are equal where the rows of keys (n, 3) are equal."""
     low = keys.min(axis=0, initial=0)
     spans = keys.max(axis=0, initial=0) - low + 1
     return np.asarray(

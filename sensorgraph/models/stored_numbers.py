@@ -1,4 +1,4 @@
-"""Check the numbers of a file before a model is made of them: one that is damaged, or made to do harm, may hold any."""
+"""Checks of the numbers of a file before a model is made of them; a damaged or malicious file may hold any number."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST = 1e24
-"""Of any number of a model: sums over a year of rays reach 1e20, and the products that predictions take stay finite."""
+"""Largest number of a model: sums over a year of rays reach 1e20, and products in predictions remain finite."""
 LARGEST_INTEGER = 1 << 60
-"""Of any whole number in an array: sums of a few stay within 64 bits."""
+"""Largest integer in an array, so that sums of a few fit into 64 bits."""
 
 
 def check_numbers(
     header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, may_be_nan: Collection[str] = ()
 ) -> None:
-    """Check that all is finite and of sensible size.
+    """Check that all numbers are finite and within `LARGEST`.
 
     Parameters
     ----------
-    may_be_nan : names of arrays in which nan and inf say that something is not known
+    may_be_nan : Names of arrays in which nan and inf mark unknown values.
 
     Raises
     ------
-    ValueError : a number is not finite or too large, or an array holds something else than numbers
+    ValueError : A number is not finite or too large, or an array does not hold numbers.
     """
     _check_plain("state", header)
     for name, array in arrays.items():
@@ -52,26 +52,26 @@ def _check_plain(name: str, value: object) -> None:
 
 
 def check_shape(name: str, array: NDArray[Any], shape: tuple[int, ...], kinds: str = "iuf") -> None:
-    """Check the shape of an array and what it holds.
+    """Check the shape and the kind of an array.
 
     Parameters
     ----------
-    kinds : numpy's letters for what it may hold: i and u whole numbers, f others
+    kinds : numpy's letters of the allowed kinds: i and u for integers, f for floating point.
 
     Raises
     ------
-    ValueError : it has another shape, or holds something else
+    ValueError : The array has another shape or kind.
     """
     if array.shape != shape or array.dtype.kind not in kinds:
         raise ValueError(f"{name} has shape {array.shape} of {array.dtype}, expected {shape} of {kinds}")
 
 
 def check_range(name: str, values: object, low: float, high: float = LARGEST) -> None:
-    """Check that a number, or all of an array, lies between two others, both included.
+    """Check that a number, or every entry of an array, is in [low, high].
 
     Raises
     ------
-    ValueError : one does not
+    ValueError : An entry is outside.
     """
     array = np.asarray(values)
     if array.size and not (array.min() >= low and array.max() <= high):
@@ -80,11 +80,11 @@ def check_range(name: str, values: object, low: float, high: float = LARGEST) ->
 
 
 def check_positive(name: str, value: float) -> None:
-    """Check that a number is above 0.
+    """Check that a number is positive.
 
     Raises
     ------
-    ValueError : it is not
+    ValueError : The number is not positive.
     """
     if not value > 0:
         raise ValueError(f"{name} is {value}, expected a positive number")
