@@ -1,1 +1,1 @@
-"""Identify the laser (mount, bias, scale, incidence) and the training poses together with the faces."""
+"""Joint identification of the laser (mount, bias, scale, incidence), the training poses and the faces."""

@@ -1,8 +1,8 @@
-"""Calibration: mount and ray terms of the laser, and better training poses, identified together with the faces.
+"""Calibration: mount and ray terms of the laser and refined training poses, identified together with the faces.
 
-A perfect laser fits its faces at once. One that is mounted elsewhere than stated, or whose rays have biases, bends
-walls and splits them: faces and sensor must be found in turns. From coarse to fine: faces from corrected ranges,
-one joint least squares (`adjustment`), poses (`poses_refined`), and the walls' common shift by occlusion edges (`gauge`).
+A wrong mount and biased rays bend and split the fitted walls, so faces and sensor are estimated in turn, from coarse
+to fine. Each round fits faces to corrected ranges, solves one joint least-squares problem (`normal_equations`),
+refines the poses (`pose_refinement`) and fixes the walls' common shift by occlusion edges (`gauge`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from sensorgraph.models.calibration.pose_refinement import (
     LaserPoses,
     RefinedPoses,
     compose_poses,
-    is_broken,
+    exceeds_max_noise,
     refine_poses,
 )
 from sensorgraph.models.calibration.ray_terms import RayTerms
@@ -55,25 +55,25 @@ from sensorgraph.work_counter import WorkCounter
 logger = logging.getLogger(__name__)
 
 COARSE_PASSES, ROUND_PASSES, REFINE_PASSES = 6, 12, 3
-"""Passes over the readings that a coarse round, a fine one and a refinement of the poses take, about; they only tell progress."""
+"""Approximate cost of a coarse round, a fine round and a pose refinement, in passes over the readings; for progress."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibratedFaces:
-    """Faces and the laser that saw them."""
+    """Faces and the identified laser."""
 
     fitted: FittedFaces
     calibration: Calibration
     rays: Rays
-    """With corrected origins, directions and ranges."""
+    """Rays with corrected origins, directions and ranges."""
     mount: Floats
-    """(3,) [m, m, rad] laser in the frame of the poses."""
+    """(3,) [m, m, rad] pose of the laser in the frame of the poses."""
 
 
 def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
-    """Tell which scan each ray of a sample comes from; return readings and their poses (n_poses, 3).
+    """Assign the rays of a sample to scans; return readings and their poses (n_poses, 3).
 
-    The poses are those of the scans, or of all rays where the laser sweeps. A slow sweep counts as several scans
+    There is one pose per scan, or one per ray for a sweeping laser. A slow sweep is divided into several scans
     (`PoseSettings.sweep_rate`).
     """
     new = np.ones(len(sample), dtype=np.bool_)
@@ -95,7 +95,7 @@ def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Float
 
 
 def observed_by(rays: Rays) -> ObservedSpace:
-    """Count the space that corrected rays went through."""
+    """Return the space that corrected rays crossed."""
     reach = np.minimum(rays.ranges, rays.range_max)
     return ObservedSpace.of(rays.origins, rays.directions, reach, returned=np.isfinite(rays.ranges))
 
@@ -108,7 +108,7 @@ def corrected_rays(
     faces: FaceSet,
     noise: ReturnNoise,
 ) -> Rays:
-    """Return the rays of a sample with the identified ray terms taken off; poses stay as logged."""
+    """Return the rays of a sample, corrected by the identified ray terms; poses stay as logged."""
     rays = sample.rays(sensor, mount)
     if calibration.terms.is_none:
         return rays
@@ -130,29 +130,31 @@ def calibrate_faces(
     calibrate: bool | None = None,
     progress: ProgressBars = no_progress,
 ) -> CalibratedFaces:
-    """Identify the laser that took a sample, and fit the faces again with it, where the evidence pays for it.
+    """Identify the laser of a sample and fit the faces again with it, if the evidence supports a calibration.
 
     Parameters
     ----------
-    mount : (3,) [m, m, rad] as stated
-    fitted : faces by the laser as stated
-    can_mount : the poses are of a base that carries the laser; False where they are the laser's own
-    calibrate : None: decide by evidence; True and False: always, never
+    mount : (3,) [m, m, rad] Specified mount.
+    fitted : Faces fitted with the laser as specified.
+    can_mount : Whether the poses are those of a base that carries the laser. False: they are the laser's own.
+    calibrate : None: decide by evidence. True or False: always or never.
     """
     readings, poses = readings_of(sample, sensor)
     work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
     work.weights = sample.weights
-    work.take(fitted)
+    work.set_faces(fitted)
     with progress("testing the laser", "%") as tick:
-        is_worth = calibrate is not False and work.is_worth(force=calibrate is True, tick=tick)
-    if is_worth:
+        should_calibrate = calibrate is not False and work.should_calibrate(
+            force=calibrate is True, tick=tick
+        )
+    if should_calibrate:
         with progress("calibrating the laser", "%") as tick:
             found = work.run(tick)
         if found.calibration.is_plausible and _log_likelihood_per_ray(found.fitted) > _log_likelihood_per_ray(
             fitted
         ):
             return found
-        logger.info("calibration is absurd or explains no more than none: left out")
+        logger.info("calibration rejected: it is implausible or does not raise the likelihood")
     return CalibratedFaces(
         fitted=fitted,
         calibration=Calibration.none(sensor.n_rays, can_mount=can_mount),
@@ -166,18 +168,18 @@ def _log_likelihood_per_ray(fitted: FittedFaces) -> float:
 
 
 class _JointCalibration:
-    """What is known so far: mount, poses, terms, faces and noise."""
+    """Current estimates of mount, poses, ray terms, faces and noise."""
 
     def __init__(self, readings: Readings, poses: Floats, mount: Floats, *, can_mount: bool) -> None:
         self.readings, self.can_mount = readings, can_mount
-        self.stated, self.mount = mount, mount.copy()
+        self.specified, self.mount = mount, mount.copy()
         self.n_scans = int(readings.scan.max(initial=-1)) + 1
         self.shifts = np.zeros((self.n_scans, 3))
         self._lasers = LaserPoses(poses, readings.pose, readings.scan)
         self.terms, self.mean_bias = RayTerms.none(len(readings.bearings)), 0.0
-        self.weights: Floats | None = None  # (n,) rays that each reading stands for; None: all the same
-        self.is_amiss = self.has_mount = False
-        self.own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
+        self.weights: Floats | None = None  # (n,) number of rays that each reading represents; None: 1
+        self.laser_differs = self.has_mount = False
+        self.has_own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
         self.offset_se = np.full(3, np.nan)
         self.gauge: Gauge | None = None
         self.pose_noise = self.pose_errors = (0.0, 0.0)
@@ -186,59 +188,59 @@ class _JointCalibration:
 
     @property
     def lasers(self) -> Floats:
-        """(n_poses, 3) by mount and refined poses."""
+        """(n_poses, 3) [m, m, rad] poses of the laser from the mount and the refined poses."""
         return self._lasers.at(self.mount, self.shifts)
 
     def rays(self, readings: Readings, ranges: Floats) -> Rays:
         origins, directions = directions_of(readings, self.lasers)
         return Rays(origins=origins, directions=directions, ranges=ranges, range_max=readings.range_max)
 
-    def take(self, fitted: FittedFaces, *, least: float = 0.0) -> None:
-        """Go on from new faces; returns may be off by `least` [m] or more."""
+    def set_faces(self, fitted: FittedFaces, *, least: float = 0.0) -> None:
+        """Use new faces; the range noise is at least `least` [m]."""
         self.faces = fitted.faces
         self.noise = replace(fitted.noise, sigma=max(fitted.noise.sigma, least))
 
     def match(self, readings: Readings | None = None) -> Matches:
-        """Match readings to faces; the mean incidence term follows."""
+        """Match readings to faces, and update the mean incidence term."""
         readings = self.readings if readings is None else readings
         found = match_readings(readings, self.lasers, self.terms, self.faces, self.noise, self.mean_bias)
         self.mean_bias = mean_incidence(found, self.terms)
         return found
 
-    def is_worth(self, *, force: bool, tick: Progress) -> bool:
-        """Test whether ray terms or refined poses pay on faces that were fitted without them.
+    def should_calibrate(self, *, force: bool, tick: Progress) -> bool:
+        """Test whether ray terms or refined poses gain enough evidence on faces fitted without them.
 
-        Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
-        there. So the mount counts against the poses' noise, and all others after the poses were refined.
+        Noise of a pose moves all returns of a scan together, and over many scans it imitates ray terms. Therefore
+        the mount is tested against the noise of the poses, and all other terms after the poses are refined.
         """
-        if is_broken(self.noise.sigma_xy, self.noise.sigma_yaw):
-            logger.info("calibration: returns and poses do not belong together: %s", self.noise)
+        if exceeds_max_noise(self.noise.sigma_xy, self.noise.sigma_yaw):
+            logger.info("calibration: returns and poses are inconsistent: %s", self.noise)
             return False
-        everything, probe = self.readings, CALIBRATION.probe_readings
-        work = WorkCounter(tick, probe + len(everything))
-        if not force and len(everything) > 2 * probe:
-            self.readings = _whole_scans(everything, probe)
-            mount, terms, better = self._paying()
-            self.readings = everything
+        all_readings, probe = self.readings, CALIBRATION.probe_readings
+        work = WorkCounter(tick, probe + len(all_readings))
+        if not force and len(all_readings) > 2 * probe:
+            self.readings = _whole_scans(all_readings, probe)
+            mount, terms, better = self._test_evidence()
+            self.readings = all_readings
             work.add(probe)
             if max(mount, terms, better.log_evidence) <= 0:
                 return False
-        mount, terms, better = self._paying()
+        mount, terms, better = self._test_evidence()
         if better.log_evidence > CALIBRATION.min_gain:
             self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
             self.pose_errors = better.errors
         least = max(CALIBRATION.min_gain, CALIBRATION.min_gain_per_reading * len(self.readings))
-        self.is_amiss = force or mount > CALIBRATION.min_gain or terms > least
-        return self.is_amiss or better.log_evidence > CALIBRATION.min_gain
+        self.laser_differs = force or mount > CALIBRATION.min_gain or terms > least
+        return self.laser_differs or better.log_evidence > CALIBRATION.min_gain
 
-    def _paying(self) -> tuple[float, float, RefinedPoses]:
-        """Return the nats of the mount against the noise of the poses, of all other terms, and better poses."""
+    def _test_evidence(self) -> tuple[float, float, RefinedPoses]:
+        """Return the log evidence [nats] of the mount and of all other terms, and refined poses."""
         better = self._poses(self.match())
-        mount = self._found(better)[0] if self.can_mount else 0.0
+        mount = self._gains_of(better)[0] if self.can_mount else 0.0
         kept = self.shifts
         if better.log_evidence > CALIBRATION.min_gain:
             self.shifts = better.shifts
-        terms = self._found(better)[1]
+        terms = self._gains_of(better)[1]
         self.shifts = kept
         logger.info(
             "calibration: mount %.0f, terms %.0f, poses %.0f nats (%.2f mm, %.3f mrad)",
@@ -246,48 +248,48 @@ class _JointCalibration:
         )  # fmt: skip
         return mount, terms, better
 
-    def _found(self, better: RefinedPoses) -> tuple[float, float]:
-        """Return the nats of the mount alone, against the noise of the poses, and of the other terms."""
+    def _gains_of(self, better: RefinedPoses) -> tuple[float, float]:
+        """Return the log evidence [nats] of the mount alone, given the noise of the poses, and of the other terms."""
         normal = normal_equations(self.readings, self.lasers, self.match(), self.faces, hold=False)
-        prices = self._prices(normal, incidence=True)
-        price = prices[0]
-        prices[MOUNT] = np.inf
-        terms = select_terms(normal, np.zeros(len(prices)), prices)[2]
+        penalties = self._penalties(normal, incidence=True)
+        penalty = penalties[0]
+        penalties[MOUNT] = np.inf
+        terms = select_terms(normal, np.zeros(len(penalties)), penalties)[2]
         limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / self.n_scans
-        own = normal.matrix[MOUNT, MOUNT] + CALIBRATION.adjustment.ridge * np.eye(3)
-        spread = np.linalg.inv(own) + np.diag(limits)
-        offset = np.linalg.solve(own, normal.rhs[MOUNT])
-        return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * price, terms
+        mount_matrix = normal.matrix[MOUNT, MOUNT] + CALIBRATION.adjustment.ridge * np.eye(3)
+        spread = np.linalg.inv(mount_matrix) + np.diag(limits)
+        offset = np.linalg.solve(mount_matrix, normal.rhs[MOUNT])
+        return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * penalty, terms
 
     def run(self, tick: Progress) -> CalibratedFaces:
-        """Go from coarse to fine; a laser that is as stated needs only its poses."""
-        reaches = CALIBRATION.gauge.reaches[: 2 if self.is_amiss else 1]
+        """Calibrate from coarse to fine; for a laser as specified, only refine the poses."""
+        reaches = CALIBRATION.gauge.reaches[: 2 if self.laser_differs else 1]
         n = len(self.readings)
-        fit, round_ = fit_cost(n), (ROUND_PASSES if self.is_amiss else REFINE_PASSES) * n
+        fit, round_ = fit_cost(n), (ROUND_PASSES if self.laser_differs else REFINE_PASSES) * n
         coarse = COARSE_PASSES * n
-        n_coarse = len(CALIBRATION.coarse_sigmas) if self.is_amiss else 0
+        n_coarse = len(CALIBRATION.coarse_sigmas) if self.laser_differs else 0
         work = WorkCounter(tick, n_coarse * coarse + len(reaches) * (fit + round_) + fit)
-        if self.is_amiss:
-            self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
+        if self.laser_differs:
+            self.shifts = np.zeros_like(self.shifts)  # they compensated errors of the laser
             self.pose_noise = self.pose_errors = (0.0, 0.0)
             for i, sigma in enumerate(CALIBRATION.coarse_sigmas):
-                self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
+                self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
                 work.add(coarse)
         for reach in reaches:
             rays = self.corrected()
-            self.take(
+            self.set_faces(
                 fit_faces(
                     rays, sigma=CALIBRATION.fine_sigma, pose_errors=self.pose_errors, progress=work.part(fit)
                 )
             )
             work.add(fit)
-            if self.is_amiss:
+            if self.laser_differs:
                 self.adjust(incidence=True)
                 self.refine_poses()
                 self.adjust(incidence=True)
-                self.settle(reach)
+                self.fix_gauge(reach)
             self.refine_poses()
             work.add(round_)
         rays = self.corrected()
@@ -295,11 +297,11 @@ class _JointCalibration:
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
 
     def corrected(self) -> Rays:
-        """Return the rays as they are by what is known of the laser."""
+        """Return the rays, corrected by the current estimates."""
         return replace(self.rays(self.readings, self.match().ranges), weights=self.weights)
 
     def adjust(self, *, incidence: bool, shift: float = 0.0) -> None:
-        """Move mount, terms and faces together; faces are `shift` [m] nearer first, and their mean stays there.
+        """Estimate mount, ray terms and faces jointly, with the faces shifted by `shift` [m] towards the laser first.
 
         The mean shift of the faces is free until occlusion edges have fixed it (`estimate_gauge`).
         """
@@ -309,11 +311,9 @@ class _JointCalibration:
         hold = self.gauge is not None
         normal = normal_equations(self.readings, self.lasers, matches, faces, hold=hold)
         current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
-        for _ in range(
-            CALIBRATION.adjustment.price_rounds
-        ):  # prices fall with the share of rays that have a term
-            values, chosen, _ = select_terms(normal, current, self._prices(normal, incidence=incidence))
-            self.own = chosen[N_COMMON:].reshape(2, -1)
+        for _ in range(CALIBRATION.adjustment.penalty_rounds):  # penalties fall as more rays have a term
+            values, chosen, _ = select_terms(normal, current, self._penalties(normal, incidence=incidence))
+            self.has_own = chosen[N_COMMON:].reshape(2, -1)
         self.faces = step_faces(faces, normal, values - current)
         self.terms = _terms(values)
         if chosen[MOUNT].any():
@@ -321,12 +321,12 @@ class _JointCalibration:
             self.mount = compose_poses(self.mount[None], values[MOUNT])[0]
             self.offset_se = standard_errors(normal, chosen)[MOUNT]
         logger.info(
-            "mount %s, %d + %d rays, incidence %s mm", np.round(self.mount - self.stated, 5),
-            *self.own.sum(axis=1), np.round(1e3 * self.terms.incidence, 1),
+            "mount %s, %d + %d rays, incidence %s mm", np.round(self.mount - self.specified, 5),
+            *self.has_own.sum(axis=1), np.round(1e3 * self.terms.incidence, 1),
         )  # fmt: skip
 
     def refine_poses(self) -> None:
-        """Move the training poses where their noise shows."""
+        """Refine the training poses if that gains enough evidence."""
         matches = self.match()
         better = self._poses(matches)
         size = 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw
@@ -336,8 +336,8 @@ class _JointCalibration:
         self.shifts = better.shifts
         self.pose_noise, self.pose_errors = (better.sigma_xy, better.sigma_yaw), better.errors
 
-    def settle(self, reach: float) -> None:
-        """Fix the common shift of the walls by occlusion edges, then adjust the ray terms to it."""
+    def fix_gauge(self, reach: float) -> None:
+        """Fix the common shift of the walls by occlusion edges, then adjust the ray terms."""
         if not self.terms.has_incidence:
             return
         some = _whole_scans(self.readings, CALIBRATION.gauge.readings)
@@ -350,14 +350,14 @@ class _JointCalibration:
             self.adjust(incidence=True, shift=found.shift)
 
     def calibration(self) -> Calibration:
-        # the mean of the poses' noise over all scans is a mount to us
+        # the mean error of the poses over all scans cannot be distinguished from a mount error
         limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(self.n_scans)
         return Calibration(
             terms=self.terms,
-            offset=self.mount - self.stated,
+            offset=self.mount - self.specified,
             offset_se=np.hypot(self.offset_se, limits),
             can_mount=self.can_mount,
-            n_own=int(self.own.any(axis=0).sum()),
+            n_own=int(self.has_own.any(axis=0).sum()),
             gauge=self.gauge,
             sigma_xy=self.pose_noise[0],
             sigma_yaw=self.pose_noise[1],
@@ -365,36 +365,36 @@ class _JointCalibration:
 
     def _poses(self, matches: Matches) -> RefinedPoses:
         found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
-        if is_broken(found.sigma_xy, found.sigma_yaw):
+        if exceeds_max_noise(found.sigma_xy, found.sigma_yaw):
             logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
             return replace(found, log_evidence=0.0)
         return found
 
-    def _prices(self, normal: NormalEquations, *, incidence: bool) -> Floats:
-        """Nats that each term must be worth: BIC, and the log of how many there are to choose from."""
+    def _penalties(self, normal: NormalEquations, *, incidence: bool) -> Floats:
+        """Return the complexity penalty [nats] of each term: BIC, and the log of the number of candidates."""
         n, n_rays = max(normal.n_returns, 2.0), len(self.terms.constant)
-        prices = np.full(N_COMMON + 2 * n_rays, 0.5 * math.log(n) + math.log(N_COMMON + 2 * n_rays))
+        penalties = np.full(N_COMMON + 2 * n_rays, 0.5 * math.log(n) + math.log(N_COMMON + 2 * n_rays))
         if not self.can_mount:
-            prices[MOUNT] = np.inf
+            penalties[MOUNT] = np.inf
         elif self.has_mount:
-            prices[MOUNT] = -np.inf
+            penalties[MOUNT] = -np.inf
         if not incidence:
-            prices[INCIDENCE] = np.inf
+            penalties[INCIDENCE] = np.inf
         for group in range(2):
-            share = (self.own[group].sum() + 0.5) / (n_rays + 1)
-            own = 0.5 * math.log(max(n / n_rays, 2.0)) + math.log((1 - share) / share)
-            prices[N_COMMON + group * n_rays : N_COMMON + (group + 1) * n_rays] = own
-        return prices
+            share = (self.has_own[group].sum() + 0.5) / (n_rays + 1)
+            penalty = 0.5 * math.log(max(n / n_rays, 2.0)) + math.log((1 - share) / share)
+            penalties[N_COMMON + group * n_rays : N_COMMON + (group + 1) * n_rays] = penalty
+        return penalties
 
 
 def _whole_scans(readings: Readings, most: int) -> Readings:
-    """Take evenly spaced scans if there are too many."""
+    """Return evenly spaced scans with about `most` readings at most."""
     step = -(-len(readings) // most)
     return readings if step == 1 else readings.take(readings.scan % step == 0)
 
 
 def _terms(values: Floats) -> RayTerms:
-    """Add what all rays have in common to each ray's own terms."""
+    """Add the terms that all rays share to each ray's own terms."""
     constant, slope = values[N_COMMON:].reshape(2, -1)
     common, scale = values[COMMON]
     return RayTerms(constant=constant + common, slope=slope + scale, incidence=values[INCIDENCE])

@@ -1,8 +1,8 @@
-"""The hidden gauge: all walls a little nearer against a bias of all ranges that depends on the incidence.
+"""Gauge of the walls: a common shift of all faces, which incidence-dependent biases of the ranges can compensate.
 
-Moving every face by delta along its normal changes ranges by delta / (n·u), which constants and incidence terms
-absorb: returns cannot tell. Occlusion edges can: with a wrong delta an edge's abscissa wanders with the viewing
-direction and smears. Where there are no edges (an empty square) nothing can, and that is what is said.
+A shift delta of every face along its normal changes ranges by delta / (n·u). Constants and incidence terms absorb
+that, so ranges cannot determine delta. Occlusion edges can: with a wrong delta, the abscissa of an edge varies with
+the viewing direction and the edge blurs. Without edges (an empty square) delta is reported as not observable.
 """
 
 from __future__ import annotations
@@ -22,43 +22,44 @@ GAUGE = CALIBRATION.gauge
 
 @dataclass(frozen=True, kw_only=True)
 class Gauge:
-    """Where the occlusion edges put the walls."""
+    """Common shift of the faces, as determined by occlusion edges."""
 
     shift: float
-    """[m] of all faces along their normals."""
+    """[m] shift of all faces along their normals."""
     stderr: float
-    """[m] standard error of that, by the curvature of the likelihood and the step of the search; inf: no edge tells."""
+    """[m] standard error, from the curvature of the likelihood and the search step; inf: not observable."""
 
     @property
     def is_observed(self) -> bool:
-        """Tell whether the edges of this room settle it."""
+        """Return whether occlusion edges determine the shift."""
         return bool(np.isfinite(self.stderr))
 
 
 def estimate_gauge(
     rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, *, reach: float
 ) -> Gauge:
-    """Find the common shift of all faces that makes occlusion edges sharpest; search first within ± `reach` [m].
+    """Find the common shift of all faces that maximises the likelihood of the occlusion edges.
 
     Parameters
     ----------
-    rays : with corrected ranges, those of `matches`
+    rays : Rays with the corrected ranges of `matches`.
+    reach : [m] Half width of the first search interval.
     """
     return find_peak(lambda shift: _log_likelihood(rays, matches, faces, noise, shift), reach=reach)
 
 
 def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gauge:
-    """Find the peak of a log likelihood [nats] of a shift [m]: five places, then about the best, ever closer.
+    """Find the maximum of a log likelihood [nats] of a shift [m] by search with a decreasing step.
 
-    Sharp edges make the peak a cusp and one of its sides steeper, so a parabola is true only near the top.
+    Sharp edges make the maximum a cusp with unequal sides, so a parabola is fitted to the three best values only.
     """
     step = reach / 2
     values = {i * step: log_likelihood(i * step) for i in range(-2, 3)}
     best = max(values, key=lambda shift: values[shift])
     while abs(best) < GAUGE.max_shift:
-        for beside in (best - step, best + step):
-            if not any(abs(beside - shift) < step / 4 for shift in values):
-                values[beside] = log_likelihood(beside)
+        for neighbour in (best - step, best + step):
+            if not any(abs(neighbour - shift) < step / 4 for shift in values):
+                values[neighbour] = log_likelihood(neighbour)
         top = max(values, key=lambda shift: values[shift])
         if top == best:
             if step <= GAUGE.min_step:
@@ -75,7 +76,7 @@ def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gaug
 
 
 def _log_likelihood(rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, shift: float) -> float:
-    """Return the log likelihood with all faces shifted, and the returns with them."""
+    """Return the log likelihood of the rays with faces and returns shifted along the normals."""
     moved = replace(
         rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), CALIBRATION.matches.min_range)
     )

@@ -1,4 +1,4 @@
-"""Calibration: how a laser differs from what was stated, with errors; what a graph of faces keeps of it."""
+"""Calibration result: deviation of the laser from its specification, with standard errors, and its stored form."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ ADJUSTMENT = CALIBRATION.adjustment
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """How the laser differs from what was stated."""
+    """Deviation of the laser from its specification."""
 
     terms: RayTerms
     offset: Floats
-    """(3,) [m, m, rad] found mount less the stated one."""
+    """(3,) [m, m, rad] identified mount minus specified mount."""
     offset_se: Floats
-    """(3,) its standard errors; nan where the mount was not identified."""
+    """(3,) [m, m, rad] standard errors of the offset; nan where the mount was not identified."""
     can_mount: bool
-    """The poses are those of a base that carries the laser, so the mount can be told."""
+    """Whether the mount is identifiable: the poses are those of a base that carries the laser."""
     n_own: int
-    """Rays that have a term of their own."""
+    """Number of rays with individual terms."""
     gauge: Gauge | None
-    """What the edges say; None where no incidence term is there to trade with."""
+    """Common shift of the walls by occlusion edges; None without incidence terms, which could compensate it."""
     sigma_xy: float
-    """[m] noise of the training poses that was taken out; 0: they were left as they are."""
+    """[m] noise removed from the training poses; 0: the poses are unchanged."""
     sigma_yaw: float
     """[rad]"""
 
     @classmethod
     def none(cls, n_rays: int, *, can_mount: bool = True) -> Self:
-        """Take the laser as stated."""
+        """Return the calibration of a laser as specified."""
         return cls(
             terms=RayTerms.none(n_rays),
             offset=np.zeros(3),
@@ -54,12 +54,12 @@ class Calibration:
 
     @property
     def is_as_stated(self) -> bool:
-        """Tell whether neither the laser nor a pose was changed."""
+        """Return whether laser and poses are unchanged."""
         return self.terms.is_none and not self.offset.any() and self.sigma_xy == 0 == self.sigma_yaw
 
     @property
     def is_plausible(self) -> bool:
-        """Tell whether the calibration is plausible; poses and scans that do not belong together give one that is not."""
+        """Return whether the deviations are plausible; inconsistent poses and scans lead to implausible ones."""
         return bool(
             np.hypot(*self.offset[:2]) < ADJUSTMENT.max_mount_offset
             and abs(self.offset[2]) < ADJUSTMENT.max_mount_turn
@@ -68,21 +68,21 @@ class Calibration:
         )
 
     def summary(self) -> dict[str, str]:
-        """Return what a reader wants to know first."""
+        """Return the main facts as label -> text."""
         out = {"mount": self._mount()}
         if not self.terms.is_none:
             shared = "with" if self.terms.has_incidence else "without"
             out["ray terms"] = (
-                f"{self.n_own} of {len(self.terms.constant)} rays have their own, {shared} incidence terms"
+                f"{self.n_own} of {len(self.terms.constant)} rays have individual terms, {shared} incidence terms"
             )
         else:
             out["ray terms"] = "none needed"
         if self.gauge is not None:
             g = self.gauge
-            out["walls against a common bias"] = (
-                f"moved by {1e3 * g.shift:+.2f} ± {1e3 * g.stderr:.2f} mm to where occlusion edges are sharpest"
+            out["common shift of the walls"] = (
+                f"{1e3 * g.shift:+.2f} ± {1e3 * g.stderr:.2f} mm, where occlusion edges are sharpest"
                 if g.is_observed
-                else "not observable in this room: no occlusion edges; walls may all sit some mm too near or far"
+                else "not observable: there are no occlusion edges; all walls may be some mm too near or too far"
             )
         if self.sigma_xy > 0 or self.sigma_yaw > 0:
             out["training poses"] = (
@@ -92,17 +92,17 @@ class Calibration:
 
     def _mount(self) -> str:
         if not self.can_mount:
-            return "cannot be told: the poses are the laser's own"
+            return "not identifiable: the poses are the laser's own"
         if not np.isfinite(self.offset_se).all():
             return "as stated"
         (x, y, yaw), (sx, sy, s_yaw) = self.offset, self.offset_se
         return (
             f"off by {1e3 * x:+.2f} ± {1e3 * sx:.2f} mm, {1e3 * y:+.2f} ± {1e3 * sy:.2f} mm, "
-            f"{math.degrees(yaw):+.4f} ± {math.degrees(s_yaw):.4f}° from what was stated"
+            f"{math.degrees(yaw):+.4f} ± {math.degrees(s_yaw):.4f}° from the specified mount"
         )
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return plain data and arrays that hold all."""
+        """Return plain data and arrays that describe the calibration."""
         gauge = None
         if self.gauge is not None:
             gauge = [self.gauge.shift, self.gauge.stderr if self.gauge.is_observed else None]
@@ -124,11 +124,11 @@ class Calibration:
 
     @classmethod
     def restore(cls, n_rays: int, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Build it from what `state` gave.
+        """Recreate the calibration from the output of `state`.
 
         Raises
         ------
-        ValueError : an array has a wrong shape
+        ValueError : An array has a wrong shape.
         """
         empty = cls.none(n_rays)
         right = {name: array.shape for name, array in empty.state()[1].items()}

@@ -1,4 +1,4 @@
-"""Match readings to faces: which face each return comes from, and how far it is off by the ray terms so far."""
+"""Matching of readings to faces: the face of each return, and its residual given the current ray terms."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Readings:
     """Valid readings of scans, in the order of the log."""
 
     scan: Ints
-    """(n,)"""
+    """(n,) index of the scan."""
     pose: Ints
-    """(n,) row of the pose that it was taken at: the scan's, or its own where the laser sweeps."""
+    """(n,) index of the pose: one per scan, or one per reading for a sweeping laser."""
     ray: Ints
-    """(n,)"""
+    """(n,) index of the ray."""
     ranges: Floats
-    """(n,) [m] as measured; +inf: nothing."""
+    """(n,) [m] measured ranges; +inf: no return."""
     bearings: Floats
     """(n_rays,) [rad]"""
     range_max: float
@@ -58,34 +58,34 @@ class Readings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matches:
-    """Which face each reading comes from, and where its surface is by the ray terms."""
+    """The face of each reading, and the corrected ranges."""
 
     ranges: Floats
-    """(n,) [m] corrected; +inf: nothing."""
+    """(n,) [m] corrected ranges; +inf: no return."""
     face: Ints
-    """(n,) -1 for none."""
+    """(n,) index of the face; -1: none."""
     rho: Floats
-    """(n,) [m] range of that face."""
+    """(n,) [m] range to that face."""
     den: Floats
-    """(n,) n·u"""
+    """(n,) n·u of the face's normal n and the ray's direction u."""
     along: Floats
-    """(n,) t·u"""
+    """(n,) t·u of the face's tangent t."""
     at: Floats
-    """(n,) [m] abscissa of the end point."""
+    """(n,) [m] abscissa of the end point on the face."""
     probability: Floats
-    """(n,) chance that it is this face."""
+    """(n,) probability that the return is from this face."""
     weight: Floats
-    """(n,) [1/m²] of the residual; 0 where it must not count."""
+    """(n,) [1/m²] weight of the residual; 0 where it is not used."""
 
     @property
     def residual(self) -> Floats:
-        """(n,) [m] corrected range less the face's; 0 where nothing counts."""
+        """(n,) [m] corrected range minus range to the face; 0 where it is not used."""
         with np.errstate(invalid="ignore"):
             return np.where(self.weight > 0, self.ranges - self.rho, 0.0)
 
 
 def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
-    """Return origins and directions (n, 2) of readings from lasers (n_poses, 3)."""
+    """Return origins and directions (n, 2) of readings taken from lasers (n_poses, 3)."""
     theta = lasers[readings.pose, 2] + readings.bearings[readings.ray]
     return lasers[readings.pose, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
 
@@ -93,7 +93,7 @@ def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
 def match_readings(
     readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: ReturnNoise, mean_bias: float
 ) -> Matches:
-    """Find the face of every reading and take the ray terms off; `mean_bias` is S [m] where no face is known."""
+    """Find the face of every reading and correct its range; `mean_bias` is S [m] for readings without a face."""
     origins, directions = directions_of(readings, lasers)
     n = len(readings)
     values = np.zeros((n, 7))
@@ -117,7 +117,7 @@ def match_readings(
 
 
 def mean_incidence(matches: Matches, terms: RayTerms) -> float:
-    """Return the mean of S [m] over the returns whose face is known."""
+    """Return the mean of S [m] over the returns that match a face."""
     known = matches.weight > 0
     if not known.any() or not terms.has_incidence:
         return 0.0
@@ -128,7 +128,7 @@ def mean_incidence(matches: Matches, terms: RayTerms) -> float:
 
 
 def range_change(matches: Matches, shift: float) -> Floats:
-    """Return how much farther (n,) [m] faces are that moved along their normals by `shift` [m]; 0 without a face."""
+    """Return the change of range (n,) [m] if all faces move along their normals by `shift` [m]; 0 without a face."""
     return np.where(
         (matches.face >= 0) & (matches.den < -MATCHES.min_shift_cosine),
         shift / np.where(matches.den < 0, matches.den, -1.0),
@@ -188,16 +188,16 @@ def _match_readings(
         f = k[at]
         den = normals[f, 0] * ux + normals[f, 1] * uy
         along = -normals[f, 1] * ux + normals[f, 0] * uy
-        sure = best / (total + before * noise[3])
+        probability = best / (total + before * noise[3])
         face[i] = f
         values[i, 0] = max(r[at] + best_e, MIN_RANGE)
         values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
         values[i, 4] = t[at] + best_e * along
-        values[i, 5] = sure
+        values[i, 5] = probability
         if (
-            sure > MIN_PROBABILITY
+            probability > MIN_PROBABILITY
             and den < -MIN_MATCH_COSINE
             and best_e * best_e < GATE_SIGMAS * GATE_SIGMAS * best_var
             and z < range_max
         ):
-            values[i, 6] = sure / best_var
+            values[i, 6] = probability / best_var

@@ -1,11 +1,23 @@
-"""Joint adjustment of mount, ray terms and faces: one linear least squares over all returns.
+"""Joint adjustment of mount, ray terms and faces: one linear least-squares problem over all returns.
 
-A return of ray j from face k at range rho, n·u = den, differs from what is predicted by
+Residual of a return of ray j from face k at range rho, with den = n·u:
 
-    e = -(n·e_x dx + n·e_y dy) / den + rho (t·u) / den dyaw + dc_0j + dc_1j rho + dS(v, q) + (shift + (s - s_k) turn) / den
+    e = e_mount + e_ray + e_face.
+    Mount: e_mount = -(n·e_x dx + n·e_y dy) / den + rho (t·u) / den dyaw.
+    Ray terms: e_ray = dc_0j + dc_1j rho + dS(v, q).
+    Face: e_face = (shift + (s - s_k) turn) / den.
 
-The faces' two numbers each are eliminated first (Schur complement); which of the others are worth having is decided
-by forward selection on the normal equations (ERR: the term that explains most goes first).
+Unknowns: x of the sensor, y_k = (shift, turn) of face k. Normal equations:
+
+    (matrix x + sum_k coupling_k' y_k = rhs),
+    (coupling_k x + D_k y_k = face_rhs_k), with D_k = `face_matrix`.
+
+Elimination of the faces (Schur complement):
+
+    (matrix - sum_k coupling_k' D_k⁻¹ coupling_k) x = (rhs - sum_k coupling_k' D_k⁻¹ face_rhs_k).
+
+Forward selection on these equations decides which unknowns of x are used: the term that reduces the squares most
+comes first (error reduction ratio).
 """
 
 from __future__ import annotations
@@ -23,42 +35,42 @@ from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Bools, Floats
 
 MOUNT = slice(0, 3)
-COMMON = slice(3, 5)  # constant and slope of all rays together
+COMMON = slice(3, 5)  # constant and slope shared by all rays
 INCIDENCE = slice(5, 5 + N_INCIDENCE)
 N_COMMON = 5 + N_INCIDENCE
 ADJUSTMENT = CALIBRATION.adjustment
-MIN_REST = ADJUSTMENT.min_rest
+MIN_REMAINING = ADJUSTMENT.min_remaining
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NormalEquations:
-    """Normal equations after the faces were eliminated; unknowns: mount, common, incidence, constants, slopes."""
+    """Normal equations with the faces eliminated; unknowns: mount, common, incidence, constants, slopes."""
 
     matrix: Floats
-    """(n, n), n = N_COMMON + 2 n_rays"""
+    """(n, n) with n = N_COMMON + 2 n_rays."""
     rhs: Floats
     """(n,)"""
     n_returns: float
     face_inverse: Floats
-    """(n_faces, 2, 2) inverse of each face's own block."""
+    """(n_faces, 2, 2) inverse D_k⁻¹ of each face's block."""
     face_rhs: Floats
-    """(n_faces, 2)"""
+    """(n_faces, 2) right-hand side of each face."""
     coupling: Floats
-    """(n_faces, 2, n)"""
+    """(n_faces, 2, n) block between each face and the other unknowns."""
     centre: Floats
     """(n_faces,) [m] abscissa about which a face turns."""
     gauge_weights: Floats
-    """(n_faces,) weights of the mean shift that stays 0; all 0 where it is free."""
+    """(n_faces,) weights of the mean shift that is held at 0; all 0 where it is free."""
 
     def faces_moved(self, step: Floats) -> Floats:
-        """Return shift [m] and turn [rad] (n_faces, 2) that belong to the step (n,) of the others."""
+        """Return y_k = D_k⁻¹ (face_rhs_k - coupling_k step): shift [m] and turn [rad] (n_faces, 2) for a step (n,)."""
         free = self.face_rhs - self.coupling @ step
         move: Floats = np.einsum("kij,kj->ki", self.face_inverse, free)
         if not self.gauge_weights.any():
             return move
-        stiff = self.face_inverse[:, :, 0] * self.gauge_weights[:, None]  # D^-1 a
+        compliance = self.face_inverse[:, :, 0] * self.gauge_weights[:, None]  # D^-1 a
         return np.asarray(
-            move - stiff * (self.gauge_weights @ move[:, 0]) / (self.gauge_weights @ stiff[:, 0]),
+            move - compliance * (self.gauge_weights @ move[:, 0]) / (self.gauge_weights @ compliance[:, 0]),
             dtype=np.float64,
         )
 
@@ -66,48 +78,48 @@ class NormalEquations:
 def normal_equations(
     readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, *, hold: bool
 ) -> NormalEquations:
-    """Add up the normal equations; `hold` keeps the mean shift of all faces at 0 (the gauge)."""
+    """Accumulate the normal equations; `hold` keeps the mean shift of all faces at 0 (the gauge)."""
     k, n = faces.n_faces, N_COMMON + 2 * len(readings.bearings)
     weight, face = matches.weight, np.maximum(matches.face, 0)
     total = np.maximum(np.bincount(face, weight * matches.den**2, k), 1e-9)
     centre = np.bincount(face, weight * matches.den**2 * np.nan_to_num(matches.at), k) / total
-    matrix, right = np.zeros((n, n)), np.zeros(n)
-    own, own_right, across = np.zeros((k, 2, 2)), np.zeros((k, 2)), np.zeros((k, 2, n))
+    matrix, rhs = np.zeros((n, n)), np.zeros(n)
+    face_matrix, face_rhs, coupling = np.zeros((k, 2, 2)), np.zeros((k, 2)), np.zeros((k, 2, n))
     heading = lasers[readings.pose, 2]
     _accumulate(
         readings.ray, np.cos(heading), np.sin(heading), face, matches.rho, matches.den, matches.along, matches.at,
-        matches.residual, weight, faces.normals, centre, matrix, right, own, own_right, across,
+        matches.residual, weight, faces.normals, centre, matrix, rhs, face_matrix, face_rhs, coupling,
     )  # fmt: skip
     matrix += np.tril(matrix, -1).T
-    own[:, 0, 0] += 1.0  # [1/m²] nothing is known of a face without returns
-    own[:, 1, 1] += ADJUSTMENT.turn_arm**2
-    inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
-    flat = across.reshape(2 * k, n)
-    solved = np.einsum("kij,kjn->kin", inverse, across).reshape(2 * k, n)
+    face_matrix[:, 0, 0] += 1.0  # [1/m²] prior that makes the block of a face without returns invertible
+    face_matrix[:, 1, 1] += ADJUSTMENT.turn_arm**2
+    inverse = np.asarray(np.linalg.inv(face_matrix), dtype=np.float64)
+    flat = coupling.reshape(2 * k, n)
+    solved = np.einsum("kij,kjn->kin", inverse, coupling).reshape(2 * k, n)
     matrix -= flat.T @ solved
-    right -= solved.T @ own_right.ravel()
-    held = np.zeros(k)
+    rhs -= solved.T @ face_rhs.ravel()
+    gauge_weights = np.zeros(k)
     if hold and k:
-        held = total / total.sum()
-        stiff = inverse[:, :, 0] * held[:, None]
-        pull = np.einsum("ki,kin->n", stiff, across)
-        give = float(held @ stiff[:, 0])
-        matrix += np.outer(pull, pull) / give
-        right += pull * float((stiff * own_right).sum()) / give
+        gauge_weights = total / total.sum()
+        compliance = inverse[:, :, 0] * gauge_weights[:, None]
+        constraint = np.einsum("ki,kin->n", compliance, coupling)
+        constraint_norm = float(gauge_weights @ compliance[:, 0])
+        matrix += np.outer(constraint, constraint) / constraint_norm
+        rhs += constraint * float((compliance * face_rhs).sum()) / constraint_norm
     return NormalEquations(
         matrix=matrix,
-        rhs=right,
+        rhs=rhs,
         n_returns=float((weight > 0).sum()),
         face_inverse=inverse,
-        face_rhs=own_right,
-        coupling=across,
+        face_rhs=face_rhs,
+        coupling=coupling,
         centre=centre,
-        gauge_weights=held,
+        gauge_weights=gauge_weights,
     )
 
 
 def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet:
-    """Shift and turn faces by what belongs to a step of the other unknowns."""
+    """Shift and turn the faces according to a step of the other unknowns."""
     shift, turn = normal.faces_moved(step).T
     turn = np.clip(turn, -ADJUSTMENT.max_turn, ADJUSTMENT.max_turn)
     normals, tangents, c = faces.normals, faces.tangents, normal.centre
@@ -123,32 +135,32 @@ def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet
     )
 
 
-def select_terms(normal: NormalEquations, current: Floats, prices: Floats) -> tuple[Floats, Bools, float]:
-    """Choose terms forward, the one that explains most first, as long as it is worth its price.
+def select_terms(normal: NormalEquations, current: Floats, penalties: Floats) -> tuple[Floats, Bools, float]:
+    """Select terms by forward selection, as long as the gain exceeds the complexity penalty.
 
     Parameters
     ----------
-    current : (n,) values of the unknowns that the normal equations are linearised about
-    prices : (n,) [nats]; inf: never, -inf: always
+    current : (n,) Values of the unknowns at which the equations are linearised.
+    penalties : (n,) [nats] Complexity penalties; inf: never select, -inf: always select.
 
     Returns
     -------
-    new values (n,), which were chosen, and the nats they are worth over none, prices taken off
+    new values (n,), mask of the selected terms (n,), and their gain over no terms [nats] minus the penalties
     """
     matrix = normal.matrix
-    right = normal.rhs + matrix @ current
-    chosen, worth = _forward(matrix, right, prices)
-    values = np.zeros(len(right))
+    rhs = normal.rhs + matrix @ current
+    chosen, total_gain = _forward(matrix, rhs, penalties)
+    values = np.zeros(len(rhs))
     if chosen.any():
         part = matrix[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.diag(part))
         scaled = part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part))
-        values[chosen] = np.linalg.solve(scaled, right[chosen] / scale) / scale
-    return values, chosen, float(worth)
+        values[chosen] = np.linalg.solve(scaled, rhs[chosen] / scale) / scale
+    return values, chosen, float(total_gain)
 
 
 def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
-    """Return the standard errors (n,) of chosen unknowns; nan for the others."""
+    """Return the standard errors (n,) of the selected unknowns; nan for the others."""
     part = normal.matrix[np.ix_(chosen, chosen)]
     scale = np.sqrt(np.diag(part))
     inverse = np.linalg.inv(part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part)))
@@ -158,22 +170,32 @@ def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
 
 
 @kernel
-def _forward(matrix: Any, right: Any, prices: Any) -> Any:
-    """Greedy Cholesky: each step takes the unknown that lowers the squares most and takes it out of all others."""
-    n = len(right)
-    left, rest, whole = np.empty(n), np.empty(n), np.empty(n)
+def _forward(matrix: Any, rhs: Any, penalties: Any) -> Any:
+    """Select unknowns by a greedy Cholesky factorisation: gain_i = residual_rhs_i² / (2 remaining_i) - penalties_i.
+
+    Each step takes the unknown with the largest gain and eliminates it from all others.
+    """
+    n = len(rhs)
+    remaining, residual_rhs, diagonal = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
-        left[i] = whole[i] = matrix[i, i]
-        rest[i] = right[i]
+        remaining[i] = diagonal[i] = matrix[i, i]
+        residual_rhs[i] = rhs[i]
     chosen = np.zeros(n, np.bool_)
-    rows = np.zeros((n, n))  # of the Cholesky factor, one for every chosen unknown
-    worth = 0.0
+    rows = np.zeros((n, n))  # of the Cholesky factor, one for each selected unknown
+    total_gain = 0.0
     for step in range(n):
         best, at = 0.0, -1
         for i in range(n):
-            if chosen[i] or left[i] < MIN_REST * whole[i] or left[i] <= 0 or prices[i] == np.inf:
+            if (
+                chosen[i]
+                or remaining[i] < MIN_REMAINING * diagonal[i]
+                or remaining[i] <= 0
+                or penalties[i] == np.inf
+            ):
                 continue
-            gain = 1e300 if prices[i] == -np.inf else 0.5 * rest[i] ** 2 / left[i] - prices[i]
+            gain = (
+                1e300 if penalties[i] == -np.inf else 0.5 * residual_rhs[i] ** 2 / remaining[i] - penalties[i]
+            )
             if gain > best:
                 best, at = gain, i
         if at < 0:
@@ -185,14 +207,14 @@ def _forward(matrix: Any, right: Any, prices: Any) -> Any:
             for i in range(n):
                 row[i] -= rows[k, at] * rows[k, i]
         for i in range(n):
-            row[i] /= np.sqrt(left[at])
-        amount = rest[at] / np.sqrt(left[at])
-        worth += 0.5 * amount**2 - (prices[at] if prices[at] > -1e300 else 0.0)
+            row[i] /= np.sqrt(remaining[at])
+        amount = residual_rhs[at] / np.sqrt(remaining[at])
+        total_gain += 0.5 * amount**2 - (penalties[at] if penalties[at] > -1e300 else 0.0)
         chosen[at] = True
         for i in range(n):
-            left[i] -= row[i] ** 2
-            rest[i] -= row[i] * amount
-    return chosen, worth
+            remaining[i] -= row[i] ** 2
+            residual_rhs[i] -= row[i] * amount
+    return chosen, total_gain
 
 
 @kernel
@@ -210,12 +232,12 @@ def _accumulate(
     normals: Any,
     centre: Any,
     matrix: Any,
-    right: Any,
-    own: Any,
-    own_right: Any,
-    across: Any,
+    rhs: Any,
+    face_matrix: Any,
+    face_rhs: Any,
+    coupling: Any,
 ) -> Any:
-    n_rays = (len(right) - N_COMMON) // 2
+    n_rays = (len(rhs) - N_COMMON) // 2
     x, where = np.empty(N_COMMON + 2), np.empty(N_COMMON + 2, np.int64)
     for a in range(N_COMMON):
         where[a] = a
@@ -234,17 +256,17 @@ def _accumulate(
         where[N_COMMON], where[N_COMMON + 1] = N_COMMON + ray[i], N_COMMON + n_rays + ray[i]
         y0, y1 = 1.0 / den[i], (at[i] - centre[f]) / den[i]
         e = w * residual[i]
-        own[f, 0, 0] += w * y0 * y0
-        own[f, 0, 1] += w * y0 * y1
-        own[f, 1, 0] += w * y0 * y1
-        own[f, 1, 1] += w * y1 * y1
-        own_right[f, 0] += e * y0
-        own_right[f, 1] += e * y1
+        face_matrix[f, 0, 0] += w * y0 * y0
+        face_matrix[f, 0, 1] += w * y0 * y1
+        face_matrix[f, 1, 0] += w * y0 * y1
+        face_matrix[f, 1, 1] += w * y1 * y1
+        face_rhs[f, 0] += e * y0
+        face_rhs[f, 1] += e * y1
         for a in range(N_COMMON + 2):
             v = w * x[a]
-            right[where[a]] += e * x[a]
-            across[f, 0, where[a]] += v * y0
-            across[f, 1, where[a]] += v * y1
+            rhs[where[a]] += e * x[a]
+            coupling[f, 0, where[a]] += v * y0
+            coupling[f, 1, where[a]] += v * y1
             row = matrix[where[a]]
             for b in range(a + 1):
                 row[where[b]] += v * x[b]

@@ -1,6 +1,9 @@
-"""Training poses refined against the faces: three numbers a scan, damped by the noise that the poses have.
+"""Refinement of the training poses against the faces: three numbers per scan, with an estimated prior.
 
-Their noise is estimated with them (empirical Bayes), so poses that are exact stay as they are.
+The correction x_i of scan i minimises sum_j w_j (e_j - a_j·x)² + x' D⁻¹ x, so x_i = (H_i + D⁻¹)⁻¹ g_i.
+Here H_i = sum_j w_j a_j a_j' and g_i = sum_j w_j e_j a_j are sums over the scan's returns. D is the variance of the
+pose noise, estimated by EM (empirical Bayes): D = mean_i(x_i x_i' + (H_i + D⁻¹)⁻¹), diagonal. Exact poses remain
+unchanged.
 """
 
 from __future__ import annotations
@@ -21,42 +24,42 @@ POSES = CALIBRATION.poses
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RefinedPoses:
-    """Corrections of poses, and what they are worth."""
+    """Corrections of poses and their evidence."""
 
     shifts: Floats
-    """(n_scans, 3) [m, m, rad] of each laser in its own frame."""
+    """(n_scans, 3) [m, m, rad] correction of each laser pose in its own frame."""
     sigma_xy: float
-    """[m] noise of the poses, each axis."""
+    """[m] noise of the poses, per axis."""
     sigma_yaw: float
-    """[rad]"""
+    """[rad] noise of the heading."""
     log_evidence: float
-    """Log evidence of noisy poses over exact ones."""
+    """[nats] log evidence of noisy poses over exact poses."""
     errors: tuple[float, float]
-    """[m, rad] standard errors of the poses so refined, each axis and the heading, in the mean over scans."""
+    """[m, rad] standard errors of the refined poses, per axis and heading, averaged over scans."""
 
 
 def refine_poses(
     readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, sigma: float
 ) -> RefinedPoses:
-    """Refine poses by returns of range noise `sigma` [m].
+    """Refine poses, given returns with range noise `sigma` [m].
 
     Parameters
     ----------
-    lasers : (n_poses, 3) [m, m, rad] in map
-    shifts : (n_scans, 3) [m, m, rad] applied to them already; all rays of a scan share one, of a sweep, too
+    lasers : (n_poses, 3) [m, m, rad] Poses of the laser in map.
+    shifts : (n_scans, 3) [m, m, rad] Corrections already applied to `lasers`, one per scan, also for a sweep.
     """
     n = len(shifts)
-    own, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    information, rhs = np.zeros((n, 3, 3)), np.zeros((n, 3))
     heading = lasers[readings.pose, 2]
     weight = np.where(matches.weight > 0, matches.probability / sigma**2, 0.0)
     _pose_equations(
         readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,
-        matches.along, matches.residual, weight, faces.normals, own, right,
+        matches.along, matches.residual, weight, faces.normals, information, rhs,
     )  # fmt: skip
-    right += np.einsum("nij,nj->ni", own, shifts)
-    seen = own[:, 0, 0] + own[:, 1, 1] > 0
+    rhs += np.einsum("nij,nj->ni", information, shifts)
+    seen = information[:, 0, 0] + information[:, 1, 1] > 0
     found = np.zeros((n, 3))
-    found[seen], spread, log_evidence, errors = _solve_damped(own[seen], right[seen])
+    found[seen], spread, log_evidence, errors = _solve_damped(information[seen], rhs[seen])
     return RefinedPoses(
         shifts=found,
         sigma_xy=float(np.sqrt(spread[0])),
@@ -66,32 +69,35 @@ def refine_poses(
     )
 
 
-def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float, tuple[float, float]]:
-    """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return evidence and errors, too."""
+def _solve_damped(information: Floats, rhs: Floats) -> tuple[Floats, Floats, float, tuple[float, float]]:
+    """Solve x_i = (H_i + D⁻¹)⁻¹ g_i and iterate D by EM; return x (n, 3), D (3,), log evidence and standard errors.
+
+    Log evidence: ½ sum_i g_i·x_i - ½ sum_i log det(I + H_i D).
+    """
     spread = np.array([POSES.first_noise[0], *POSES.first_noise]) ** 2
-    for _ in range(POSES.rounds if len(own) else 0):
-        inverse = np.linalg.inv(own + np.diag(1 / spread))
-        found = np.einsum("nij,nj->ni", inverse, right)
+    for _ in range(POSES.rounds if len(information) else 0):
+        inverse = np.linalg.inv(information + np.diag(1 / spread))
+        found = np.einsum("nij,nj->ni", inverse, rhs)
         second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)
         second[:2] = second[:2].mean()
         spread = np.maximum(second, 1e-12)
-    inverse = np.linalg.inv(own + np.diag(1 / spread))
-    found = np.einsum("nij,nj->ni", inverse, right)
-    explained = 0.5 * float((right * found).sum())
-    volume = 0.5 * float(np.linalg.slogdet(np.eye(3) + own * spread[:, None])[1].sum())
-    left = np.einsum("nii->ni", inverse).mean(axis=0) if len(own) else np.zeros(3)
+    inverse = np.linalg.inv(information + np.diag(1 / spread))
+    found = np.einsum("nij,nj->ni", inverse, rhs)
+    explained = 0.5 * float((rhs * found).sum())
+    volume = 0.5 * float(np.linalg.slogdet(np.eye(3) + information * spread[:, None])[1].sum())
+    left = np.einsum("nii->ni", inverse).mean(axis=0) if len(information) else np.zeros(3)
     errors = float(np.sqrt(left[:2].mean())), float(np.sqrt(left[2]))
     return found, spread, explained - volume, errors
 
 
-def is_broken(sigma_xy: float, sigma_yaw: float) -> bool:
-    """Tell whether poses are so noisy [m, rad] that no small step mends the log."""
+def exceeds_max_noise(sigma_xy: float, sigma_yaw: float) -> bool:
+    """Return whether the noise of the poses [m, rad] exceeds what small corrections can repair."""
     most_xy, most_yaw = POSES.max_noise
     return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 
 def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
-    """Move lasers (n, 3) by shifts (n, 3) or (3,) in their own frames."""
+    """Compose laser poses (n, 3) with shifts (n, 3) or (3,) in their own frames."""
     cos, sin = np.cos(lasers[:, 2]), np.sin(lasers[:, 2])
     dx, dy, turn = shifts.T
     moved = np.empty_like(lasers)
@@ -102,17 +108,17 @@ def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
 
 
 class LaserPoses:
-    """Lasers by a mount and by refined poses, composed once for each of them: with a sweep these are millions."""
+    """Poses of the laser from a mount and refined poses; the results are cached, since a sweep has millions of poses."""
 
     def __init__(self, poses: Floats, pose: Ints, scan: Ints) -> None:
-        """Take poses (n, 3), and the pose (m,) and the scan (m,) of each reading."""
+        """Store poses (n, 3), and the indices of pose (m,) and scan (m,) of each reading."""
         self.poses, self.scan = poses, np.zeros(len(poses), dtype=np.intp)
         self.scan[pose] = scan
         self._mounted: tuple[Floats, Floats] | None = None
         self._moved: tuple[Floats, Floats, Floats] | None = None
 
     def at(self, mount: Floats, shifts: Floats) -> Floats:
-        """Return the lasers (n, 3) for a mount (3,) and shifts (n_scans, 3); arrays are told apart by identity."""
+        """Return the laser poses (n, 3) for a mount (3,) and shifts (n_scans, 3); the cache compares arrays by identity."""
         if self._mounted is None or self._mounted[0] is not mount:
             self._mounted, self._moved = (mount, compose_poses(self.poses, mount)), None
         if not shifts.any():
@@ -134,8 +140,8 @@ def _pose_equations(
     residual: Any,
     weight: Any,
     normals: Any,
-    own: Any,
-    right: Any,
+    information: Any,
+    rhs: Any,
 ) -> Any:
     x = np.empty(3)
     for i in range(len(scan)):
@@ -147,6 +153,6 @@ def _pose_equations(
         x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
         x[2] = rho[i] * along[i] / den[i]
         for a in range(3):
-            right[scan[i], a] += w * residual[i] * x[a]
+            rhs[scan[i], a] += w * residual[i] * x[a]
             for b in range(3):
-                own[scan[i], a, b] += w * x[a] * x[b]
+                information[scan[i], a, b] += w * x[a] * x[b]

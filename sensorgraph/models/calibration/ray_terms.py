@@ -1,7 +1,8 @@
-"""What a laser adds to the true range: reading = rho + c_j0 + c_j1 rho + S(v, q) for ray j.
+"""Ray terms of a laser: reading = rho + c_j0 + c_j1 rho + S(v, q).
 
-v = 1 - |n·u| grows with the incidence, q = min(rho, R) / R with the range up to R = 4 m, where optics settle; S is a
-polynomial in both that all rays share. The inverse takes a reading back to where its surface is.
+The equation holds for ray j at the true range rho. The variable v = 1 - |n·u| increases with the incidence, and
+q = min(rho, R) / R with the range up to R = 4 m. S is a polynomial
+in v and q that all rays share. `matching` inverts the equation to obtain corrected ranges.
 """
 
 from __future__ import annotations
@@ -16,46 +17,46 @@ from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
 INCIDENCE_POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
-"""Of v and q in the terms of S."""
+"""Exponents of v and q in the terms of S."""
 N_INCIDENCE = len(INCIDENCE_POWERS)
 MAX_OPTIC_RANGE = CALIBRATION.matches.max_optic_range
-"""[m] beyond which the incidence terms depend on the range no more."""
+"""[m] range R beyond which S is independent of the range."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayTerms:
-    """Residual polynomial of every ray."""
+    """Coefficients of the ray terms of all rays."""
 
     constant: Floats
-    """(n_rays,) [m]"""
+    """(n_rays,) [m] c_j0."""
     slope: Floats
-    """(n_rays,) metres a metre of range."""
+    """(n_rays,) [m/m] c_j1."""
     incidence: Floats
-    """(N_SHARED,) [m] coefficients of S, in the order of `INCIDENCE_POWERS`."""
+    """(N_INCIDENCE,) [m] coefficients of S, in the order of `INCIDENCE_POWERS`."""
 
     @classmethod
     def none(cls, n_rays: int) -> Self:
-        """Leave readings as they are."""
+        """Return terms that leave readings unchanged."""
         return cls(constant=np.zeros(n_rays), slope=np.zeros(n_rays), incidence=np.zeros(N_INCIDENCE))
 
     @property
     def is_none(self) -> bool:
-        """Tell whether readings are left as they are."""
+        """Return whether readings are left unchanged."""
         return not (self.constant.any() or self.slope.any() or self.has_incidence)
 
     @property
     def has_incidence(self) -> bool:
-        """Tell whether the incidence counts."""
+        """Return whether the reading depends on the incidence."""
         return bool((self.incidence != 0).any())
 
     def reading(self, rho: Floats, incidence_cos: Floats) -> Floats:
-        """Return what the laser shows (n, n_rays) at true ranges and |n·u| of the same shape: the plain form."""
+        """Evaluate the reading (n, n_rays) at true ranges and |n·u| of the same shape; numpy reference implementation."""
         v, q = 1 - incidence_cos, np.minimum(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
         shared = sum(s * v**a * q**b for s, (a, b) in zip(self.incidence, INCIDENCE_POWERS, strict=True))
         return np.asarray(rho + self.constant + self.slope * rho + shared, dtype=np.float64)
 
     def equation(self, ray: int) -> str:
-        """Write what is added to the range rho of one ray; empty for nothing."""
+        """Return the text of what is added to the range rho of one ray; empty without terms."""
         parts = [(self.constant[ray], ""), (self.slope[ray], "rho")]
         parts += [(s, _power_text(a, b)) for s, (a, b) in zip(self.incidence, INCIDENCE_POWERS, strict=True)]
         text = ""
@@ -66,14 +67,14 @@ class RayTerms:
 
 
 def _power_text(a: int, b: int) -> str:
-    """Write v^a q^b."""
+    """Return v^a q^b as text."""
     powers = [("v", a), ("q", b)]
     return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
 
 
 @kernel
 def incidence_terms(v: Any, q: Any, out: Any) -> Any:
-    """Fill the terms of S, in the order of `INCIDENCE_POWERS`; v and q are numbers, or arrays (n,) where out is (7, n)."""
+    """Fill the terms of S in the order of `INCIDENCE_POWERS`; v and q are scalars, or arrays (n,) with `out` (7, n)."""
     out[0] = v
     out[1] = v * v
     out[2] = v * v * v
@@ -85,7 +86,7 @@ def incidence_terms(v: Any, q: Any, out: Any) -> Any:
 
 @outer_kernel
 def incidence_bias(den: Any, rho: Any, s: Any) -> Any:
-    """Return S [m] for |den| = |n·u| at range rho."""
+    """Return S [m] for den = n·u at range rho."""
     v = 1.0 - abs(den)
     q = min(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
     return v * (s[0] + q * (s[3] + q * s[5]) + v * (s[1] + q * (s[4] + q * s[6]) + v * s[2]))

@@ -1,11 +1,10 @@
-"""Settings of calibration: every tuned number of `models/calibration` with its unit, its meaning and what set it.
+"""Settings of calibration: every tuned number of `models/calibration` with unit, meaning and source.
 
-`CALIBRATION` is the instance that the modules use. Some are constants of compiled code: `planners.kernel` compiles anew
+The modules use the instance `CALIBRATION`. Some settings are constants of compiled code: `planners.kernel` recompiles
 after a change of any file that names it, as this one.
 
-Numbers were set on random offices, by how near the faces come to the laser's true readings, and by perfect lasers that
-must stay as stated, as printed by
-
+The values were set on random offices, by the distance of the faces to the true readings of the laser. Perfect lasers
+must remain as specified. Both results are printed by
     python -m benchmarks.uncalibrated_laser
     python -m benchmarks.office_graph
 """
@@ -17,76 +16,76 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, kw_only=True)
 class MatchSettings:
-    """Which return is of which face (`matching`)."""
+    """Matching of returns to faces (`matching`)."""
 
     min_cosine: float = 0.05
-    """|n·u| below which a return is all leverage."""
+    """|n·u| below which a return is not used, since grazing incidence amplifies errors."""
     min_shift_cosine: float = 0.02
-    """|n·u| below which a shift of the faces is not carried over to a return."""
+    """|n·u| below which a shift of the face does not change the range of a return."""
     min_probability: float = 0.5
-    """Chance that a return comes from this face."""
+    """Minimum probability that a return is from its face."""
     gate_sigmas: float = 4.0
-    """Standard deviations off, beyond which it does not."""
+    """Residual beyond which a return is not used, in standard deviations."""
     max_ray_bias: float = 0.3
-    """[m] that readings may be off before anything is known of them; larger constants are not plausible."""
+    """[m] Largest bias of a ray: limit of the search for its face, and of a plausible constant."""
     min_range: float = 1e-3
-    """[m] of a corrected reading."""
+    """[m] Lower limit of a corrected reading."""
     max_optic_range: float = 4.0
-    """[m] beyond which the incidence terms depend on the range no more."""
+    """[m] Range beyond which the incidence terms are independent of the range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustmentSettings:
-    """Mount, terms and faces in one least squares (`normal_equations`), and what is plausible of them."""
+    """Joint least squares of mount, terms and faces (`normal_equations`), and limits of plausible results."""
 
     turn_arm: float = 1.0
-    """[m] a face's turn moves it by that much less than a shift, at the prior."""
+    """[m] Lever arm that sets the prior of a face's turn relative to that of its shift."""
     max_turn: float = 0.05
-    """[rad] of a face in one step."""
+    """[rad] Maximum turn of a face in one step."""
     ridge: float = 1e-9
-    """Of a unit diagonal: for unknowns that nearly say the same."""
-    min_rest: float = 1e-6
-    """Share of a term's information that the others must leave for it to be selected."""
-    price_rounds: int = 3
-    """Selections in turn: the price of a ray's term falls with the share of rays that have one."""
+    """Added to the unit diagonal of the scaled equations, for nearly collinear unknowns."""
+    min_remaining: float = 1e-6
+    """Minimum share of a term's information that is not explained by the selected terms."""
+    penalty_rounds: int = 3
+    """Number of selections; the penalty of a ray's term falls with the share of rays that have one."""
     max_mount_offset: float = 0.5
-    """[m] off the stated mount, beyond which a calibration is not plausible."""
+    """[m] Largest plausible offset of the mount."""
     max_mount_turn: float = 0.35
-    """[rad]"""
+    """[rad] Largest plausible yaw offset of the mount."""
     max_slope: float = 0.1
-    """Metres a metre of range."""
+    """[m/m] Largest plausible slope of a ray."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseSettings:
-    """Refined poses (`pose_refinement`)."""
+    """Refinement of the poses (`pose_refinement`)."""
 
     first_noise: tuple[float, float] = (0.005, 0.005)
-    """[m, rad] noise of the poses to begin with."""
+    """[m, rad] Initial noise of the poses."""
     rounds: int = 30
-    """Of EM."""
+    """Number of EM iterations."""
     sweep_rate: float = 15.0
-    """[1/s] corrections in a second of a sweep: the noise of a reference changes from one of its poses to the next."""
+    """[1/s] Corrections per second of a sweep; the error of a reference changes from one of its poses to the next."""
     max_noise: tuple[float, float] = (0.10, 0.10)
-    """[m, rad] beyond it the log is broken (mirrored, other units) and no small step mends it."""
+    """[m, rad] Pose noise above which the log is inconsistent (mirrored scan, other units) and is not refined."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaugeSettings:
-    """The walls' common shift by occlusion edges (`gauge`)."""
+    """Common shift of the walls by occlusion edges (`gauge`)."""
 
     readings: int = 250_000
-    """Of whole scans, that it is searched on."""
+    """Maximum number of readings used in the search, in whole scans."""
     reaches: tuple[float, float] = (0.012, 0.003)
-    """[m] of the first search, and of the second."""
+    """[m] Half width of the first and the second search."""
     passes: int = 3
-    """Of EM on visibility alone."""
+    """EM iterations of the visibility for each shift."""
     min_step: float = 0.0008
-    """[m] step at which the search ends."""
+    """[m] Step at which the search ends."""
     max_shift: float = 0.03
-    """[m] that it may go."""
+    """[m] Largest shift; a maximum there counts as not observable."""
     min_contrast: float = 30.0
-    """[nats] that the best must stand above both sides; bins alone make a few."""
+    """[nats] Minimum drop of the log likelihood towards both ends of the search; binning alone causes a few."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,16 +97,16 @@ class CalibrationSettings:
     poses: PoseSettings = field(default_factory=PoseSettings)
     gauge: GaugeSettings = field(default_factory=GaugeSettings)
     probe_readings: int = 250_000
-    """Readings of whole scans in which a calibration that is worth its price in all shows, if only faintly."""
+    """Readings (whole scans) of a first test; without any gain there, the full test is skipped."""
     coarse_sigmas: tuple[float, float] = (0.025, 0.015)
-    """[m] what returns may be off by in the first rounds."""
+    """[m] Range noise assumed in the coarse rounds."""
     fine_sigma: float = 0.012
-    """[m] what they may be off by afterwards."""
+    """[m] Range noise assumed in the fine rounds."""
     min_gain: float = 20.0
-    """[nats] that calibration must be worth beyond the price of its terms."""
+    """[nats] Minimum gain of a calibration after complexity penalties."""
     min_gain_per_reading: float = 0.01
-    """[nats] a reading that ray terms must be worth: a seventh of the noise, rms; clutter feigns less than that."""
+    """[nats] Minimum gain of ray terms per reading: a bias of 1/7 of the noise (rms), more than clutter imitates."""
 
 
 CALIBRATION = CalibrationSettings()
-"""The settings of calibration."""
+"""The settings that the modules use."""
