@@ -1,4 +1,4 @@
-"""Identify a controller: a polynomial of what the robot perceives explains its commands, and then drives."""
+"""Identify a controller: fit polynomials of the robot's readings to its commands, then drive with them."""
 
 import json
 from contextlib import redirect_stdout
@@ -10,23 +10,23 @@ from sensorgraph.cli import run
 
 
 def shell(command: str) -> None:
-    """Do what `sensorgraph ...` does in a shell, without its output."""
+    """Run `sensorgraph ...` as in a shell, without its output."""
     with redirect_stdout(StringIO()):
         assert run(command.split()) == 0
 
 
-# A wall follower drives round the square for four minutes. The plan only says where to start, and for how long.
+# A wall follower drives round the square for four minutes. The plan only sets the start and the duration.
 sg.plan("square", planner="wall_following", start=(1.0, 0.5, 0.0), duration=240.0).save("plan")
 shell("record plan --arena square --controller wall_following --seed 4 -o wall.mcap")
 
-# The task: each command from the mean range between 45 and 90 degrees, counted from the robot's right.
+# Explain each command by the mean range between 45 and 90 degrees, counted from the robot's right.
 for name, signal in (("turn", "cmd_omega"), ("speed", "cmd_v")):
     found = sg.identify("wall.mcap", output=signal, inputs=["L45-90"], lags=1)
     print(found.model.equation(digits=3))
-    print(f"  r on the half that it has not seen: {found.scores['one_step'].r:.2f}\n")
+    print(f"  r on the held-out half: {found.scores['one_step'].r:.2f}\n")
     Path(f"{name}.json").write_text(json.dumps(found.report()))
 
-# Now the two polynomials drive, from the same start, on other noise.
+# Drive with the two polynomials, from the same start, with other noise.
 shell("record plan --arena square --controller turn.json,speed.json --seed 5 -o copy.mcap")
 for label, log in (("wall follower", "wall.mcap"), ("polynomials", "copy.mcap")):
     drive = sg.read(log)

@@ -1,4 +1,4 @@
-"""From Nav2 and back: a ROS map, the steps for Nav2's actions, a run that broke off, and the rest of the plan."""
+"""From Nav2 and back: plan on a ROS map, drive with Nav2's actions, and plan the missing bins of a cut run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,7 @@ from PIL import Image
 
 import sensorgraph as sg
 
-# What `ros2 run nav2_map_server map_saver_cli -f lab` writes: an image and a yaml. Here, a room of 3 m x 2.5 m.
+# The files that `ros2 run nav2_map_server map_saver_cli -f lab` writes, here for a room of 3 m x 2.5 m.
 cells = np.full((60, 70), 205, dtype=np.uint8)  # unknown
 cells[5:55, 5:65] = 254  # free
 cells[[4, 55], 4:66] = cells[4:56, [4, 65]] = 0  # walls
@@ -19,7 +19,7 @@ Path("lab.yaml").write_text(
     "{image: lab.pgm, resolution: 0.05, origin: [0, 0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.25}\n"
 )
 
-# Plan in steps that Nav2 can drive: straight lines, and turns on the spot.
+# Plan steps that Nav2 can drive: straight lines and turns on the spot.
 plan = sg.plan("lab.yaml", planner="stop_and_spin", cell=0.5, headings=8)
 print(plan)
 plan.save("plan")
@@ -28,18 +28,18 @@ print(f"\n{len(steps)} steps for Nav2; the first three:")
 for step in steps[:3]:
     print(" ", step)
 
-# Drive. Your robot would log with `ros2 bag record`; here the embedded one does. Half way, the battery is empty.
+# Drive. Your robot logs with `ros2 bag record`; here the simulated robot logs until its battery is empty.
 run = sg.record("plan")
 half = run.n_scans // 2
 broken = replace(run, stamps=run.stamps[:half], ranges=run.ranges[:half])
 print(f"\nlogged {half} of {run.n_scans} scans")
 
-# Plan the rest: bins that the logged poses have met need no visit, wherever the robot really went.
+# Plan the missing bins: the logged poses count as visits, on the plan or off it.
 rest = sg.plan("lab.yaml", resume=broken, planner="stop_and_spin", cell=0.5, headings=8)
 print(rest)
 
-# Build from what there is, and let the graph say where to go first next time.
+# Build from the first half, and plan the bins with the largest expected error of this graph first.
 graph = sg.build(broken)
 following = sg.plan("lab.yaml", priority=graph, budget=60.0, cell=0.5, headings=8)
-print("\nby doubt, in one minute:")
+print("\nlargest expected error first, one minute:")
 print(following)
