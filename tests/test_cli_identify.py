@@ -50,9 +50,9 @@ def test_the_model_file_holds_what_is_promised(
     assert Narmax.load(out).terms.names == tuple(found)
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     said = capsys.readouterr().out
-    assert "speed: 0.5% of the samples unknown" in said
+    assert "speed: 0.5% of the samples are unknown" in said
     assert "volts(k-1)^2" in said
-    assert "where the model was fitted" in said
+    assert "the range of the training data" in said
 
 
 def test_noise_lags_auto_finds_how_many_and_the_file_says_so(
@@ -196,7 +196,7 @@ def test_what_is_odd_about_the_samples_is_said(tmp_path: Path, capsys: pytest.Ca
     cases = {
         "1 gap in t": (gap, u, 2 * u),
         "unevenly spaced": (uneven, u, 2 * u),
-        "nothing could be scored": (even, u, np.where(even < 100, 2 * u, np.nan)),
+        "no score: ": (even, u, np.where(even < 100, 2 * u, np.nan)),
         "more such terms": (even, np.full(200, 3.0), 2 * u),
     }
     for said, columns in cases.items():

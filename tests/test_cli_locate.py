@@ -70,7 +70,7 @@ def test_locate_in_a_map_writes_run_csv_json_and_picture(
     arguments = ["--arena", out[1], "-o", out[2], "--csv", out[3], "--json", out[4], "--picture", out[5]]
     assert command(["locate", out[0], *arguments]) == 0
     said = capsys.readouterr().out
-    assert "100 of 100 scans located" in said and "wheels: way x 1.0" in said
+    assert "100 of 100 scans located" in said and "wheels: distance scale 1.0" in said
     rows = list(csv.DictReader((folder / "p.csv").read_text().splitlines()))
     assert list(rows[0]) == ["t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status"]
     assert len(rows) == 100 and {row["status"] for row in rows} == {"ok"}
@@ -110,7 +110,7 @@ def test_run_in_a_new_place_is_located_from_where_its_odometry_began(folder: Pat
     [
         (["raw.mcap", "-o", "out.bag"], "a run is written as *.mcap"),
         (["raw.mcap", "--picture", "p.pdf"], "a picture is written as *.png"),
-        (["raw.mcap", "-o", "raw.mcap"], "is the input itself"),
+        (["raw.mcap", "-o", "raw.mcap"], "is also the input"),
         (["raw.mcap", "--arena", "nowhere.geojson"], "does not exist"),
         (["one.mcap"], "the run has 1 scan, expected a drive of 10 or more"),
         (["blind.mcap"], "no ray of the run ever returned"),
@@ -138,13 +138,13 @@ def test_commands_locate_a_run_without_reference_once_and_keep_it(
     monkeypatch.chdir(folder)
     assert command(["build", "raw.mcap", "--no-calibrate", "-o", "g.sensorgraph"]) == 0
     said = capsys.readouterr().out
-    assert "raw.mcap: it has no reference: located in a map of its own" in said
-    assert "100 of 100 scans located" in said and "kept as raw.mcap.located.mcap" in said
+    assert "raw.mcap: no reference poses: locating in a new map" in said
+    assert "100 of 100 scans located" in said and "saved to raw.mcap.located.mcap" in said
     assert "100 of 100 scans paired" in said
     kept = (folder / "raw.mcap.located.mcap").read_bytes()
     assert command(["evaluate", "g.sensorgraph", "raw.mcap", "--json", "e.json"]) == 0
     said = capsys.readouterr().out
-    assert "raw.mcap: poses as located when g.sensorgraph was built from it" in said
+    assert "raw.mcap: using the poses from which g.sensorgraph was built" in said
     assert json.loads((folder / "e.json").read_text())["all"]["median_m"] < 0.03
     assert command(["review", "raw.mcap", "--graph", "g.sensorgraph", "-o", "r.rrd"]) == 0
     assert (folder / "raw.mcap.located.mcap").read_bytes() == kept
@@ -159,7 +159,7 @@ def test_another_run_is_located_in_the_graph_that_judges_it(
     logs.write(room_run(TRUTH[20:60], seed=4), folder / "second.mcap")
     capsys.readouterr()
     assert command(["evaluate", "g.sensorgraph", "second.mcap", "--json", "e2.json"]) == 0
-    assert "second.mcap: it has no reference: located in g.sensorgraph" in capsys.readouterr().out
+    assert "second.mcap: no reference poses: locating in g.sensorgraph" in capsys.readouterr().out
     assert json.loads((folder / "e2.json").read_text())["all"]["median_m"] < 0.05
 
 

@@ -59,7 +59,7 @@ def test_a_fault_of_ours_is_one_line_and_code_1(
     assert run(["inspect", str(tmp_path)]) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "IndexError" in line
-    assert "our fault" in line
+    assert "a bug in sensorgraph" in line
 
 
 @pytest.mark.parametrize(

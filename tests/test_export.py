@@ -297,7 +297,7 @@ def test_a_script_says_what_it_lacks_before_it_drives(
     assert "scene.xml is missing; export the world again" in script("plan")
     for name in ("scene.xml", "arena.geojson", "robot.yaml"):
         (tmp_path / name).touch()
-    assert "does not exist; make it first" in script("plan", "-o", str(tmp_path / "nowhere" / "run.mcap"))
+    assert "does not exist; create it" in script("plan", "-o", str(tmp_path / "nowhere" / "run.mcap"))
 
 
 def test_a_second_export_leaves_nothing_of_the_first(world: ExportedWorld, tmp_path: Path) -> None:
@@ -316,7 +316,7 @@ def test_a_second_export_leaves_nothing_of_the_first(world: ExportedWorld, tmp_p
         (["square", "--to", "mujco"], "did you mean mujoco?"),
         (["square", "--to", "isaac"], ", ".join(TARGETS)),
         (["nowhere", "--to", "irsim"], "nowhere does not exist"),
-        (["square", "--to", "irsim", "--no-go", "1,1,2,1,2,2"], "for --to nav2"),
+        (["square", "--to", "irsim", "--no-go", "1,1,2,1,2,2"], "require --to nav2"),
         (["square", "--to", "nav2", "--no-go", "91,91,92,91,92,92"], "no no-go zone lies in the arena"),
         (["square", "--to", "gazebo", "--wall-height", "-1"], "expected a height"),
         (["square", "--to", "mujoco", "--effects", "nowhere.yaml"], "nowhere.yaml does not exist"),

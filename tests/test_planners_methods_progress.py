@@ -40,8 +40,8 @@ def test_what_is_worked_on_stands_beside_the_name(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(told._PlainLines, "last", -100.0)
-    with told.told_progress("planning", "bins") as (tick, say):
-        say("searching 3 rooms")
+    with told.progress_with_status("planning", "bins") as (tick, set_status):
+        set_status("searching 3 rooms")
         tick(10, 40)
     assert capsys.readouterr().err == "planning, searching 3 rooms: 10 of 40 bins\n"
 
@@ -52,7 +52,7 @@ def test_what_comes_before_the_first_tick_says_nothing_of_the_time_left(
     """A minute of compiling, then 100 bins a second."""
     clock = [0.0]
     monkeypatch.setattr(told.time, "monotonic", lambda: clock[0])
-    told.start_silence()
+    told.reset_silence()
     with told.progress("planning", "bins") as tick:
         clock[0] = 60.0
         tick(0, 2000)

@@ -1,6 +1,6 @@
-"""The command line: one file per command, each short: parse, call the library, save, say one line.
+"""The command line: one file per command, which parses, calls the library, saves and prints a summary.
 
-Nothing heavy is imported here: a command imports what it needs when it runs.
+This package imports nothing heavy: each command imports what it needs when it runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.narrow_help import is_narrow, set_narrow
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
-from sensorgraph.cli.progress import start_silence
+from sensorgraph.cli.progress import reset_silence
 from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
 from sensorgraph.cli.review import review
@@ -57,7 +57,7 @@ INTERRUPTED = 130
 
 app = typer.Typer(
     name="sensorgraph",
-    help="Drive an arena, log it, and get transparent equations of what its range sensor perceives.",
+    help="Plan a coverage run, log it, and identify equations that predict every range reading at any pose.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -85,11 +85,11 @@ def _root(
         bool,
         typer.Option(
             "--allow-outside",
-            help="Let a map's `image` and a bag's file list name files outside their folder.",
+            help="Allow a map's `image` and a bag's file list to refer to files outside their folder.",
         ),
     ] = False,
 ) -> None:
-    start_silence()
+    reset_silence()
     if allow_outside:
         os.environ["SENSORGRAPH_ALLOW_OUTSIDE"] = "1"
 
@@ -99,7 +99,7 @@ def _one_line(exc: BaseException) -> str:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run one command; return 0 done, 2 the user's input is at fault, 1 our fault, 130 interrupted."""
+    """Run one command; return 0 on success, 2 for an error in the input, 1 for an internal error, 130 if interrupted."""
     command = typer.main.get_command(app)
     if is_narrow():
         set_narrow(command)
@@ -119,21 +119,21 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _is_interrupt(exc: BaseException | None) -> bool:
-    """Tell whether Ctrl-C is behind an error: one that comes while compiled code returns is a SystemError."""
+    """Return whether Ctrl-C caused an error; Ctrl-C while compiled code returns raises a SystemError."""
     while exc is not None and not isinstance(exc, KeyboardInterrupt):
         exc = exc.__cause__ or exc.__context__
     return exc is not None
 
 
 def _report_error(exc: Exception) -> int:
-    """Print in one line what went wrong; return the exit code."""
+    """Print the error as one line; return the exit code."""
     if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
         if type(exc).__name__ == "NoArgsIsHelpError":
             typer.echo(exc.format_message())
             return 0
         context = getattr(exc, "ctx", None)
-        asked = "sensorgraph" if context is None else context.command_path
-        _print_error(f"error: {' '.join(exc.format_message().split()).rstrip('.')}; see `{asked} --help`")
+        used = "sensorgraph" if context is None else context.command_path
+        _print_error(f"error: {' '.join(exc.format_message().split()).rstrip('.')}; see `{used} --help`")
         return int(exc.exit_code)
     if isinstance(exc, OSError) and exc.filename is None and exc.errno is not None:
         _print_error(f"error: {exc.strerror}; the output cannot be written")
@@ -154,7 +154,7 @@ def _report_error(exc: Exception) -> int:
     if os.environ.get("SENSORGRAPH_DEBUG"):
         raise exc
     _print_error(
-        f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
+        f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is a bug in sensorgraph, please report it "
         "with the traceback that SENSORGRAPH_DEBUG=1 prints"
     )
     return 1
@@ -172,4 +172,4 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):  # closed by the caller, or a full disk
             stream.flush()
-    os._exit(code)  # skip the interpreter's shutdown: OMPL's bindings print leak notes there
+    os._exit(code)  # skip the interpreter's shutdown, where OMPL's bindings print leak notes

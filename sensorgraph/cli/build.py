@@ -60,7 +60,7 @@ def build(
     force: Force = False,
     poses: PosesFrom = None,
 ) -> None:
-    """Identify what every ray perceives at each (x, y, phi).
+    """Build a sensorgraph from runs: equations that predict every ray at each (x, y, phi).
 
     Examples:
 
@@ -79,7 +79,7 @@ def build(
     from logs import parse_topics
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, mounts_of, say_ray_order
+    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, mounts_of, print_ray_order
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
@@ -100,8 +100,8 @@ def build(
     loaded = [_open(path, robot, poses, place, reading, is_alone=len(runs) == 1) for path in runs]
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
     for path, log in zip(runs, loaded, strict=True):
-        say_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
-    said = _say_what_is_ahead(list(zip(runs, loaded, strict=True)))
+        print_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
+    printed = _print_before_fit(list(zip(runs, loaded, strict=True)))
     with cluster(dask) if dask is not None else nullcontext(map) as map_blocks:
         graph = build_graph(
             loaded,
@@ -117,7 +117,7 @@ def build(
             **options,
         )
     graph.save(output)
-    _report(graph, split, said)
+    _report(graph, split, printed)
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
 
 
@@ -126,7 +126,7 @@ def _check_model(model: str, models: Collection[str], *, is_update: bool, with_a
 
     if is_update and (model != "faces" or with_arena):
         raise SensorgraphError(
-            "--update adds runs to a graph as it was built; leave --model and --arena away"
+            "--update keeps the model and the arena of the graph; leave out --model and --arena"
         )
     if model not in models:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(models)}")
@@ -141,7 +141,7 @@ def _open(
     *,
     is_alone: bool,
 ) -> LogStream:
-    """Open a log, located where it has no reference: in a place (with its name), or in a map of its own."""
+    """Open a log; if it has no reference poses, locate it in `place` (arena or graph, name) or in a new map."""
     from logs.stream import WholeRun, open_log
     from sensorgraph.cli.inputs import with_poses, with_robot
     from sensorgraph.errors import SensorgraphError
@@ -154,17 +154,17 @@ def _open(
         return log
     if not is_alone and place[0] is None:
         raise SensorgraphError(
-            f"{path} has no reference, and would be located in a map of its own; build the runs one by one: the first "
-            "alone, the next with --update GRAPH"
+            f"{path} has no reference poses, and each run would get a separate map; build the runs one by one: "
+            "the first alone, the others with --update GRAPH"
         )
     return WholeRun(head=run)
 
 
-def _say_what_is_ahead(logs: list[tuple[Path, LogStream]]) -> set[str]:
-    """Say, before anything is fitted, what the logs make hard; return what was said."""
+def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> set[str]:
+    """Print the sweep times and the warnings of the logs before the fit; return the warnings."""
     from logs.inspection import warnings_of
 
-    said = set()
+    printed = set()
     for path, log in logs:
         sensor = log.head.sensor
         if sensor.has_ray_delays:
@@ -172,17 +172,17 @@ def _say_what_is_ahead(logs: list[tuple[Path, LogStream]]) -> set[str]:
                 f"{sensor.interlaced_sweeps} interlaced sweeps" if sensor.interlaced_sweeps > 1 else "sweeps"
             )
             typer.echo(
-                f"{path.name}: the laser {sweeps} for {sensor.scan_duration:.3g} s; each ray is taken at its own pose"
+                f"{path.name}: the laser {sweeps} for {sensor.scan_duration:.3g} s; each ray gets its own pose"
             )
         for text in warnings_of(log.head):
             line = f"warning: {path.name}: {with_flags(text)}"
-            said.add(line)
+            printed.add(line)
             typer.echo(line, err=True)
-    return said
+    return printed
 
 
-def _report(graph: Sensorgraph, split: str | None, said: set[str]) -> None:
-    """Say what became of each run, and what was fitted; warnings only that were not said before."""
+def _report(graph: Sensorgraph, split: str | None, printed: set[str]) -> None:
+    """Print how many scans of each run were used, and the fitted model; skip warnings that were printed before."""
     for entry in graph.origin["inputs"]:
         dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
         held = f", {entry['held_out']} held out ({split})" if split else ""
@@ -192,14 +192,14 @@ def _report(graph: Sensorgraph, split: str | None, said: set[str]) -> None:
         )
         for text in entry.get("warnings", ()):
             line = f"warning: {entry['name']}: {with_flags(text)}"
-            if line not in said:
+            if line not in printed:
                 typer.echo(line, err=True)
     for label, text in graph.facts().items():
         typer.echo(f"{label}: {text}")
 
 
 def _options(calibrate: bool | None, **texts: str) -> dict[str, Any]:
-    """Return the options that are not chosen automatically; numbers are of polynomial and narmax."""
+    """Return the options that are not `auto`."""
     numbers = {name: _number(name, text) for name, text in texts.items()}
     chosen = {
         "n_terms" if name == "terms" else name: number

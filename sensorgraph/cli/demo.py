@@ -21,7 +21,9 @@ def demo(
     seed: DemoSeed = 0,
     real: DemoReal = False,
 ) -> None:
-    """Plan, record, build, evaluate, review on the shipped arena; hide an effect and find it. Offline, no display.
+    """Run the whole loop on a shipped arena: plan, record, build, evaluate, review, and find a hidden effect.
+
+    Works offline and without a display.
 
     Examples:
 
@@ -65,15 +67,15 @@ def demo(
         _link_latest(folder)
     typer.echo("\n".join(comparison_table(results)))
     typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
-    typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
-    typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
-    typer.echo(f"the diagnosis:   {folder / 'diagnosis' / 'report.html'}")
+    typer.echo(f"\n{time.monotonic() - began:.0f} s; all files are in {folder}")
+    typer.echo(f"review:          rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
+    typer.echo(f"diagnosis:       {folder / 'diagnosis' / 'report.html'}")
     typer.echo(f"one equation:    sensorgraph show {folder / 'coverage.sensorgraph'} --ray 67")
-    typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
+    typer.echo(f"the log:         sensorgraph inspect {folder / 'coverage.mcap'}")
 
 
 def _demo_real(folder: Path, *, is_latest: bool) -> None:
-    """Run the loop on the shipped raw log."""
+    """Run the loop on the shipped real log."""
     import time
 
     from sensorgraph.cli.inputs import check_folder, write_json
@@ -94,14 +96,14 @@ def _demo_real(folder: Path, *, is_latest: bool) -> None:
     if wheels is not None:
         before, after = done.drift
         lines.append(
-            f"wheels:    off by {100 * before:.0f} cm after 10 m as logged, {100 * after:.0f} cm with these parameters (median)"
+            f"wheels:    median drift after 10 m {100 * before:.0f} cm as logged, {100 * after:.0f} cm with these parameters"
         )
     lines += [
         f"evaluate:  {_scaled(held['median_m'], 'cm')} median error, {_scaled(held['within_0.1m'], '%')} within 10 cm, on "
-        "stretches held out of the fit",
-        f"{time.monotonic() - began:.0f} s; all of it is in {folder}",
-        f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'map.png'}",
-        f"the poses:       {folder / 'poses.csv'}, with their standard deviations",
+        "held-out parts of the log",
+        f"{time.monotonic() - began:.0f} s; all files are in {folder}",
+        f"review:          rerun {folder / 'review.rrd'}   and   {folder / 'map.png'}",
+        f"poses:           {folder / 'poses.csv'}, with standard deviations",
         f"one equation:    sensorgraph show {folder / 'fr079.sensorgraph'} --ray 180",
     ]
     typer.echo("\n".join(lines))
@@ -113,7 +115,7 @@ def _scaled(value: float | None, unit: str) -> str:
 
 
 def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
-    """Say what was hidden, what was found, and what it brought."""
+    """Return the printed lines: the hidden effect, the diagnosis, and the gap before and after."""
     from sensorgraph.diagnosis.report.summary import summarise
 
     planted = hidden.planted
@@ -121,28 +123,28 @@ def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
     values = ", ".join(f"{k} {v:g}" for k, v in planted.parameters.items())
     lines = [
         f"hidden by seed:  {planted.effect.title}{place} ({values})",
-        f"diagnose says:   {summarise(hidden.finding).headline}",
+        f"diagnosis:       {summarise(hidden.finding).headline}",
     ]
     gap = hidden.finding.second_gap
     if gap is not None:
         lines.append(
-            f"on a second run that it has not seen: gap {100 * gap.before.rmse_m:.2f} -> {100 * gap.after.rmse_m:.2f} cm, "
-            f"noise floor {100 * gap.noise_floor.rmse_m:.2f} cm; {gap.before.nats_per_ray:.2f} -> "
-            f"{gap.after.nats_per_ray:.2f} nats per ray"
+            f"second run:      gap {100 * gap.before.rmse_m:.2f} -> {100 * gap.after.rmse_m:.2f} cm, "
+            f"noise floor {100 * gap.noise_floor.rmse_m:.2f} cm; mean negative log likelihood of a ray "
+            f"{gap.before.nats_per_ray:.2f} -> {gap.after.nats_per_ray:.2f}"
         )
     return lines
 
 
 HEADS = {
     "coverage": "planned",
-    "random_bounce": "random, as long",
-    "coverage_polynomial": "planned, 2004 form",
+    "random_bounce": "random, same time",
+    "coverage_polynomial": "planned, form of 2004",
 }
-"""Drive of demo.json -> head of its column."""
+"""Drive of demo.json -> column header."""
 
 
 def comparison_table(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the demo's table, markdown, from the numbers in demo.json."""
+    """Return the table of the demo in Markdown from the numbers in demo.json."""
     heads, drives = [HEADS[name] for name in results], list(results.values())
     rows = [
         ("driven", [f"{drive['drive_time_s'] / 60:.0f} min" for drive in drives]),
@@ -172,7 +174,7 @@ def comparison_table(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _link_latest(folder: Path) -> None:
-    """Let runs/latest lead to the folder, where links are possible."""
+    """Link runs/latest to the folder if the file system supports links."""
     latest = folder.parent / "latest"
     try:
         latest.unlink(missing_ok=True)

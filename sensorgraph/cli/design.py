@@ -13,26 +13,32 @@ if TYPE_CHECKING:
     from sensorgraph.identification.design import ControllerDesign
     from sensorgraph.identification.design_task import DriveQuantities
 
-WallDistanceAsked = Annotated[float, typer.Option(help="[m] From the robot's centre to the nearest wall.")]
-SpeedAsked = Annotated[float, typer.Option(help="[m/s] That the robot drives at.")]
-SmoothnessAsked = Annotated[
-    float, typer.Option(help="[rad/s^2] Most of the root mean square change of the turn rate.")
+RequestedWallDistance = Annotated[
+    float, typer.Option(help="Target distance from the robot's centre to the nearest wall (m).")
+]
+RequestedSpeed = Annotated[float, typer.Option(help="Driving speed (m/s).")]
+RequestedSmoothness = Annotated[
+    float, typer.Option(help="Maximum root mean square change of the turn rate (rad/s^2).")
 ]
 DesignInputs = Annotated[
-    str, typer.Option(help="Signals that it steers by: means over rays, degrees from the robot's right.")
+    str,
+    typer.Option(help="Controller inputs: mean range over rays between two angles from the robot's right."),
 ]
-DesignDegree = Annotated[int, typer.Option(min=1, max=4, help="Of the polynomial.")]
-DesignDuration = Annotated[float, typer.Option(help="[s] Of the drives that are predicted.")]
+DesignDegree = Annotated[int, typer.Option(min=1, max=4, help="Degree of the polynomial.")]
+DesignDuration = Annotated[float, typer.Option(help="Duration of the predicted drives (s).")]
 DesignArena = Annotated[
-    str | None, typer.Option(help="Then drive it here, and compare: GeoJSON, map yaml, or a shipped one.")
+    str | None,
+    typer.Option(
+        help="Arena to drive the controller in, for comparison: GeoJSON file, map_server yaml or shipped."
+    ),
 ]
 DesignRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
-DesignSeed = Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")]
-DesignOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.")]
+DesignSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
+DesignOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")]
 LABELS = {
     "wall_distance_m": ("wall distance, mean", "m"),
-    "wall_distance_5_m": ("– 5 % of the time below", "m"),
-    "wall_distance_95_m": ("– 5 % of the time above", "m"),
+    "wall_distance_5_m": ("– 5th percentile", "m"),
+    "wall_distance_95_m": ("– 95th percentile", "m"),
     "speed_m_s": ("speed", "m/s"),
     "turn_change_rad_s2": ("change of turn rate, rms", "rad/s²"),
     "contacts": ("contacts", ""),
@@ -42,10 +48,10 @@ LABELS = {
 
 def design(
     graph: GraphFile,
-    wall_distance: WallDistanceAsked,
+    wall_distance: RequestedWallDistance,
     out: DesignOut,
-    speed: SpeedAsked = 0.2,
-    smoothness: SmoothnessAsked = 1.0,
+    speed: RequestedSpeed = 0.2,
+    smoothness: RequestedSmoothness = 1.0,
     inputs: DesignInputs = "L0-30,L30-60,L75-105",
     degree: DesignDegree = 2,
     duration: DesignDuration = 90.0,
@@ -53,9 +59,10 @@ def design(
     robot: DesignRobot = None,
     seed: DesignSeed = 0,
 ) -> None:
-    """Find a polynomial controller in an identified world, and predict its drives before it is driven.
+    """Design a polynomial controller in an identified world and predict its drives with 95 % intervals.
 
-    Writes controller.json (for `record --controller`), design.json and design.png.
+    Writes controller.json (for `record --controller`), design.json and
+    design.png.
 
     Examples:
 
@@ -98,7 +105,7 @@ def design(
 
 
 def _table(found: ControllerDesign, driven: DriveQuantities | None) -> list[str]:
-    """Return the prediction of every quantity, and what was driven beside it."""
+    """Return the prediction of every quantity, next to the value of the drive."""
     head = f"{'':<26}{'predicted':>14}{'95 % interval':>26}"
     lines = [head + ("" if driven is None else f"{'driven':>15}")]
     for name, (label, unit) in LABELS.items():
@@ -109,7 +116,7 @@ def _table(found: ControllerDesign, driven: DriveQuantities | None) -> list[str]
             cells = f"{label:<26}{'none':>14}{'':>26}"
         if driven is not None:
             value = getattr(driven, name)
-            said = "none" if value != value else f"{value:.3g} {unit}"
-            cells += f"{said:>15}" + ("" if interval.holds(value) else "  outside")
+            driven_text = "none" if value != value else f"{value:.3g} {unit}"
+            cells += f"{driven_text:>15}" + ("" if interval.holds(value) else "  outside")
         lines.append(cells.rstrip())
     return lines

@@ -46,7 +46,7 @@ def diagnose(
     force: Force = False,
     poses: PosesFrom = None,
 ) -> None:
-    """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
+    """Find the physical effects that explain why measurement and simulation differ, and verify them.
 
     Examples:
 
@@ -54,7 +54,7 @@ def diagnose(
 
       sensorgraph diagnose run.mcap second.mcap -o diagnosis && rerun diagnosis/review.rrd
 
-      sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o what_is_left
+      sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o remaining
 
       sensorgraph diagnose run.mcap --simulation gazebo.mcap --arena lab.geojson --robot robot.yaml
 
@@ -82,7 +82,7 @@ def diagnose(
         with_described_mount(with_poses(run, path, poses, walls, name=place, options=reading), machine)
         for run, path in zip(loaded, runs, strict=True)
     ]
-    _say_ray_orders(runs, loaded, machine)
+    _print_ray_orders(runs, loaded, machine)
     known = _known(effects, walls)
     baseline = _commission([_read(path, reading) for path in commissioning or ()], walls, machine, seed)
     options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
@@ -93,7 +93,7 @@ def diagnose(
         options |= {"simulation": with_described_mount(simulated, machine), "name": str(simulation)}
     driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
-        loaded.pop(0),  # so that nobody keeps the scans of a long log when they are not needed any more
+        loaded.pop(0),  # free the scans of a long log as soon as they are no longer needed
         arena=walls,
         robot=machine,
         second=loaded.pop() if loaded else None,
@@ -105,27 +105,27 @@ def diagnose(
         "seed": seed,
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
-        **_said(machine, known, poses, topic, no_return),
+        **_report_settings(machine, known, poses, topic, no_return),
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
-    _say(finding, known, out)
+    _print_finding(finding, known, out)
 
 
-def _say_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
-    """Say where a run numbers its rays otherwise than the robot does."""
-    from sensorgraph.cli.inputs import say_ray_order
+def _print_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
+    """Print each run whose ray order differs from the robot's."""
+    from sensorgraph.cli.inputs import print_ray_order
 
     for path, run in zip(paths, loaded, strict=True):
-        say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
+        print_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
 
 
-def _said(
+def _report_settings(
     machine: Robot, known: Sequence[Amendment], poses: str | None, topic: Topics, no_return: str | None
 ) -> dict[str, Any]:
-    """Return what the report keeps of the robot, of what was known, and of how the log was read."""
+    """Return the settings for the report: the robot, the known effects, and how the log was read."""
     return {
         "poses": poses,
         "topics": list(topic or []),
@@ -138,7 +138,7 @@ def _said(
 
 
 def _has_neither(runs: Sequence[Run], poses: str | None) -> bool:
-    """Tell whether no run has an arena or a reference, so that only wheels and mount can be told."""
+    """Return whether no run has an arena or reference poses, so that only wheels and mount can be estimated."""
     from sensorgraph.loading import arena_in
     from sensorgraph.localization.kept import needs_locating
 
@@ -153,8 +153,8 @@ def _drive_alone(
     poses: str | None,
     reading: Mapping[str, Any],
 ) -> None:
-    """Tell wheels and mount of runs without arena and reference."""
-    from sensorgraph.cli.inputs import say_log_notes, with_poses
+    """Estimate wheels and mount from runs without arena and reference poses."""
+    from sensorgraph.cli.inputs import print_log_notes, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.driving_files import save_driving
@@ -171,15 +171,17 @@ def _drive_alone(
     base = None if robot is None else load_robot(robot).wheels.base
     finding = diagnose_driving(runs, base=base, progress=progress)
     save_driving(finding, out, {"runs": names, "robot": robot and robot.name}, log_notes(*loaded))
-    say_log_notes(*loaded)
+    print_log_notes(*loaded)
     for line in finding.lines:
         typer.echo(line)
-    typer.echo("no arena, no reference: the poses absorb everything else; give --arena to look for more")
+    typer.echo(
+        "no arena and no reference poses: only wheels and mount are observable; give --arena to test other effects"
+    )
     if base is None:
         typer.echo(
-            "effects.yaml has no heading bias: give --robot, whose wheelbase tells the sizes of the wheels"
+            "effects.yaml lacks the heading bias: unequal wheel radii need a known wheelbase; give --robot"
         )
-    typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, calibration.png")
+    typer.echo(f"wrote {out / 'report.html'}, report.json, effects.yaml, calibration.png")
 
 
 def _check(
@@ -189,7 +191,7 @@ def _check(
     out: Path,
     poses: str | None,
 ) -> None:
-    """Refuse what cannot be meant, before anything is read."""
+    """Refuse contradictory arguments before any file is read."""
     from sensorgraph.cli.inputs import check_folder, check_poses
 
     _check_runs(runs)
@@ -199,30 +201,30 @@ def _check(
 
 
 def _check_runs(runs: Sequence[Path]) -> None:
-    """Refuse more than two runs, and one run given as its own proof."""
+    """Refuse more than two runs, and a second run that is the first."""
     from sensorgraph.errors import SensorgraphError
 
     if len(runs) > 2:
         raise SensorgraphError(
-            f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
+            f"{len(runs)} runs given, expected one, or two of which the second only verifies the result"
         )
     if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
         raise SensorgraphError(
-            f"{runs[1]} is given twice; the second run is for the proof and must be another"
+            f"{runs[1]} is given twice; the second run verifies the result and must be a different run"
         )
 
 
 def _check_simulation(
     simulation: Path | None, runs: Sequence[Path], commissioning: Sequence[Path] | None
 ) -> None:
-    """Refuse a simulation beside a commissioning run, and the run given as its own simulation."""
+    """Refuse a simulation together with a commissioning run, and a run given as its own simulation."""
     from sensorgraph.errors import SensorgraphError
 
     if simulation is None:
         return
     if commissioning:
         raise SensorgraphError(
-            "--simulation and --commissioning are both given; a run is compared with one or the other"
+            "--simulation and --commissioning are both given; a run can be compared with only one of them"
         )
     if simulation.exists() and any(p.exists() and p.samefile(simulation) for p in runs):
         raise SensorgraphError(f"{simulation} is given as its own simulation; give a log of your simulator")
@@ -237,21 +239,21 @@ def _read(path: Path, reading: Mapping[str, Any]) -> Run:
 
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:
-    """Read arena and robot, or take those kept in the run."""
+    """Return the arena and the robot that were given, else those kept in the run."""
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_for, robot_in
 
     walls = load_arena(arena) if arena is not None else arena_in(run)
     if walls is None:
         raise SensorgraphError(
-            f"{name} keeps no arena; give one with --arena, or --poses locate for wheels and mount alone"
+            f"{name} keeps no arena; give one with --arena, or use --poses locate to estimate only wheels and mount"
         )
     machine = robot_in(run) if robot is None else None
     return walls, robot_for(run, robot) if machine is None else machine
 
 
 def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
-    """Read the effects that are part of the model already."""
+    """Read the effects that the simulation already includes."""
     from sensorgraph.effects import effects_file
 
     if path is None:
@@ -262,23 +264,25 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
 
 
 def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> SiteBaseline | None:
-    """Learn from runs that are known to be good, if there are any."""
+    """Estimate the baseline of the site from runs that are known to be good, if there are any."""
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.commissioning import commission_all
 
     if not good:
         return None
     if len(good) == 1:
-        typer.echo("one good run does not show by how much good runs differ; several tell more", err=True)
+        typer.echo(
+            "warning: one commissioning run cannot show the spread between good runs; give several", err=True
+        )
     with progress("commissioning", "%") as tick:
         return commission_all(good, walls, machine, seed=seed, progress=tick)
 
 
-def _say(finding: Finding, known: Sequence[Amendment], out: Path) -> None:
-    """Print what was taken for granted, and what was found."""
-    from sensorgraph.cli.inputs import say_warnings
+def _print_finding(finding: Finding, known: Sequence[Amendment], out: Path) -> None:
+    """Print the notes on the log and the result."""
+    from sensorgraph.cli.inputs import print_warnings
 
-    say_warnings(finding.intake["log_notes"])
+    print_warnings(finding.intake["log_notes"])
     typer.echo("\n".join(_lines(finding, known, out)))
 
 
@@ -291,9 +295,9 @@ def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]
     review = "" if finding.explained is None else ", review.rrd"
     lines = [summary.headline, *summary.details, *intake_sentences(finding)]
     if known:
-        lines.append(f"part of the model as given: {'; '.join(brief(a) for a in known)}")
+        lines.append(f"effects included as given: {'; '.join(brief(a) for a in known)}")
     lines += [] if finding.driving is None else finding.driving.lines[1:]
-    lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{review}")
+    lines.append(f"wrote {out / 'report.html'}, report.json, effects.yaml{review}")
     if finding.next_run is not None:
         plan = out / "next_run"
         kept = f"--arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'}"

@@ -63,7 +63,7 @@ def evaluate(
     robot: RunRobot = None,
     poses: PosesFrom = None,
 ) -> None:
-    """Compare what a sensorgraph predicts with what a run measured.
+    """Compare the predictions of a sensorgraph with the ranges measured in a run.
 
     Examples:
 
@@ -82,8 +82,8 @@ def evaluate(
         check_output,
         check_poses,
         mounts_of,
-        say_log_notes,
-        say_ray_order,
+        print_log_notes,
+        print_ray_order,
         with_poses_of_graph,
         with_robot,
         write_json,
@@ -108,7 +108,7 @@ def evaluate(
         }
         log = read(run, **reading, progress=tick)
     log = with_poses_of_graph(with_robot(log, str(run), robot), run, poses, model, str(graph), reading)
-    say_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
+    print_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)
@@ -124,13 +124,13 @@ def evaluate(
             {"beside": others} if others else {}
         )
         write_json(json, result.to_dict() | extra)
-    say_log_notes(log)
+    print_log_notes(log)
     written = [] if json is None else [f"wrote {json}"]
     typer.echo("\n".join([*table(result, simulator, others), *written]))
 
 
 def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None) -> dict[str, Metrics]:
-    """Score the simulator of the arena and the robot that the run keeps."""
+    """Score the simulator of the arena and the robot kept in the run."""
     from sensorgraph.effects.effects_file import read
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.raycast_baseline import compare
@@ -139,7 +139,7 @@ def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None)
     arena, robot = arena_in(run), robot_in(run)
     if arena is None or robot is None:
         raise SensorgraphError(
-            "--effects needs a run that keeps arena and robot, as `record` writes; this one does not"
+            "--effects needs a run that keeps arena and robot; this run does not; write one with `sensorgraph record`"
         )
     with progress("simulating", "%") as tick:
         return compare(result, run, arena, robot.sensor, read(effects, arena), point=point, progress=tick)
@@ -150,7 +150,7 @@ def table(
     simulator: dict[str, Metrics] | None = None,
     beside: dict[str, Metrics] | None = None,
 ) -> list[str]:
-    """Return the printed lines: blocks side by side, and which point value each row is of."""
+    """Return the printed table: one column per block, and the point value used for each row."""
     blocks = {"all": result.all, "answered": result.answered_only, **_spaced(result.in_sequence)}
     blocks |= {**(simulator or {}), **(beside or {})}
     scored = result.settings["scored"]
@@ -158,18 +158,18 @@ def table(
         f"{scored['n_scans']} of {scored['of_scans']} scans, {result.n_rays} returns between "
         f"{scored['from_m']:g} and {scored['to_m']:g} m; {result.settings['training']}",
         f"{'':<24}{_row(blocks)}   of",
-        f"{'share of the rays':<24}{_row(['100.0 %', _cell(result.answered, '%')])}",
+        f"{'share of rays':<24}{_row(['100.0 %', _cell(result.answered, '%')])}",
     ]
     for label, key, unit in ROWS:
         row = _row([_cell(block[key], unit) for block in blocks.values()])
         lines.append(f"{label:<24}{row}   {result.settings['point'].get(key, '')}".rstrip())
     if result.in_sequence:
         lines.append(
-            "all, answered: each pose alone; one step: from the scans before; free run: from its own predictions; "
-            "persistence: the last reading; on the rays of `all`"
+            "all, answered: from the pose alone; one step: from previous scans; free run: from the model's own "
+            "predictions; persistence: the last reading; the last three are on the rays of `all`"
         )
     if simulator:
-        lines.append("nominal, amended: the simulator as mapped and with the effects, on the rays of `all`")
+        lines.append("nominal, amended: the simulator without and with the effects, on the rays of `all`")
     return lines
 
 

@@ -33,7 +33,7 @@ def export(
     no_go: ExportNoGo = None,
     wall_height: WallHeight = None,
 ) -> None:
-    """Write an arena or a sensorgraph, the robot and its laser as a world for another simulator, or for Nav2.
+    """Export an arena or a sensorgraph, with robot and laser, to another simulator or to Nav2.
 
     Examples:
 
@@ -46,7 +46,7 @@ def export(
       sensorgraph export lab.sensorgraph --to nav2 --run run.mcap --no-go 1,1,2,1,2,2 -o nav2
     """
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder, say_log_notes
+    from sensorgraph.cli.inputs import check_folder, print_log_notes
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.exporting.export import check_target
@@ -59,9 +59,9 @@ def export(
     check_target(target)
     check_folder(out)
     if target != "nav2" and (run is not None or no_go):
-        raise SensorgraphError(f"--run and --no-go are for --to nav2; {target} takes neither")
+        raise SensorgraphError(f"--run and --no-go require --to nav2; leave them out for {target}")
     if wall_height is not None and not 0 < wall_height < 100:
-        raise SensorgraphError(f"--wall-height is {wall_height:g}, expected a height in m above 0")
+        raise SensorgraphError(f"--wall-height is {wall_height:g} m, expected a height between 0 and 100 m")
     arena, machine = load_arena(source), load_robot(robot)
     amendments = () if effects is None else read_effects(effects, arena)
     forbidden = [zone for given in no_go or [] for zone in zones(given)]
@@ -72,14 +72,14 @@ def export(
     typer.echo(
         f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name}, {len(amendments)} effects"
     )
-    say_log_notes(*([] if driven is None else [driven]))
+    print_log_notes(*([] if driven is None else [driven]))
     for line in left_out:
         typer.echo(f"left out: {line}")
-    typer.echo(f"wrote {out}; begin with {out / 'README.md'}")
+    typer.echo(f"wrote {out}; start with {out / 'README.md'}")
 
 
 def _located(path: Path, arena: Arena, place: str) -> Run:
-    """Read a run; where it has no reference, locate it in the arena."""
+    """Read a run; if it has no reference poses, locate it in the arena."""
     import logs
     from sensorgraph.cli.inputs import with_poses
 

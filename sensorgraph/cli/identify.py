@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 MAX_NOISE_LAGS = 100
 MAX_NOTES = 4
 MIN_P_VALUE = 0.001
-"""p-value of the residual's test below which the standard errors are doubted."""
+"""p-value of the residual test below which the standard errors are too small."""
 
 
 def identify(
@@ -54,10 +54,11 @@ def identify(
     auto: IdentifyAuto = False,
     topic: Topics = None,
 ) -> None:
-    """Find the polynomial that explains one signal by others, and test it on data it has not seen.
+    """Identify a polynomial model of one signal from others, and test it on held-out data.
 
-    Signals of a run: x y phi cos_phi sin_phi v omega cmd_v cmd_omega, L67 (the ray nearest 67°, counted
-    counter-clockwise from the robot's right: 90 is ahead), L45-90 (the mean over rays).
+    Signals of a run: x y phi cos_phi sin_phi v omega cmd_v cmd_omega, L67
+    (the ray nearest to 67°, measured counter-clockwise from the robot's
+    right, so 90 is ahead), L45-90 (the mean over these rays).
 
     Examples:
 
@@ -69,7 +70,7 @@ def identify(
 
       sensorgraph identify motor.csv --output speed --inputs volts --auto -o motor.json
     """
-    from sensorgraph.cli.inputs import check_output, say_warnings, write_json
+    from sensorgraph.cli.inputs import check_output, print_warnings, write_json
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.identify import IdentificationSpec
     from sensorgraph.identification.identify import identify as identify_model
@@ -89,7 +90,7 @@ def identify(
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
     found = identify_model(data, question)
-    say_warnings(data.log_notes)
+    print_warnings(data.log_notes)
     for line in summary_lines(found):
         typer.echo(line)
     write_json(out, {**found.report(), "every": every, "source": file.name})
@@ -99,7 +100,7 @@ def identify(
 
 
 def _check_left_to_auto(context: typer.Context) -> None:
-    """Refuse options that `--auto` would not use."""
+    """Refuse options that `--auto` does not use."""
     from sensorgraph.errors import SensorgraphError
 
     sources = {name: context.get_parameter_source(name) for name in ("lags", "output_lags", "degree")}
@@ -109,7 +110,7 @@ def _check_left_to_auto(context: typer.Context) -> None:
         if source is not None and source.name == "COMMANDLINE"
     ]
     if given:
-        raise SensorgraphError(f"--auto chooses lags and degree; leave {' and '.join(given)} out")
+        raise SensorgraphError(f"--auto chooses lags and degree; leave out {' and '.join(given)}")
 
 
 def _one_output(given: Sequence[str]) -> str:
@@ -119,8 +120,8 @@ def _one_output(given: Sequence[str]) -> str:
     if len(names) != 1:
         several = " and ".join(dict.fromkeys(names))
         raise SensorgraphError(
-            f"--output names {len(names)} signals, and a model explains one; "
-            + (f"run `identify` for each of {several}, with a file of its own" if names else "name one")
+            f"--output names {len(names)} signals, expected 1; "
+            + (f"run `identify` once for each of {several}" if names else "name one")
         )
     return names[0]
 
@@ -146,7 +147,7 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
         raise SensorgraphError(f"{file} does not exist; give a CSV or a run")
     if is_table(file):
         if topic:
-            raise SensorgraphError(f"{file} is a CSV; --topic names topics of a run, leave it out")
+            raise SensorgraphError(f"{file} is a CSV and has no topics; leave out --topic")
         return signals_of_table(file, names, every=every)
     with reading_bar() as tick:
         run = read(file, topics=parse_topics(topic or []), progress=tick)
@@ -154,24 +155,24 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
 
 
 def summary_lines(found: IdentifiedSignal) -> list[str]:
-    """Return the printed lines: what was used, the terms, the scores, the tests."""
+    """Return the printed lines: the data, the terms, the scores, the tests."""
     q, model, scores = found.question, found.model, found.scores
-    parts = {"half": "the second half", "block": "every second tenth", "none": "the training data itself"}
+    parts = {"half": "the second half", "block": "every second tenth", "none": "the training data"}
     lines = list(found.data.notes)
     lines += [
-        f"{name}: {share:.1%} of the samples unknown, left out"
+        f"{name}: {share:.1%} of the samples are unknown and left out"
         for name, share in found.unknown.items()
         if share
     ]
     period = "" if found.data.period is None else f" every {found.data.period:g} s"
     lines.append(
-        f"{found.n_train:,} samples{period} train, {scores['one_step'].n:,} are scored ({parts[q.split]}); "
-        f"{len(model.terms)} of {len(q.terms)} terms, stopped by {model.stop}"
+        f"{found.n_train:,} samples{period} for training, {scores['one_step'].n:,} for scores ({parts[q.split]}); "
+        f"{len(model.terms)} of {len(q.terms)} candidate terms, selected by {model.stop}"
     )
     lines += _notes(model.notes)
     low, high = model.limits
     if math.isfinite(low) or math.isfinite(high):
-        lines.append(f"note: {q.output} is held between {low:g} and {high:g}, as the training data show")
+        lines.append(f"note: {q.output} is limited to {low:g} ... {high:g}, its range in the training data")
     lines += ["", f"{'term':<28}{'theta':>13}{'stderr':>12}{'err':>10}"]
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
@@ -189,56 +190,56 @@ def summary_lines(found: IdentifiedSignal) -> list[str]:
     ):  # fmt: skip
         lines.append(_row(label, scores[key]))
     if found.free_run is found.one_step:
-        lines.append("the model reads no past output: one step and free run are the same")
+        lines.append("the model has no output lags: one step and free run are identical")
     if not scores["one_step"].n:
-        lines.append(f"nothing could be scored: {q.output} or what explains it is not known there")
+        lines.append(f"no score: {q.output} or its inputs are unknown in the test data")
     elif not found.varies:
-        lines.append(
-            f"{q.output} does not vary in what is scored: there is no r; score more, or --split block"
-        )
+        lines.append(f"no r: {q.output} is constant in the test data; use more data or --split block")
     lines += _extrapolation(found.outside)
     if found.validation:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
-        lines += _doubt_of_stderr(found)
+        lines += _warning_of_stderr(found)
     return [*lines, ""]
 
 
 def _notes(notes: Sequence[str]) -> list[str]:
-    """Return the notes of the model; of many dependent terms, the first."""
+    """Return the notes of the model; of many notes on dependent terms only the first `MAX_NOTES`."""
     given = [note for note in notes if note.endswith("was left out")]
     rest = [note for note in notes if note not in given]
     more = [f"{len(given) - MAX_NOTES} more such terms (in the model file)"] if len(given) > MAX_NOTES else []
     return [f"note: {note}" for note in [*given[:MAX_NOTES], *more, *rest]]
 
 
-def _doubt_of_stderr(found: IdentifiedSignal) -> list[str]:
-    """Say so if the residual is correlated, so that the standard errors are too small."""
+def _warning_of_stderr(found: IdentifiedSignal) -> list[str]:
+    """Return a warning if the residual is correlated and the standard errors are therefore too small."""
     p_value = next((t["p_value"] for t in found.validation if t["test"] == "e-e"), 1.0)
     if (
         p_value >= MIN_P_VALUE or found.question.auto
-    ):  # whose errors are those of a correlated residual already
+    ):  # the standard errors of `auto` already allow for a correlated residual
         return []
     hint = "try --noise-lags auto" if not found.question.noise_lags else "more terms or lags may be missing"
-    return [f"what is left is correlated (e-e): the standard errors are too small; {hint}"]
+    return [f"the residual is correlated (e-e): the standard errors are too small; {hint}"]
 
 
 def _extrapolation(outside: Extrapolation) -> list[str]:
-    """Say how much of what is scored lies where the model was not fitted."""
+    """Return a line with the share of the scored samples outside the training data."""
     if math.isnan(outside.share):
         return []
     if outside.share == 0:
-        return ["all of it lies where the model was fitted"]
-    there = f"RMSE {outside.rmse_outside:.4g} there"
+        return ["all scored samples are inside the range of the training data"]
+    there = f"RMSE {outside.rmse_outside:.4g} outside"
     if outside.share < 1:
-        there += f", {outside.rmse_inside:.4g} elsewhere"
-    return [f"{outside.share:.1%} of it lies outside where the model was fitted (one step: {there})"]
+        there += f", {outside.rmse_inside:.4g} inside"
+    return [
+        f"{outside.share:.1%} of the scored samples are outside the range of the training data (one step: {there})"
+    ]
 
 
 def _coefficient(theta: float, stderr: float) -> str:
-    """Print a coefficient with as many digits as its standard error leaves."""
-    sure = math.log10(abs(theta) / stderr) if stderr > 0 and theta else 0.0
-    return f"{theta:.{min(max(6, math.ceil(sure) + 1), 13)}g}"
+    """Format a coefficient with the digits that are significant given its standard error, at least 6."""
+    digits = math.log10(abs(theta) / stderr) if stderr > 0 and theta else 0.0
+    return f"{theta:.{min(max(6, math.ceil(digits) + 1), 13)}g}"
 
 
 def _or_dash(value: float, form: str) -> str:

@@ -11,20 +11,23 @@ import typer
 from sensorgraph.cli.options import GraphFile
 
 ControllerFile = Annotated[
-    Path, typer.Argument(metavar="CONTROLLER", help="MODEL.json of a turn rate, as `design` writes it.")
+    Path, typer.Argument(metavar="CONTROLLER", help="controller.json of `design`, a model of the turn rate.")
 ]
-InfluenceStart = Annotated[str, typer.Option(help="x,y,phi [m, m, rad] where every drive begins.")]
+InfluenceStart = Annotated[str, typer.Option(help="Start pose X,Y,PHI (m, m, rad) of every drive.")]
 InfluenceVary = Annotated[
     list[str] | None,
     typer.Option(
-        "--vary", metavar="NAME=LOW:HIGH", help="A factor and its range; again for more. Default: all."
+        "--vary", metavar="NAME=LOW:HIGH", help="Factor to vary, with its range; repeatable; default: all."
     ),
 ]
-InfluenceRows = Annotated[int, typer.Option(help="A power of 2; so many times factors + 2 drives.")]
-InfluenceDuration = Annotated[float, typer.Option(help="[s] Of a drive.")]
+InfluenceRows = Annotated[
+    int,
+    typer.Option(help="Rows of the sample, a power of 2; the number of drives is rows × (factors + 2)."),
+]
+InfluenceDuration = Annotated[float, typer.Option(help="Duration of a drive (s).")]
 InfluenceRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
-InfluenceSeed = Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")]
-InfluenceOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.")]
+InfluenceSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
+InfluenceOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")]
 
 
 def influence(
@@ -38,11 +41,14 @@ def influence(
     robot: InfluenceRobot = None,
     seed: InfluenceSeed = 0,
 ) -> None:
-    """Say how much of a behaviour is due to the robot, the sensor and the environment.
+    """Estimate how much the robot, the sensor and the environment each influence a behaviour.
 
-    One controller drives many times in the identified world while factors vary: noise (m), scale, yaw
-    (rad), wheels (assumed over true), tau and delay (s), obstacle (m that a disc stands out from the wall). Sobol
-    shares with 95 % intervals; writes influence.json and influence.png.
+    One controller drives many times in the identified world while factors
+    vary. Writes influence.json and influence.png with Sobol indices and
+    their 95 % intervals.
+
+    Factors: noise (m), scale, yaw (rad), wheels (assumed over true base),
+    tau (s), delay (s), obstacle (m that a disc protrudes from the wall).
 
     Examples:
 
@@ -65,7 +71,7 @@ def influence(
     factors = dict(map(_factor, vary)) if vary else None
     machine = load_robot() if robot is None else load_robot(robot)
     if not controller.is_file():
-        raise SensorgraphError(f"{controller} does not exist; `sensorgraph design` writes such a controller")
+        raise SensorgraphError(f"{controller} does not exist; write one with `sensorgraph design`")
     steer = PolynomialController.load(controller, machine)
     model = Sensorgraph.load(graph)
     settings: dict[str, Any] = {"factors": factors, "rows": rows, "duration": duration, "seed": seed}

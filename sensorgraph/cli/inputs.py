@@ -1,4 +1,4 @@
-"""What several commands read: arenas, topics, poses; every mistake becomes one line."""
+"""Read and check what several commands share: runs, robots, poses, outputs; each error is one line."""
 
 from __future__ import annotations
 
@@ -22,19 +22,23 @@ if TYPE_CHECKING:
 
 
 def check_output(path: Path, *inputs: Path) -> None:
-    """Refuse an output path that cannot be written, or is one of the inputs, before any work is done."""
+    """Refuse an output path that cannot be written or is one of the inputs, before any work is done."""
     if path.is_dir():
         raise SensorgraphError(f"{path} is a folder; give the name of a file to write")
     if not path.parent.is_dir():
-        raise SensorgraphError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
+        raise SensorgraphError(
+            f"the folder {path.parent} does not exist; create it or write to another folder"
+        )
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
-            raise SensorgraphError(f"{path} is the input itself and would be lost; write to another name")
+            raise SensorgraphError(
+                f"{path} is also the input and would be overwritten; write to another file"
+            )
     _probe(path.parent, path)
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written in, before any work is done; nothing is made yet."""
+    """Refuse a folder that cannot be created or written to, before any work is done; the folder is not created here."""
     nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise SensorgraphError(f"{nearest} is a file; give the name of a folder")
@@ -42,19 +46,19 @@ def check_folder(folder: Path) -> None:
 
 
 def check_runs(runs: Sequence[Path]) -> None:
-    """Refuse a run that is named twice: its scans would count twice."""
+    """Refuse a run that is given twice, because its scans would count twice."""
     known: dict[tuple[int, int], Path] = {}
     for path in (path for path in runs if path.exists()):
         stat = path.stat()
         if (stat.st_dev, stat.st_ino) in known:
             raise SensorgraphError(
-                f"{path} is given twice, and its scans would count twice; name each run once"
+                f"{path} is given twice and its scans would count twice; give each run once"
             )
         known[stat.st_dev, stat.st_ino] = path
 
 
 def _probe(folder: Path, output: Path) -> None:
-    """Say now, not after the work, that a folder cannot be written in."""
+    """Raise if a folder cannot be written to."""
     try:
         TemporaryFile(dir=folder).close()
     except OSError as exc:
@@ -62,14 +66,14 @@ def _probe(folder: Path, output: Path) -> None:
 
 
 def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
-    """Return where the named sensors of a robot.yaml sit, for logs without transforms."""
+    """Return the mount of each named sensor of a robot.yaml, for logs without transforms."""
     from sensorgraph.world.robot import load_robot
 
     return {} if robot is None else load_robot(robot).mounts
 
 
 def with_robot(run: Run, name: str, path: Path | None) -> Run:
-    """Return a run with the sweep of a robot file, which must describe the sensor that recorded; None: as it is."""
+    """Return a run with the sweep time of a robot file, which must describe the recording sensor; without a file, the run."""
     from sensorgraph.world.ray_order import bearings_text, ray_order
     from sensorgraph.world.robot import load_robot
     from sensorgraph.world.sweep import sweep_warning, with_sweep_of
@@ -79,9 +83,9 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
     robot = load_robot(path)
     if ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
         raise SensorgraphError(
-            f"{name} has other rays than {path} describes "
+            f"the rays of {name} differ from those of {path} "
             f"({bearings_text(run.sensor.bearings, robot.sensor.bearings)}); "
-            "give the robot that recorded the run"
+            "give the robot.yaml of the robot that recorded the run"
         )
     warning = sweep_warning(run, robot, name=str(path))
     if warning is not None:
@@ -90,7 +94,7 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
 
 
 def with_mount_of(run: Run, path: Path | None) -> Run:
-    """Return a run of one laser that sits where a robot file states it, whatever the log's transforms say or lack."""
+    """Return a run of one laser with the mount that a robot file specifies, instead of the transform in the log."""
     from sensorgraph.world.robot import load_robot
 
     if path is None or run.sensor.is_composite:
@@ -101,10 +105,10 @@ def with_mount_of(run: Run, path: Path | None) -> Run:
 
 
 def check_poses(poses: str | None) -> None:
-    """Refuse a word that --poses does not know."""
+    """Refuse an unknown value of --poses."""
     if poses not in (None, "log", "locate"):
         raise SensorgraphError(
-            f"--poses is {poses!r}, expected log (as they are) or locate (from scans and wheels)"
+            f"--poses is {poses!r}, expected log (poses in the log) or locate (from scans and wheels)"
         )
 
 
@@ -118,13 +122,13 @@ def with_poses(
     n_scans: int | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Return the run as located, where `--poses` asks for it or it has no reference; else the run itself.
+    """Return the located run if `--poses locate` is given or it has no reference poses, else the run itself.
 
     Parameters
     ----------
-    place, name : where it is to be located; None: in a place of its own
-    n_scans : of the whole run, where `run` is only its start
-    options : with which it was read
+    place, name : Arena or graph to locate the run in, with its name. None: a new map.
+    n_scans : Number of scans of the whole run, if `run` is only its start.
+    options : Options with which the run was read.
     """
     import logs
     from sensorgraph.cli.progress import progress
@@ -135,23 +139,23 @@ def with_poses(
     settings = options or {}
     if n_scans is not None and n_scans != run.n_scans:
         run = replace(logs.read(path, **settings), sensor=run.sensor)
-    why = "as asked" if poses == "locate" else "it has no reference"
-    where = f"in {name}" if place is not None else "in a map of its own"
+    why = "--poses locate" if poses == "locate" else "no reference poses"
+    where = f"in {name}" if place is not None else "in a new map"
     typer.echo(
-        f"{path.name}: {why}: located {where} from scans and wheels (--poses log takes the log's poses)"
+        f"{path.name}: {why}: locating {where} from scans and wheels (--poses log uses the poses in the log)"
     )
     found = located(path, run, place, name=name, options={**settings, **_ray_times(run)}, progress=progress)
     for line in found.lines:
         typer.echo(f"  {line}")
     if found.path is not None:
-        typer.echo(f"  {'kept as' if found.lines else 'taken from'} {kept_beside(path)}")
+        typer.echo(f"  {'saved to' if found.lines else 'read from'} {kept_beside(path)}")
     return found.run
 
 
 def with_poses_of_graph(
     run: Run, path: Path, poses: str | None, graph: Sensorgraph, graph_name: str, options: Mapping[str, Any]
 ) -> Run:
-    """Return the run as located in a graph, or as it was located when the graph was built from it."""
+    """Return the run located in a graph, or with the poses from which the graph was built."""
     from sensorgraph.localization.kept import kept_own, needs_locating
 
     if not needs_locating(run, run.n_scans, poses):
@@ -159,13 +163,13 @@ def with_poses_of_graph(
     if any(entry.get("name") == path.name for entry in graph.origin.get("inputs", ())):
         own = kept_own(path, {**options, **_ray_times(run)})
         if own is not None:
-            typer.echo(f"{path.name}: poses as located when {graph_name} was built from it")
+            typer.echo(f"{path.name}: using the poses from which {graph_name} was built")
             return own
     return with_poses(run, path, poses, graph, name=graph_name, options=options)
 
 
 def _ray_times(run: Run) -> dict[str, Any]:
-    """Return what a log or a robot file says of the times of rays: a run located without it was located otherwise."""
+    """Return the ray times of a log or a robot file, which are part of the key of a kept located run."""
     from logs.run import rare_times
 
     return (
@@ -173,8 +177,8 @@ def _ray_times(run: Run) -> dict[str, Any]:
     )
 
 
-def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:
-    """Say in one line where a log numbers the same rays (n_rays,) otherwise than a graph or a robot does."""
+def print_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:
+    """Print one line if a log numbers the same rays (n_rays,) differently from a graph or a robot."""
     from sensorgraph.world.ray_order import ray_order_line
 
     line = ray_order_line(bearings, other, other_name)
@@ -182,21 +186,21 @@ def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -
         typer.echo(f"{name}: {line}")
 
 
-def say_log_notes(*runs: Run) -> None:
-    """Say what was taken for granted of logs, beside the result: an error before stays one line."""
+def print_log_notes(*runs: Run) -> None:
+    """Print the notes on assumed and repaired data of runs; call it with the result, so that an error stays one line."""
     from sensorgraph.intake import log_notes
 
-    say_warnings(log_notes(*runs))
+    print_warnings(log_notes(*runs))
 
 
-def say_warnings(notes: Sequence[str]) -> None:
-    """Say what was taken for granted, a line each."""
+def print_warnings(notes: Sequence[str]) -> None:
+    """Print each note as a warning on stderr."""
     for note in notes:
         typer.echo(f"warning: {with_flags(note)}", err=True)
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON under a temporary name, then rename; a number that is not finite is refused."""
+    """Write JSON to a temporary file and rename it; refuse numbers that are not finite."""
     import json
 
     with atomic_file(path) as part:
@@ -204,7 +208,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def parse_pose(text: str, option: str = "--start") -> Floats:
-    """Read `--start X,Y,PHI`; (3,) [m, m, rad]."""
+    """Parse X,Y,PHI of an option into a pose (3,) [m, m, rad]."""
     import numpy as np
 
     try:

@@ -1,4 +1,4 @@
-"""`sensorgraph inspect`: what is in a file."""
+"""`sensorgraph inspect`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def inspect(
     no_return: NoReturn = None,
     robot: RunRobot = None,
 ) -> None:
-    """Say what is in a log: topics, rates, frames, what is usable, what is missing, what looks wrong; or in a map.
+    """Show the topics, rates and frames of a log, missing signals and suspicious values; or describe a map.
 
     Examples:
 
@@ -85,7 +85,7 @@ def inspect(
 
 
 def _map_facts(file: Path) -> dict[str, Any]:
-    """Return what a map holds, and how its cells were taken."""
+    """Return the size of a map, and the notes on how its cells were interpreted."""
     from sensorgraph.loading import load_arena
 
     arena = load_arena(file)

@@ -36,10 +36,12 @@ def locate(
     no_return: NoReturn = None,
     robot: RunRobot = None,
 ) -> None:
-    """Find where each scan was taken, from the robot's own log: scans and wheels, in a known place or a new one.
+    """Estimate the pose of each scan from scans and wheel odometry, in a known place or in a new map.
 
-    Without --arena, a map of its own: loop closures, all poses and surfaces fitted together. With one, found there
-    without a guess and followed. Each pose has a covariance; where the place is not sure, it says lost or ambiguous.
+    Without --arena, locate builds a map: it closes loops and fits all poses
+    and surfaces together. With --arena, it finds the robot in that map
+    without an initial pose and tracks it. Each pose has a covariance and a
+    status: ok, ambiguous or lost.
 
     Examples:
 
@@ -54,7 +56,7 @@ def locate(
     from sensorgraph.cli.inputs import (
         check_output,
         mounts_of,
-        say_log_notes,
+        print_log_notes,
         with_mount_of,
         with_robot,
         write_json,
@@ -80,8 +82,8 @@ def locate(
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     log = with_mount_of(with_robot(log, str(run), robot), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
-    placed = None if out is None else located_run(log, found)  # where none is sure, the error is the one line
-    say_log_notes(log)
+    placed = None if out is None else located_run(log, found)  # before any output: it may raise
+    print_log_notes(log)
     for line in summary_lines(found):
         typer.echo(line)
     if csv is not None:
@@ -96,7 +98,7 @@ def locate(
             write(placed, out, progress=tick)
     written = [str(path) for path in (csv, json, picture, out) if path is not None]
     typer.echo(
-        f"wrote {', '.join(written)}" if written else "nothing written: name -o OUT.mcap, --csv or --json"
+        f"wrote {', '.join(written)}" if written else "no file written; give -o OUT.mcap, --csv or --json"
     )
 
 

@@ -1,4 +1,4 @@
-"""Library messages in the words of the command line: a parameter in backticks becomes the option that sets it."""
+"""Messages of the library for the command line: a parameter in backticks becomes the option that sets it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FLAGS = {
     "update": "--update",
     "views": "--views",
 }
-"""Parameter, as a message of the library names it in backticks -> option of the command line."""
+"""Parameter in backticks in a message of the library -> option of the command line."""
 
 
 def with_flags(message: str) -> str:

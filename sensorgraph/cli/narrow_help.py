@@ -1,4 +1,4 @@
-"""`--help` on a narrow terminal: each option on a line of its own, what it does indented below; no table cuts a word."""
+"""Print `--help` on a narrow terminal as a list, with each description indented below its option."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import shutil
 from typing import Any
 
 NARROW = 72
-"""[columns] below which a table with boxes cuts names."""
+"""[columns] Width below which a table with boxes truncates names."""
 
 
 def is_narrow() -> bool:
-    """Tell whether the terminal (or COLUMNS) is too narrow for tables."""
+    """Return whether the terminal (or COLUMNS) is too narrow for tables."""
     return shutil.get_terminal_size().columns < NARROW
 
 
 def set_narrow(command: Any) -> None:
-    """Let a command and its subcommands print their help as lines."""
+    """Make a command and its subcommands print their help as a list."""
     own = command.context_class
     command.context_class = type(
         "NarrowContext", (own,), {"formatter_class": _formatter(own.formatter_class)}
@@ -24,7 +24,7 @@ def set_narrow(command: Any) -> None:
     for inner in getattr(command, "commands", {}).values():
         inner.short_help = (
             inner.short_help or (inner.help or "").split("\n\n")[0]
-        )  # else cut to what fits a table
+        )  # else it is truncated for a table
         set_narrow(inner)
 
 

@@ -8,27 +8,35 @@ from typing import Annotated
 import typer
 
 MAX_VIEWS = 1000
-"""More take longer than filling (x, y, φ)."""
+"""A plan of more views takes longer than covering (x, y, φ)."""
 
 # several commands
 Topics = Annotated[
-    list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
+    list[str] | None,
+    typer.Option(metavar="ROLE=NAME", help="Topic to read for a role (scan, pose, odom, cmd); repeatable."),
 ]
 RobotFile = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
-GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")]
-TopicsByExample = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")]
+GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="Sensorgraph, *.sensorgraph.")]
+TopicsByExample = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ROLE=NAME", help="Topic to read for a role, for example scan=/front/scan; repeatable."
+    ),
+]
 
-Force = Annotated[bool, typer.Option("--force", help="Take a run whose poses jump by metres as it is.")]
+Force = Annotated[bool, typer.Option("--force", help="Accept a run whose poses jump by metres.")]
 RunRobot = Annotated[
     Path | None,
     typer.Option(
         "--robot",
-        help="robot.yaml of the robot that recorded: its sweep_time, and where its `sensors` sit if the log does not say.",
+        help="robot.yaml of the recording robot: its sweep time, and the mounts of its `sensors` that the log lacks.",
     ),
 ]
 NoReturn = Annotated[
     str | None,
-    typer.Option(help="How the log writes a missing return: range_max, zero, inf or nan; default: noticed."),
+    typer.Option(
+        help="Value of a missing return in the log: range_max, zero, inf or nan; default: detected."
+    ),
 ]
 
 PosesFrom = Annotated[
@@ -36,157 +44,185 @@ PosesFrom = Annotated[
     typer.Option(
         "--poses",
         metavar="log|locate",
-        help="Take the log's poses, or locate it from scans and wheels; default: locate a run without reference.",
+        help="log: use the poses in the log. locate: estimate them from scans and wheels. "
+        "Default: locate if the log has no reference poses.",
     ),
 ]
 
 # demo
 DemoOut = Annotated[
-    Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")
+    Path | None, typer.Option("-o", "--out", help="Folder for the results; default: runs/demo-DATE-TIME.")
 ]
-DemoArena = Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one.")]
+DemoArena = Annotated[
+    str, typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena: square, office.")
+]
 DemoReal = Annotated[
-    bool, typer.Option("--real", help="Take a real raw log instead: locate, build, evaluate, review.")
+    bool, typer.Option("--real", help="Use a shipped real log instead: locate, build, evaluate, review.")
 ]
-DemoSeed = Annotated[int, typer.Option(min=0, help="Of planning and all noise.")]
+DemoSeed = Annotated[int, typer.Option(min=0, help="Random seed of planning and noise.")]
 
 # plan
 PlanArena = Annotated[
     str | None,
     typer.Argument(
-        help="GeoJSON, map_server yaml, graph, square or office. Default: the --resume run's, or --graph."
+        help="GeoJSON file, map_server yaml, sensorgraph, square or office; "
+        "default: the arena kept in the --resume run, else that of --graph."
     ),
 ]
-PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")]
+PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the plan.")]
 PlanPlanner = Annotated[
     str,
     typer.Option(
-        help="coverage, stop_and_spin, views (with --views), or the baselines random_bounce and wall_following."
+        help="coverage, stop_and_spin, views (with --views), or a baseline: random_bounce, wall_following."
     ),
 ]
 PlanOrder = Annotated[
     str | None,
     typer.Option(
         metavar="fast|anytime",
-        help="fast: the shortest complete drive, room by room. anytime: the whole floor first, then finer, so that "
-        "whatever is driven of it shows most; then complete, too. Default: anytime with --budget or --graph (drive: diff), else fast.",
+        help="fast: shortest complete drive, room by room. anytime: the whole floor coarsely, then finer until complete, "
+        "so that a drive cut short shows the most. Default: anytime with --budget or --graph (drive: diff), else fast.",
     ),
 ]
 PlanGraph = Annotated[
     Path | None,
-    typer.Option(help="A sensorgraph: look first where it would not answer or be wrong (order anytime)."),
+    typer.Option(help="A sensorgraph: look first where its expected error is highest (order anytime)."),
 ]
 PlanViews = Annotated[
     int | None,
     typer.Option(
         min=1,
         max=MAX_VIEWS,
-        help="Instead of filling (x, y, φ), visit so many poses: those that show most surface.",
+        help="Visit this number of poses that see the most surface, instead of covering (x, y, φ).",
     ),
 ]
-PlanCell = Annotated[float, typer.Option(help="Side of a position cell, in m.")]
-PlanHeadings = Annotated[int, typer.Option(help="Heading bins of a full turn.")]
+PlanCell = Annotated[float, typer.Option(help="Side of a position cell (m).")]
+PlanHeadings = Annotated[int, typer.Option(help="Number of heading bins in a full turn.")]
 PlanStart = Annotated[
-    str | None, typer.Option(help="X,Y,PHI in m, m, rad; default: where the planner likes.")
+    str | None, typer.Option(help="Start pose X,Y,PHI (m, m, rad); default: chosen by the planner.")
 ]
-PlanEnd = Annotated[str | None, typer.Option(help="X,Y,PHI where to end; default: at the last bin.")]
+PlanEnd = Annotated[str | None, typer.Option(help="End pose X,Y,PHI (m, m, rad); default: at the last bin.")]
 PlanBattery = Annotated[
     float | None,
-    typer.Option(metavar="MIN", help="Part the plan into runs so long, each from the dock and back to it."),
+    typer.Option(
+        metavar="MIN", help="Split the plan into runs of this many minutes, from the dock and back."
+    ),
 ]
-PlanDock = Annotated[str | None, typer.Option(help="X,Y,PHI of the dock; default: where the plan starts.")]
+PlanDock = Annotated[
+    str | None, typer.Option(help="Dock pose X,Y,PHI (m, m, rad); default: the start of the plan.")
+]
 PlanBudget = Annotated[
-    float | None, typer.Option(metavar="MIN", help="Drive so long at most; said is what that covers.")
+    float | None,
+    typer.Option(metavar="MIN", help="Limit the drive to this many minutes and report its coverage."),
 ]
 PlanMargin = Annotated[
     float,
-    typer.Option(min=0.0, help="What the robot's rim keeps from walls, in m; a wider one reaches less."),
+    typer.Option(min=0.0, help="Clearance between robot and walls (m); a larger margin reaches fewer bins."),
 ]
 PlanJoinPlanner = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="OMPL's planner of ways round obstacles: RRTConnect, BITstar, ..., or yours, module:Class.",
+        help="OMPL planner for paths around obstacles: RRTConnect, BITstar, ..., or your own as module:Class.",
     ),
 ]
 PlanNoGo = Annotated[
     list[str] | None,
     typer.Option(
         metavar="FILE|x,y,x,y,...",
-        help="Where the robot may not enter, and its laser sees through: GeoJSON polygons of kind no_go, or "
-        "corners in m; may be repeated.",
+        help="Zone that the robot must not enter but can see through: GeoJSON polygons of kind no_go, or "
+        "corners (m); repeatable.",
     ),
 ]
 PlanDuration = Annotated[
     float | None,
-    typer.Option(help="Of random_bounce and wall_following, in s; default: the reference time."),
+    typer.Option(help="Duration of random_bounce and wall_following (s); default: the reference time."),
 ]
 PlanResume = Annotated[
-    list[Path] | None, typer.Option(help="A run already driven: plan only what is left. May be repeated.")
+    list[Path] | None, typer.Option(help="Run already driven: plan only the bins it missed; repeatable.")
 ]
 PlanPriority = Annotated[
-    Path | None, typer.Option(help="A sensorgraph: first where it has not been, then where it is unsure.")
+    Path | None,
+    typer.Option(help="A sensorgraph: drive first where it does not answer, then where it is least certain."),
 ]
-PlanSeed = Annotated[int, typer.Option(help="Same seed, same bytes.")]
+PlanSeed = Annotated[int, typer.Option(help="Random seed; the same seed gives the same plan.")]
 
 # inspect
 InspectFile = Annotated[
-    Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV table.")
+    Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log, CSV table, or a map.")
 ]
 InspectTopic = Annotated[
     list[str] | None,
-    typer.Option(help="ROLE=NAME for other names than ours; roles scan, pose, odom, cmd. Repeatable."),
+    typer.Option(metavar="ROLE=NAME", help="Topic to read for a role (scan, pose, odom, cmd); repeatable."),
 ]
 InspectArena = Annotated[
-    str | None, typer.Option(help="Test the scan against this map; default: the arena kept in the run.")
+    str | None,
+    typer.Option(
+        help="Map to check the orientation of the scan against; default: the arena kept in the run."
+    ),
 ]
-InspectJson = Annotated[Path | None, typer.Option(help="Write the findings there, too.")]
+InspectJson = Annotated[Path | None, typer.Option(help="Also write the findings to this JSON file.")]
 
 # recover
 RecoverFile = Annotated[
-    Path, typer.Argument(help="A cut or damaged MCAP file; also the .part of a killed recorder.")
+    Path, typer.Argument(help="Truncated or damaged MCAP file, or the .part file of a killed recorder.")
 ]
-RecoverOut = Annotated[Path, typer.Option("-o", "--out", help="Where to write what was saved.")]
+RecoverOut = Annotated[Path, typer.Option("-o", "--out", help="MCAP file for the recovered messages.")]
 
 # build
 BuildRuns = Annotated[
-    list[Path], typer.Argument(metavar="RUN...", help="Recordings (MCAP, bag, CARMEN log) with poses.")
+    list[Path],
+    typer.Argument(
+        metavar="RUN...", help="Runs of one sensor: MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV."
+    ),
 ]
 BuildOutput = Annotated[
-    Path, typer.Option("-o", "--out", metavar="GRAPH", help="File to write, *.sensorgraph.")
+    Path, typer.Option("-o", "--out", metavar="GRAPH", help="Sensorgraph to write, *.sensorgraph.")
 ]
 BuildArena = Annotated[
-    str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
+    str | None,
+    typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena; its bounds scale x and y."),
 ]
 BuildRobot = Annotated[
-    Path | None, typer.Option(help="Robot yaml of the robot that recorded; its sensor.sweep_time is taken.")
+    Path | None,
+    typer.Option(
+        help="robot.yaml of the recording robot: its sweep time, and the mounts of its `sensors` that the log lacks."
+    ),
 ]
 BuildModel = Annotated[
-    str, typer.Option(help="faces, cells, polynomial (the form of 2004) or narmax (lags).")
+    str, typer.Option(help="faces, cells, polynomial (published in 2004) or narmax (uses past scans).")
 ]
-BuildSplit = Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")]
+BuildSplit = Annotated[
+    str | None, typer.Option(help="Hold scans out for evaluation: every10 or block; default: none.")
+]
 BuildDegree = Annotated[
-    str, typer.Option(help="Of polynomial: degree in x and y; of narmax: in poses and twist; or auto.")
+    str,
+    typer.Option(help="Degree in x and y (polynomial), or in poses and twist (narmax); or auto."),
 ]
-BuildHarmonics = Annotated[str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")]
+BuildHarmonics = Annotated[
+    str, typer.Option(help="Number of harmonics of the heading (polynomial), or auto.")
+]
 BuildTerms = Annotated[
-    str, typer.Option(help="Of polynomial: terms kept for each ray; of narmax: at most; or auto.")
+    str, typer.Option(help="Number of terms of each ray (polynomial), or their maximum (narmax); or auto.")
 ]
-BuildLags = Annotated[str, typer.Option(help="Of narmax: scans that it looks back, or auto (3).")]
+BuildLags = Annotated[str, typer.Option(help="Number of past scans (narmax), or auto (3).")]
 BuildCalibrate = Annotated[
     bool | None,
     typer.Option(
         "--calibrate/--no-calibrate",
-        help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
+        help="Estimate the laser with the faces: mount, ray terms, training poses; default: if it improves the fit.",
     ),
 ]
-BuildMemory = Annotated[bool, typer.Option("--memory", help="Keep how residuals last and spread.")]
+BuildMemory = Annotated[
+    bool,
+    typer.Option("--memory", help="Also identify the correlation of residuals in time and between rays."),
+]
 BuildUpdate = Annotated[
-    Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this graph of faces.")
+    Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this sensorgraph (model faces).")
 ]
 BuildDask = Annotated[
     str | None,
-    typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
+    typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler that reduces the scans (model faces)."),
 ]
 
 # locate
@@ -197,62 +233,78 @@ LocateArena = Annotated[
     str | None,
     typer.Option(
         metavar="MAP|GRAPH",
-        help="GeoJSON, map_server yaml, a shipped one, or a sensorgraph of the place; default: it is mapped.",
+        help="Known place: GeoJSON file, map_server yaml, shipped arena or sensorgraph; default: build a map.",
     ),
 ]
 LocateOut = Annotated[
     Path | None,
-    typer.Option("-o", "--out", metavar="OUT.mcap", help="The run with /pose, its covariances, and /tf."),
+    typer.Option("-o", "--out", metavar="OUT.mcap", help="Run to write, with /pose, covariances and /tf."),
 ]
 LocateCsv = Annotated[
     Path | None,
     typer.Option(
-        metavar="POSES.csv", help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status, one row a scan."
+        metavar="POSES.csv",
+        help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status to this file, one row per scan.",
     ),
 ]
 LocateJson = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write counts, stretches, wheels and loop closures.")
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Write scan counts, located intervals, wheel parameters and loop closures."
+    ),
 ]
 LocatePicture = Annotated[
-    Path | None, typer.Option(metavar="PNG", help="Draw returns, track, loop closures kept and refused.")
+    Path | None,
+    typer.Option(metavar="PNG", help="Draw returns, trajectory, and accepted and rejected loop closures."),
 ]
 
 # evaluate
-EvaluateRun = Annotated[Path, typer.Argument(metavar="RUN", help="A recording with poses.")]
+EvaluateRun = Annotated[
+    Path, typer.Argument(metavar="RUN", help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV.")
+]
 EvaluateSplit = Annotated[
-    str | None, typer.Option(help="Score only scans that this split holds out: every10 or block.")
+    str | None, typer.Option(help="Score only the held-out scans of this split: every10 or block.")
 ]
 EvaluateCap = Annotated[
     float | None,
-    typer.Option(help="Longest return that counts, in m; default: 10, or the sensor's range."),
+    typer.Option(help="Longest return that is scored (m); default: 10, or the sensor's range if shorter."),
 ]
 EvaluatePoint = Annotated[
     str | None,
-    typer.Option(help="Point value for all numbers: mode, median or mean [default: each its own]"),
+    typer.Option(
+        help="Point value for all scores: mode, median or mean; default: the best one for each score."
+    ),
 ]
 EvaluateEffects = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="effects.yaml: score the simulator too, as mapped and amended."),
+    typer.Option(
+        metavar="FILE", help="effects.yaml: also score the simulator, without and with these effects."
+    ),
 ]
 EvaluateBeside = Annotated[
     list[Path] | None,
-    typer.Option("--beside", metavar="GRAPH", help="Score this graph on the same rays, too."),
+    typer.Option(
+        "--beside", metavar="GRAPH", help="Also score this sensorgraph on the same rays; repeatable."
+    ),
 ]
-EvaluateJson = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")]
+EvaluateJson = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Also write all scores to this JSON file.")
+]
 
 # predict
-PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi in m, m, rad.")]
-PredictOutput = Annotated[Path, typer.Option("-o", "--out", metavar="NPZ", help="File to write.")]
-PredictPoint = Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")]
+PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi (m, m, rad).")]
+PredictOutput = Annotated[Path, typer.Option("-o", "--out", metavar="NPZ", help="File to write, *.npz.")]
+PredictPoint = Annotated[str, typer.Option(help="Point value in `ranges`: mode, median or mean.")]
 
 # show
 ShowRay = Annotated[
-    int | None, typer.Option(metavar="INDEX", help="Print the equation of this ray, given by index.")
+    int | None, typer.Option(metavar="INDEX", help="Print the equation of the ray with this index.")
 ]
 Bearing = Annotated[
     float | None,
     typer.Option(
-        metavar="DEG", help="The ray that looks there from the robot: 0 ahead, counter-clockwise, in degrees."
+        metavar="DEG",
+        help="Select the ray by its bearing from the robot (degrees): 0 ahead, 90 to the left.",
     ),
 ]
 ShowFigure = Annotated[
@@ -261,26 +313,28 @@ ShowFigure = Annotated[
         "-o",
         "--out",
         metavar="PNG",
-        help="Draw faces, visibility and what was never looked through, *.png.",
+        help="Draw faces, visibility and unobserved space to this *.png file.",
     ),
 ]
 ShowRun = Annotated[
-    Path | None, typer.Option(help="With --out: a run whose mean residuals are drawn on the faces.")
+    Path | None, typer.Option(help="With --out: run whose mean residuals are drawn on the faces.")
 ]
 
 # review
 ReviewRun = Annotated[Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV.")]
-ReviewOut = Annotated[Path, typer.Option("-o", "--out", help="The review to write, *.rrd.")]
-ReviewGraph = Annotated[Path | None, typer.Option(help="A sensorgraph to hold against the run.")]
-ReviewPlan = Annotated[Path | None, typer.Option(help="The plan's folder: its path is drawn too.")]
-ReviewArena = Annotated[str | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")]
+ReviewOut = Annotated[Path, typer.Option("-o", "--out", help="Rerun file to write, *.rrd.")]
+ReviewGraph = Annotated[Path | None, typer.Option(help="Sensorgraph to compare with the run.")]
+ReviewPlan = Annotated[Path | None, typer.Option(help="Folder of a plan whose path is drawn.")]
+ReviewArena = Annotated[
+    str | None, typer.Option(help="Arena whose walls are drawn; default: the arena kept in the run.")
+]
 ReviewRay = Annotated[
     int | None,
-    typer.Option(metavar="INDEX", help="The ray whose series is shown; default: straight ahead."),
+    typer.Option(metavar="INDEX", help="Ray whose time series is shown; default: straight ahead."),
 ]
-ReviewShow = Annotated[bool, typer.Option("--show", help="Open it in rerun's viewer when done.")]
+ReviewShow = Annotated[bool, typer.Option("--show", help="Open the review in rerun's viewer.")]
 ReviewServe = Annotated[
-    bool, typer.Option("--serve", help="Serve it to a browser on this machine when done, until Ctrl-C.")
+    bool, typer.Option("--serve", help="Serve the review to a browser on this machine until Ctrl-C.")
 ]
 
 # diagnose
@@ -288,113 +342,147 @@ DiagnoseRuns = Annotated[
     list[Path],
     typer.Argument(
         metavar="RUN...",
-        help="A run; a second one of the same place is used for nothing but the proof.",
+        help="Run to diagnose; a second run of the same place serves only to verify the result.",
     ),
 ]
 DiagnoseArena = Annotated[
     str | None,
-    typer.Option(help="GeoJSON, map_server yaml, or a shipped one; default: the one kept in the run."),
+    typer.Option(
+        help="GeoJSON file, map_server yaml, or a shipped arena; default: the arena kept in the run."
+    ),
 ]
-DiagnoseRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the one kept in the run.")]
+DiagnoseRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the robot kept in the run.")]
 DiagnoseOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")]
 DiagnoseEffects = Annotated[
-    Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
+    Path | None, typer.Option(help="effects.yaml with effects that the simulation already includes.")
 ]
 DiagnoseCommissioning = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="RUN",
-        help="A run of the same robot and place that is known to be good; what differs from it is found. "
-        "Repeat it for several: they show how far good runs spread.",
+        help="Run of the same robot and place that is known to be good; only differences from it are reported. "
+        "Repeatable: several good runs show their normal spread.",
     ),
 ]
 DiagnoseSimulation = Annotated[
     Path | None,
     typer.Option(
         metavar="RUN",
-        help="A log of your own simulator (Gazebo, Isaac, MuJoCo, ir-sim, ...) in the same arena; what differs between "
-        "the two is found, whatever both share is not.",
+        help="Log of your own simulator (Gazebo, Isaac, MuJoCo, ir-sim, ...) in the same arena; only differences "
+        "between the two logs are reported.",
     ),
 ]
-DiagnoseSeed = Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")]
+DiagnoseSeed = Annotated[
+    int, typer.Option(min=0, help="Random seed of the simulated replicates; same seed, same report.")
+]
 
 # identify
 IdentifyFile = Annotated[
     Path,
-    typer.Argument(metavar="FILE", help="A CSV with columns by name (`record` separates records), or a run."),
+    typer.Argument(
+        metavar="FILE", help="Run, or CSV with named columns (a column `record` separates records)."
+    ),
 ]
-IdentifyOutput = Annotated[list[str], typer.Option(metavar="NAME", help="The signal to explain; one.")]
-IdentifyOut = Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.json", help="The model to write.")]
+IdentifyOutput = Annotated[list[str], typer.Option(metavar="NAME", help="Signal to explain.")]
+IdentifyOut = Annotated[
+    Path, typer.Option("-o", "--out", metavar="MODEL.json", help="Model file to write, *.json.")
+]
 IdentifyInputs = Annotated[
-    str, typer.Option(metavar="NAME,...", help="The signals that explain it, separated by commas.")
+    str, typer.Option(metavar="NAME,...", help="Signals that explain the output, separated by commas.")
 ]
-IdentifyLags = Annotated[int, typer.Option(min=0, max=1000, help="Inputs at k, k-1, ..., k-N.")]
-IdentifyOutputLags = Annotated[int, typer.Option(min=0, max=1000, help="Past outputs k-1, ..., k-N.")]
-IdentifyDegree = Annotated[int, typer.Option(min=1, max=8, help="Of the polynomial.")]
+IdentifyLags = Annotated[
+    int, typer.Option(min=0, max=1000, metavar="N", help="Input lags: use inputs at k, k-1, ..., k-N.")
+]
+IdentifyOutputLags = Annotated[
+    int, typer.Option(min=0, max=1000, metavar="N", help="Output lags: use outputs at k-1, ..., k-N.")
+]
+IdentifyDegree = Annotated[int, typer.Option(min=1, max=8, help="Degree of the polynomial.")]
 IdentifyNoiseLags = Annotated[
-    str, typer.Option(metavar="N|auto", help="Past noise e(k-1), ..., e(k-N); auto: as many as it takes.")
+    str,
+    typer.Option(
+        metavar="N|auto", help="Noise lags: use e(k-1), ..., e(k-N); auto: chosen from the residual."
+    ),
 ]
-IdentifySplit = Annotated[str, typer.Option(help="half: first half trains; block: every second tenth; none.")]
+IdentifySplit = Annotated[
+    str,
+    typer.Option(
+        metavar="half|block|none",
+        help="Test data: half (the second half), block (every second tenth) or none (the training data).",
+    ),
+]
 IdentifyEvery = Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")]
-IdentifyCriterion = Annotated[str | None, typer.Option(help="Of size: bic, aic, ebic, cv, err_tol, n_terms.")]
-IdentifyTerms = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
+IdentifyCriterion = Annotated[
+    str | None, typer.Option(help="Selects the number of terms: bic, aic, ebic, cv, err_tol or n_terms.")
 ]
-IdentifyAuto = Annotated[bool, typer.Option("--auto", help="Choose lags, degree and terms for free run.")]
+IdentifyTerms = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Number of terms, or their maximum with --criterion.")
+]
+IdentifyAuto = Annotated[
+    bool, typer.Option("--auto", help="Choose lags, degree and terms with the best free run.")
+]
 
 # record
 RecordPlan = Annotated[
     Path | None,
-    typer.Argument(help="A plan's folder, its trajectory.csv, or a run whose /cmd_vel is driven again."),
+    typer.Argument(help="Folder of a plan, its trajectory.csv, or a run whose /cmd_vel is replayed."),
 ]
-RecordOut = Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")]
+RecordOut = Annotated[Path, typer.Option("-o", "--out", help="Run to write, *.mcap.")]
 RecordArena = Annotated[
     str | None,
-    typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office; default: the plan's."),
+    typer.Option(
+        help="GeoJSON file, map_server yaml, or a shipped arena: square, office; default: the arena of the plan."
+    ),
 ]
 RecordRobot = Annotated[
-    Path | None, typer.Option(help="robot.yaml; default: the plan's, else the shipped robot.")
+    Path | None, typer.Option(help="robot.yaml; default: the robot of the plan, else the shipped robot.")
 ]
 RecordGraph = Annotated[
     Path | None,
-    typer.Option(metavar="GRAPH", help="Drive in the world that a sensorgraph has identified."),
+    typer.Option(metavar="GRAPH", help="Drive in the identified world of this sensorgraph."),
 ]
 RecordController = Annotated[
     list[str] | None,
     typer.Option(
         help="plan, wall_following, random_bounce, a MODEL.json of `identify`, or TURN.json,SPEED.json; "
-        "several are compared."
+        "repeatable, to compare controllers."
     ),
 ]
 RecordStart = Annotated[
-    str | None, typer.Option(help="X,Y,PHI in m, m, rad: where a replay of commands begins.")
+    str | None, typer.Option(help="Start pose X,Y,PHI (m, m, rad) of a replay of commands.")
 ]
 RecordEffects = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="effects.yaml: what robot, sensor and room have beyond the map."),
+    typer.Option(metavar="FILE", help="effects.yaml: effects of robot, sensor and environment to simulate."),
 ]
-RecordSeed = Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")]
+RecordSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
 
 # export
 ExportSource = Annotated[
     str,
     typer.Argument(
         metavar="GRAPH|ARENA",
-        help="A *.sensorgraph of faces, a GeoJSON, a map_server yaml, or a shipped arena: square, office.",
+        help="Sensorgraph (model faces), GeoJSON file, map_server yaml, or a shipped arena: square, office.",
     ),
 ]
-ExportTarget = Annotated[str, typer.Option("--to", metavar="TARGET", help="mujoco, irsim, gazebo or nav2.")]
-ExportOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write.")]
+ExportTarget = Annotated[
+    str, typer.Option("--to", metavar="TARGET", help="Target: mujoco, irsim, gazebo or nav2.")
+]
+ExportOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the exported files.")]
 ExportEffects = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="effects.yaml: built in, as far as the target can.")
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="effects.yaml: effects to build in, as far as the target supports them."
+    ),
 ]
 ExportRun = Annotated[
-    Path | None, typer.Option(help="A run that AMCL's parameters are estimated from (nav2).")
+    Path | None, typer.Option(help="nav2: run from which the AMCL parameters are estimated.")
 ]
 ExportNoGo = Annotated[
     list[str] | None,
-    typer.Option(help="Zones for the keepout mask (nav2): GeoJSON of kind no_go, or corners x,y,x,y,x,y."),
+    typer.Option(
+        help="nav2: keepout zone, as GeoJSON of kind no_go or as corners x,y,x,y,x,y (m); repeatable."
+    ),
 ]
 WallHeight = Annotated[
-    float | None, typer.Option(help="[m] Height of the walls; default: half a metre above the laser.")
+    float | None, typer.Option(help="Height of the walls (m); default: 0.5 m above the laser.")
 ]

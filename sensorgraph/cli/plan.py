@@ -67,7 +67,7 @@ def plan(
     graph: PlanGraph = None,
     seed: PlanSeed = 0,
 ) -> None:
-    """Plan a drive that fills (x, y, φ): every reachable place, in every heading.
+    """Plan a collision-free drive that visits every reachable position in every heading.
 
     Examples:
 
@@ -83,24 +83,24 @@ def plan(
 
       sensorgraph plan office --budget 30 --end 1.0,1.0,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
 
-    Ctrl-C keeps what is planned so far as a shorter plan.
+    Ctrl-C saves the plan so far as a shorter, valid plan.
     """
     import logs
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose, say_log_notes
-    from sensorgraph.cli.progress import told_progress
+    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose, print_log_notes
+    from sensorgraph.cli.progress import progress_with_status
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
-    _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
+    _silence("planners.report", "planners.ompl_planner")  # their warnings are printed below
     check_folder(out)
     check_poses(poses)
     runs = [logs.read(path) for path in resume or () if views is None]
     place = _place(arena, resume or [], runs, graph or priority)
-    opened = cache(Sensorgraph.load)  # the arena, where to look and what to ask are often one file
+    opened = cache(Sensorgraph.load)  # arena, --graph and --priority are often the same file
     driven = _located(runs, resume or [], place, poses, opened)
     counted = "bins" if planner == "coverage" and views is None else "stops"
-    with told_progress("planning", counted) as (tick, say):
+    with progress_with_status("planning", counted) as (tick, set_status):
         made = make_plan(
             _arena_in(place, opened), robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
@@ -112,32 +112,32 @@ def plan(
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
             dock=None if dock is None else parse_pose(dock, "--dock"),
-            margin=margin, join_planner=join_planner, seed=seed, progress=tick, status=say,
+            margin=margin, join_planner=join_planner, seed=seed, progress=tick, status=set_status,
         )  # fmt: skip
     report = made.drive.report
     if isinstance(place, str):
         report["arena"] = Path(place).name
     made.save(out)
-    say_log_notes(*runs)
-    _tell(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
+    print_log_notes(*runs)
+    _print(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
 
 
-def _tell(warnings: list[str], lines: list[str]) -> None:
+def _print(warnings: list[str], lines: list[str]) -> None:
     for line in warnings:
         typer.echo(f"warning: {line}", err=True)
     typer.echo("\n".join(lines))
 
 
-def _quieten(*names: str) -> None:
+def _silence(*names: str) -> None:
     for name in names:
         if not (log := logging.getLogger(name)).hasHandlers():
             log.addHandler(logging.NullHandler())
 
 
 def _place(arena: str | None, resume: list[Path], runs: list[Run], graph: Path | None) -> Arena | str:
-    """Return the arena given, else the one that a run to resume keeps, else the walls of the graph."""
+    """Return the given arena, else the one kept in a run to resume, else the path of the graph."""
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in
 
@@ -149,14 +149,14 @@ def _place(arena: str | None, resume: list[Path], runs: list[Run], graph: Path |
     if graph is not None:
         return str(graph)
     raise SensorgraphError(
-        "no arena given, expected a *.geojson, a map_server *.yaml, a *.sensorgraph, or a shipped one: square, office"
+        "no arena given, expected a *.geojson, a map_server *.yaml, a *.sensorgraph, or a shipped arena: square, office"
         if not runs
-        else f"{resume[0]} keeps no arena; give the one it was driven in, or a --graph"
+        else f"{resume[0]} keeps no arena; give the arena in which it was recorded, or --graph"
     )
 
 
 def _arena_in(place: Arena | str, opened: Callable[[Path], Sensorgraph]) -> Arena | str:
-    """Return the walls of a graph, or what is given."""
+    """Return the arena of a graph, or any other place as it is."""
     from sensorgraph.world.identified_arena import arena_of
 
     if isinstance(place, str) and place.endswith(".sensorgraph") and Path(place).exists():
@@ -171,7 +171,7 @@ def _located(
     poses: str | None,
     opened: Callable[[Path], Sensorgraph],
 ) -> list[Run | Path]:
-    """Return the runs to resume from: their files, or the runs with the poses that were found for them."""
+    """Return the runs to resume from: their files, or the located runs if they have no reference poses."""
     from sensorgraph.cli.inputs import with_poses, with_poses_of_graph
     from sensorgraph.loading import load_arena
     from sensorgraph.localization.kept import KEY
@@ -190,7 +190,7 @@ def _located(
 
 
 def _summary(report: dict[str, Any]) -> str:
-    """Say in one line what a plan achieves."""
+    """Return the result of a plan as one line."""
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
@@ -202,13 +202,13 @@ def _summary(report: dict[str, Any]) -> str:
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time{_above(report)}; {joins['direct']:,} straight joins, "
         f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m, "
-        f"{100 * report['share_of_bare_footprint']:.1f} % of what the robot reaches without a margin; "
+        f"{100 * report['share_of_bare_footprint']:.1f} % of the bins reachable without a margin; "
         f"planned in {report['planning_s']:.1f} s"
     )
 
 
 def _above(report: dict[str, Any]) -> str:
-    """Say how far a plan is above the lower bound of its time, if it is one that covers all by turning in place."""
+    """Return the excess over the lower bound of the time, for a complete plan of a robot that turns in place."""
     bound, is_cut = report["lower_bound_s"], "budget_s" in report or report.get("interrupted", False)
     covers = report["planner"] in ("coverage", "stop_and_spin") and report["robot"]["drive"] == "diff"
     if bound <= 0 or is_cut or not covers:
@@ -217,16 +217,16 @@ def _above(report: dict[str, Any]) -> str:
 
 
 def _runs(report: dict[str, Any]) -> list[str]:
-    """Say in one line each what the runs of a battery achieve."""
+    """Return one line per run of a battery plan."""
     return [
-        f"run_{k}: {run['drive_time_s'] / 60:.1f} min, {(run['out_s'] + run['home_s']) / 60:.1f} of them on the way "
-        f"out and home; {run['new_bins']:,} new bins, {100 * run['coverage']:.2f} % so far"
+        f"run_{k}: {run['drive_time_s'] / 60:.1f} min, of which {(run['out_s'] + run['home_s']) / 60:.1f} min from and "
+        f"to the dock; {run['new_bins']:,} new bins, {100 * run['coverage']:.2f} % so far"
         for k, run in enumerate(report.get("sessions", []), start=1)
     ]
 
 
 def _seconds(option: str, minutes: float | None) -> float | None:
-    """Return seconds of an option in minutes."""
+    """Convert an option in minutes to seconds."""
     from planners.errors import PlanError
 
     if minutes is None:

@@ -13,9 +13,10 @@ def predict(
     output: PredictOutput,
     point: PredictPoint = "mode",
 ) -> None:
-    """Predict every ray at given poses.
+    """Predict every ray at given poses: range, sigma, probability of no return, answered or not.
 
-    Writes arrays ranges, median, mode, mean, sigma, p_no_return and answered, all (n_poses, n_rays).
+    Writes the arrays ranges, median, mode, mean, sigma, p_no_return and
+    answered, each (n_poses, n_rays).
 
     Examples:
 

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar with rate and time left on a terminal, plain lines elsewhere, on stderr."""
+"""Show progress on stderr: a bar with rate and remaining time on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ PLAIN_EVERY = 5.0  # [s] between plain lines
 
 @contextmanager
 def progress(label: str, unit: str = "") -> Iterator[Progress]:
-    """Yield `tick(done, total)`, which draws how far the work is; nothing is drawn for work under 0.5 s.
+    """Yield `tick(done, total)`, which shows the progress of the work.
 
-    The clock of the rate starts with the first tick: what is prepared before it says nothing of the time left.
+    The rate is measured from the first tick, so that preparation such as compiling does not affect the remaining time.
     """
-    with told_progress(label, unit) as (tick, _):
+    with progress_with_status(label, unit) as (tick, _):
         yield tick
 
 
 @contextmanager
-def told_progress(label: str, unit: str = "") -> Iterator[tuple[Progress, Callable[[str], None]]]:
-    """Yield `tick(done, total)` and `say(text)`, which adds to the label what is worked on now."""
-    with (_bar if sys.stderr.isatty() else _plain)(label, unit) as (tick, say):
-        yield tick, say
+def progress_with_status(label: str, unit: str = "") -> Iterator[tuple[Progress, Callable[[str], None]]]:
+    """Yield `tick(done, total)` and `set_status(text)`, which appends the current step to the label."""
+    with (_bar if sys.stderr.isatty() else _plain)(label, unit) as (tick, set_status):
+        yield tick, set_status
 
 
 @contextmanager
@@ -61,17 +61,17 @@ def _bar(label: str, unit: str) -> Iterator[tuple[Progress, Callable[[str], None
 
 
 def rate_text(rate: float) -> str:
-    """Return a rate as text; slow ones keep two digits."""
+    """Format a rate; rates below 10 have two significant digits."""
     return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
 
 
-def start_silence() -> None:
-    """Count from now on how long nothing was said: a command begins."""
+def reset_silence() -> None:
+    """Restart the timer of plain lines at the start of a command."""
     _PlainLines.last = time.monotonic()
 
 
 class _PlainLines:
-    """When the last plain line was written, whatever stage it was of."""
+    """Time of the last plain line, shared by all stages."""
 
     last = time.monotonic()
 
@@ -87,7 +87,7 @@ class _PlainLines:
 
 
 class _PlainStage:
-    """A stage that says every few seconds how far it is, also while one call takes all of its time."""
+    """A stage that prints its progress every few seconds, also during a single long call."""
 
     def __init__(self, label: str, unit: str) -> None:
         self.title, self.label, self.unit, self.opened = label, label, unit, time.monotonic()
@@ -100,12 +100,12 @@ class _PlainStage:
         if _PlainLines.are_due():
             _PlainLines.write(self.line())
 
-    def say(self, text: str) -> None:
+    def set_status(self, text: str) -> None:
         self.label = f"{self.title}, {text}"
 
     def line(self) -> str:
         now = time.monotonic()
-        if self.first is None or self.total <= 1:  # what is not counted has no time left to tell
+        if self.first is None or self.total <= 1:  # no count, so no remaining time
             return f"{self.label}: {now - self.opened:.0f} s so far"
         since, first = self.first
         counted = f"{self.label}: {self.done:,} of {self.total:,} {self.unit}".rstrip()
@@ -115,7 +115,7 @@ class _PlainStage:
         return f"{counted}, {rate_text(rate)}/s, {(self.total - self.done) / rate:.0f} s left"
 
     def watch(self, ended: Event) -> None:
-        """Speak up after every silence until the stage has ended."""
+        """Print a line whenever one is due, until the stage has ended."""
         while not ended.wait(PLAIN_EVERY / 5):
             if _PlainLines.are_due():
                 _PlainLines.write(self.line())
@@ -126,13 +126,13 @@ def _plain(label: str, unit: str) -> Iterator[tuple[Progress, Callable[[str], No
     stage, ended = _PlainStage(label, unit), Event()
     Thread(target=stage.watch, args=(ended,), daemon=True).start()
     try:
-        yield stage.tick, stage.say
+        yield stage.tick, stage.set_status
     finally:
         ended.set()
 
 
 @contextmanager
 def reading_bar() -> Iterator[Progress]:
-    """Yield a tick for `logs.read`, whose formats count bytes, lines or messages: shown is the share."""
+    """Yield a tick for `logs.read` that shows percent, because formats count bytes, lines or messages."""
     with progress("reading", "%") as tick:
         yield lambda done, total: tick(100 * done // max(total, 1), 100)

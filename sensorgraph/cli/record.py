@@ -58,7 +58,7 @@ def record(
     until_covered: RecordUntilCovered = None,
     share: RecordShare = 0.99,
 ) -> None:
-    """Drive the embedded robot along a plan, with its lag, drift and noise, and log it as MCAP; or log your own, live.
+    """Drive a simulated robot along a plan and log it as MCAP, or record your own robot live.
 
     Examples:
 
@@ -101,9 +101,9 @@ def record(
         return
     if effects is not None or start is not None:
         raise SensorgraphError(
-            "--graph holds what was perceived; --effects and --start go with --arena"
+            "--effects and --start cannot be used with --graph; use them with --arena"
             if graph is not None
-            else "--controller goes with --arena or --graph alone, and starts where the plan starts"
+            else "--effects and --start cannot be used with --controller, which starts where the plan starts"
         )
     _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
 
@@ -117,7 +117,7 @@ def _record_drive(
     effects: Path | None,
     seed: int,
 ) -> None:
-    """Drive along a plan, or by the commands of a run, once."""
+    """Drive once along a plan or by the commands of a run."""
     from sensorgraph.cli.inputs import parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.effects.effects_file import read as read_effects
@@ -148,7 +148,7 @@ def _record_closed_loop(
     robot: Path | None,
     seed: int,
 ) -> None:
-    """Drive in an arena or an identified world, once for each controller, and say how the drives compare."""
+    """Drive in an arena or an identified world, once for each controller, and print a comparison."""
     from planners.trajectory import Trajectory
     from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
@@ -164,7 +164,9 @@ def _record_closed_loop(
     source = open_drive(plan)
     trajectory = source.way
     if not isinstance(trajectory, Trajectory):
-        raise SensorgraphError(f"{plan} is a run; a controller needs a plan: its start and its time count")
+        raise SensorgraphError(
+            f"{plan} is a run; a controller needs a plan, which sets the start pose and the duration"
+        )
     graph = None if graph_file is None else Sensorgraph.load(graph_file)
     identified = None if graph is None or arena is not None else arena_of(graph)
     walls, machine = _place(source, arena, robot, identified=identified)
@@ -186,29 +188,29 @@ def _record_closed_loop(
 
 
 def _touched(run: Run) -> str:
-    """Say how often the robot touched a wall, if it did."""
+    """Return the number of wall contacts as text; empty without contacts."""
     contacts = int(run.meta["contacts"])
     return f", touched a wall {contacts} times" if contacts else ""
 
 
 def _unanswered(drive: ClosedLoopDrive) -> str:
-    """Say how many rays an identified world drew without an answer of the graph."""
+    """Return the number of rays that the graph does not answer as text; empty without a graph."""
     if drive.n_rays is None or drive.n_unanswered is None:
         return ""
     return (
-        f"; the graph has no answer for {drive.n_unanswered:,} of "
-        f"{drive.n_rays:,} rays ({drive.n_unanswered / max(drive.n_rays, 1):.2%}), drawn all the same"
+        f"; the graph does not answer {drive.n_unanswered:,} of "
+        f"{drive.n_rays:,} rays ({drive.n_unanswered / max(drive.n_rays, 1):.2%}); their readings are drawn from it anyway"
     )
 
 
 def _place(
     drive: DriveSource, arena: str | None, robot: Path | None, *, identified: Arena | None = None
 ) -> tuple[Arena, Robot]:
-    """Return the arena and the robot that were named, else those that lie beside the plan, and warn of a mismatch.
+    """Return the arena and the robot that were given, else those of the plan, and warn of a mismatch.
 
     Parameters
     ----------
-    identified : the arena of a graph, which needs no name
+    identified : Arena of a graph, used if no arena is given.
     """
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import load_arena
@@ -221,7 +223,7 @@ def _place(
     walls = named or identified or drive.arena()
     if walls is None:
         raise SensorgraphError(
-            f"nowhere to drive: {drive.path} keeps no arena; give --arena NAME or --graph GRAPH"
+            f"no arena to drive in: {drive.path} keeps no arena; give --arena NAME or --graph GRAPH"
         )
     kept = drive.robot() if machine is None else None
     taken = ["arena"] if named is None and identified is None else []

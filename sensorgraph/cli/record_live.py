@@ -17,50 +17,54 @@ if TYPE_CHECKING:
     from sensorgraph.recording.plan_coverage import PlanCoverage
 
 RecordLive = Annotated[
-    bool, typer.Option("--live", help="Record your running ROS 2 robot instead, over zenoh; Ctrl-C ends it.")
+    bool, typer.Option("--live", help="Record your own running ROS 2 robot over zenoh, until Ctrl-C.")
 ]
 RecordRouter = Annotated[
     str | None,
-    typer.Option(metavar="HOST:PORT", help="--live: the zenoh router of the robot; default: 127.0.0.1:7447."),
+    typer.Option(metavar="HOST:PORT", help="--live: zenoh router of the robot; default: 127.0.0.1:7447."),
 ]
 RecordDomain = Annotated[
     int | None,
-    typer.Option(min=0, max=232, help="--live: ROS domain; default: ROS_DOMAIN_ID, else 0."),
+    typer.Option(min=0, max=232, help="--live: ROS domain ID; default: ROS_DOMAIN_ID, else 0."),
 ]
-RecordDuration = Annotated[float | None, typer.Option(metavar="S", help="--live: end after so many seconds.")]
+RecordDuration = Annotated[
+    float | None, typer.Option(metavar="S", help="--live: stop after this many seconds; default: no limit.")
+]
 RecordWait = Annotated[
     float | None,
     typer.Option(
         metavar="S",
-        help="--live: wait so many seconds for the router and the robot; default: 3 and 10. Either may come back later.",
+        help="--live: time limit in seconds for the first connection to router and robot; default: 3 and 10.",
     ),
 ]
 RecordUntilCovered = Annotated[
     Path | None,
     typer.Option(
-        metavar="PLAN", help="--live: end when the bins of this plan have a pose; said is what is missing."
+        metavar="PLAN", help="--live: stop when the bins of this plan are covered; report the missing bins."
     ),
 ]
 RecordShare = Annotated[
     float,
-    typer.Option(min=0.0, max=1.0, help="--until-covered: the share of the plan's bins that suffices."),
+    typer.Option(min=0.0, max=1.0, help="--until-covered: share of the plan's bins to cover, 0 to 1."),
 ]
 
 LOOK_EVERY = 0.5
-"""[s] between two looks at rates and coverage."""
+"""[s] Interval at which rates and coverage are updated."""
 PLAIN_EVERY = 5.0
-"""[s] between two lines where there is no terminal."""
+"""[s] Interval of the lines printed without a terminal."""
 
 
 def check_options(*, live: bool, of_live: Mapping[str, Any], of_plan: Mapping[str, Any]) -> None:
-    """Refuse options of the embedded robot with --live, and those of --live without it."""
+    """Refuse options of the simulated robot with --live, and options of --live without it."""
     from sensorgraph.errors import SensorgraphError
 
     given = [name for name, value in (of_plan if live else of_live).items() if value not in (None, [])]
     if given and live:
-        raise SensorgraphError(f"{given[0]} is for the embedded robot; --live records your own, as it drives")
+        raise SensorgraphError(
+            f"{given[0]} is for the simulated robot, and --live records your own; leave out one"
+        )
     if given:
-        raise SensorgraphError(f"{given[0]} is for --live; add it to record your own robot")
+        raise SensorgraphError(f"{given[0]} requires --live; add it to record your own robot")
 
 
 def record_live(
@@ -76,7 +80,7 @@ def record_live(
     arena: str | None,
     robot: Path | None,
 ) -> None:
-    """Record a running ROS 2 robot until Ctrl-C, the time is over, or a plan is covered."""
+    """Record a running ROS 2 robot until Ctrl-C, until the time is over, or until a plan is covered."""
     from logs import parse_topics
     from logs.live.network import DEFAULT_ROUTER, RosNetwork
     from logs.live.recording import LiveRecording
@@ -103,18 +107,18 @@ def record_live(
     if coverage is not None:
         typer.echo(coverage.sentence())
         if coverage.missing.any():
-            typer.echo(f"the rest: sensorgraph plan ARENA --resume {out} -o rest")
+            typer.echo(f"plan the missing bins: sensorgraph plan ARENA --resume {out} -o rest")
     typer.echo(f"{why}; wrote {out}")
 
 
 def _summary(recording: LiveRecording, ended: float) -> list[str]:
-    """Return what came and what is missing, a line a topic and a line a note; times count from the first message."""
+    """Return one line per topic and one line per note; times are relative to the first message."""
     began = recording.began or ended
     out = []
     for name, rate in recording.rates.items():
         line = f"{name}: {rate.n_messages:,} message{'' if rate.n_messages == 1 else 's'}"
         if rate.n_lost:
-            line += f", {rate.n_lost:,} lost on the way"
+            line += f", {rate.n_lost:,} lost in transport"
         if rate.n_gaps:
             word = "1 gap of" if rate.n_gaps == 1 else f"{rate.n_gaps:,} gaps, the longest"
             line += f", {word} {rate.longest_gap:.2f} s at {rate.longest_gap_began - began:.2f} s"
@@ -122,7 +126,7 @@ def _summary(recording: LiveRecording, ended: float) -> list[str]:
             line += f", silent for the last {rate.silence(ended):.1f} s"
         out.append(line)
     for outage in recording.outages:
-        at = f"the router at {recording.network.router} was away from {outage.began - began:.1f} s"
+        at = f"no connection to the router at {recording.network.router} from {outage.began - began:.1f} s"
         back = "until the end" if outage.ended is None else f"to {outage.ended - began:.1f} s"
         out.append(f"note: {at} {back} ({(outage.ended or ended) - outage.began:.1f} s)")
     return out + [f"note: {note}" for note in recording.notes]
@@ -135,7 +139,7 @@ def _listen(
     duration: float | None,
     wait: float | None,
 ) -> str:
-    """Record and show how it goes; return why it ended."""
+    """Record and show the state; return the reason why the recording ended."""
     began = time.monotonic()
     knows_place = False
     try:
@@ -154,7 +158,7 @@ def _listen(
                 show(recording, "; ".join(text for text in state if text), time.monotonic() - began)
     except KeyboardInterrupt:
         return f"stopped after {time.monotonic() - began:.0f} s"
-    return f"{duration:g} s are over"
+    return f"stopped after {duration:g} s"
 
 
 def _outage_text(recording: LiveRecording) -> str:
@@ -163,7 +167,7 @@ def _outage_text(recording: LiveRecording) -> str:
         return f"no router for {now - recording.outages[-1].began:.0f} s; waiting for it"
     silent = [rate.silence(now) for rate in recording.rates.values() if rate.is_gap(rate.silence(now))]
     if silent and len(silent) == sum(rate.n_messages > 3 for rate in recording.rates.values()):
-        return f"nothing has come for {min(silent):.0f} s; waiting for the robot"
+        return f"no message for {min(silent):.0f} s; waiting for the robot"
     return ""
 
 
@@ -176,7 +180,7 @@ def _coverage_text(coverage: PlanCoverage | None, knows_place: bool) -> str:
 
 
 def _attachments(plan: Path | None, arena: str | None, robot: Path | None) -> dict[str, bytes]:
-    """Return what the run keeps: arena and robot as given, else the plan's, and plan.json."""
+    """Return the attachments of the run: the given arena and robot, else those of the plan, and plan.json."""
     from planners.maps import geojson
     from sensorgraph.loading import load_arena
     from sensorgraph.recording.drive_source import open_drive
@@ -195,7 +199,7 @@ def _attachments(plan: Path | None, arena: str | None, robot: Path | None) -> di
 
 @contextmanager
 def _display() -> Iterator[Callable[[LiveRecording, str, float], None]]:
-    """Yield what shows rates and gaps: a table on a terminal, a line every few seconds elsewhere; on stderr."""
+    """Yield a function that shows rates and gaps on stderr: a table on a terminal, lines elsewhere."""
     if not sys.stderr.isatty():
         yield _PlainLines().show
         return
@@ -211,15 +215,15 @@ def _display() -> Iterator[Callable[[LiveRecording, str, float], None]]:
 
 
 class _PlainLines:
-    """Rates in one line every few seconds."""
+    """Print the rates as one line every few seconds."""
 
     def __init__(self) -> None:
-        self.said = time.monotonic()
+        self.last = time.monotonic()
 
     def show(self, recording: LiveRecording, state: str, elapsed: float) -> None:
-        if time.monotonic() - self.said < PLAIN_EVERY:
+        if time.monotonic() - self.last < PLAIN_EVERY:
             return
-        self.said = time.monotonic()
+        self.last = time.monotonic()
         now = time.time()
         rates = ", ".join(f"{name} {rate.hz(now):.1f} Hz" for name, rate in recording.rates.items())
         gaps = sum(rate.n_gaps for rate in recording.rates.values())
@@ -233,7 +237,9 @@ class _PlainLines:
 def _table(recording: LiveRecording, state: str, elapsed: float) -> Any:
     from rich.table import Table
 
-    table = Table(title=f"recording {recording.path}, {elapsed:.0f} s, Ctrl-C ends it", caption=state or None)
+    table = Table(
+        title=f"recording {recording.path}, {elapsed:.0f} s, stop with Ctrl-C", caption=state or None
+    )
     table.add_column("topic")
     for column in ("messages", "Hz", "longest gap", "gaps", "lost"):
         table.add_column(column, justify="right")

@@ -1,4 +1,4 @@
-"""`sensorgraph recover`: save what is whole in a broken file."""
+"""`sensorgraph recover`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def recover(
     file: RecoverFile,
     out: RecoverOut,
 ) -> None:
-    """Write every complete message of a broken file, and say what was lost.
+    """Recover every complete message of a truncated or damaged MCAP file and report the losses.
 
     Examples:
 

@@ -41,7 +41,7 @@ def review(
     robot: RunRobot = None,
     poses: PosesFrom = None,
 ) -> None:
-    """Show a run, and a sensorgraph against it: coverage, error by place, heading and ray.
+    """Show a run, and the errors of a sensorgraph on it by place, heading and ray, as a rerun file.
 
     Examples:
 
@@ -56,7 +56,7 @@ def review(
         check_output,
         check_poses,
         mounts_of,
-        say_log_notes,
+        print_log_notes,
         with_poses,
         with_poses_of_graph,
         with_robot,
@@ -96,7 +96,7 @@ def review(
         force=force,
         progress=progress,
     )
-    say_log_notes(log)
+    print_log_notes(log)
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:
@@ -113,6 +113,6 @@ def _serve(review: Path) -> None:
     from sensorgraph.show.rerun_file import served
 
     with served(review) as address:
-        typer.echo(f"serving {address}\nCtrl-C ends it")
+        typer.echo(f"serving {address}\nstop with Ctrl-C")
         with suppress(KeyboardInterrupt):
             Event().wait()

@@ -21,7 +21,7 @@ def show(
     run: ShowRun = None,
     topic: TopicsByExample = None,
 ) -> None:
-    """Say what a sensorgraph is, print the equation of one ray, or draw its faces.
+    """Show the content of a sensorgraph, print the equation of one ray, or draw its faces.
 
     Examples:
 
@@ -40,7 +40,7 @@ def show(
     from sensorgraph.show.rays import chosen_ray
 
     if run is not None and figure is None:
-        raise SensorgraphError("--run is for the picture; say where to draw it with -o faces.png")
+        raise SensorgraphError("--run is for the picture; give the picture's name with -o faces.png")
     model = Sensorgraph.load(graph)
     ray = chosen_ray(model.sensor, ray, bearing)
     if figure is not None:
@@ -50,14 +50,11 @@ def show(
     if ray is not None:
         typer.echo(model.equation(ray))
         low, high = model.sensor.range_min, model.sensor.range_max
-        typer.echo(f"predictions are held between {low:g} and {high:g} m, the limits of the sensor")
+        typer.echo(f"predictions are limited to {low:g} ... {high:g} m, the range of the sensor")
         return
     sensor, origin = model.sensor, model.origin
     first, last = degrees(sensor.bearings[0]), degrees(sensor.bearings[-1])
-    options = (
-        ", ".join(f"{name} {value}" for name, value in origin["options"].items())
-        or "all chosen automatically"
-    )
+    options = ", ".join(f"{name} {value}" for name, value in origin["options"].items()) or "all automatic"
     lines = [
         ("model", model.model.name),
         (
@@ -68,7 +65,10 @@ def show(
         ("poses", f"of {model.pose_frame} in map"),
         *model.facts().items(),
         ("options", options),
-        ("split", f"{origin['split']} held out" if origin["split"] else "none: all scans were fitted"),
+        (
+            "split",
+            f"{origin['split']} held out" if origin["split"] else "none: all scans are used for the fit",
+        ),
     ]
     for entry in origin["inputs"]:
         dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
@@ -85,7 +85,7 @@ def show(
 
 
 def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topics: list[str]) -> None:
-    """Write the picture of a graph, with residuals if there is a run."""
+    """Draw a graph, with the residuals of a run if there is one."""
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import reading_bar

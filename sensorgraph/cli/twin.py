@@ -1,4 +1,4 @@
-"""The command line of the drive.py that an exported world holds."""
+"""The command line of the drive.py in an exported world."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 
 def run_script(folder: Path, make: Callable[[], Simulator], world: str) -> None:
-    """Drive a plan in an exported world and write the run; a mistake is one line and exit code 2.
+    """Drive a plan in an exported world and write the run; an error prints one line and exits with code 2.
 
     Parameters
     ----------
-    world : the file of the folder that `make` opens
+    world : Name of the world file in the folder, which `make` opens.
     """
     from logs.errors import LogError
     from planners.errors import PlanError
@@ -27,9 +27,11 @@ def run_script(folder: Path, make: Callable[[], Simulator], world: str) -> None:
     from sensorgraph.exporting.twin import record_twin
 
     parser = argparse.ArgumentParser(description="Drive a plan in this world and record it.")
-    parser.add_argument("plan", type=Path, help="a plan's folder, or its trajectory.csv")
-    parser.add_argument("-o", "--out", type=Path, default=Path("run.mcap"), help="the run to write, *.mcap")
-    parser.add_argument("--seed", type=int, default=0, help="of all noise")
+    parser.add_argument("plan", type=Path, help="folder of a plan, or its trajectory.csv")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("run.mcap"), help="run to write, *.mcap; default: run.mcap"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="random seed of all noise; default: 0")
     options = parser.parse_args()
     try:
         missing = [name for name in (world, "arena.geojson", "robot.yaml") if not (folder / name).is_file()]
