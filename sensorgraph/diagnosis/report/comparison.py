@@ -1,8 +1,7 @@
-"""Measured against simulated scans, before and after the amendment, as plain arrays for pictures and views.
+"""Compare measured with simulated scans, before and after the amendment, as arrays for pictures and views.
 
-Both are the bare simulator at the reference poses, as `record` would simulate it with the effects: no nuisance is
-fitted here, so that pictures show what a user of the simulator would see. The gap in numbers is that of
-`held_out_gap`.
+Both simulations are the bare simulator at the reference poses, as `record --effects` runs it. No nuisance parameter is
+fitted, so that the pictures show what a user of the simulator sees. `held_out_gap` computes the gap that is reported.
 """
 
 from __future__ import annotations
@@ -24,43 +23,43 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 
 MAX_P_ALTERNATIVE = 0.002
-"""Chance of the other side of an edge in depth, above which a ray is not compared."""
+"""Probability of reading the other side of a depth edge, above which a ray is not compared."""
 CLIP_SIGMAS = 10.0
-"""Standard deviations at which a residual is cut before it is averaged."""
+"""Standard deviations at which residuals are clipped before averaging."""
 MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
-"""Times as large as they are, that residuals may be drawn."""
+"""Magnifications of residuals in pictures."""
 MIN_RAYS = 40
-"""Of a mean."""
+"""Minimum number of rays for a mean."""
 SMALL_PART = 0.6
-"""Of the arena's longer side; a run that saw less is drawn alone."""
+"""Share of the arena's longer side; for a run that saw less, only the observed part is drawn."""
 BLOCK_DURATION = 1.0
-"""[s] of scans whose errors are taken to be correlated."""
+"""[s] block of scans whose errors are assumed to be correlated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedScans:
-    """The scans as one model simulates them, against what was measured; arrays (n_scans, n_rays)."""
+    """Scans simulated by one model, compared with the measurement; arrays (n_scans, n_rays)."""
 
     simulated: Floats
-    """[m] expected reading, +inf where no return is the likelier outcome."""
+    """[m] expected reading, +inf where no return is more likely."""
     aimed: Floats
-    """[m] where the ray would end if it returned; inf where nothing is hit."""
+    """[m] range of the surface, inf where no surface is hit."""
     residual: Floats
-    """[m] measured - simulated; nan where there is nothing to compare."""
+    """[m] measured - simulated; nan without a comparison."""
     unexpected: Bools
-    """Not as expected: missing, or returned where nothing should, or far off."""
+    """Missing returns, unexpected returns, and outliers."""
     missing: Bools
     """No return where one is expected."""
     clear: Bools
-    """Far from edges in depth."""
+    """Not near a depth edge."""
     sigma: Floats
-    """[m] noise that this model expects."""
+    """[m] standard deviation expected by this model."""
     walls: Floats
     """(n_walls, 2, 2) [m] of this model."""
 
     @classmethod
     def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> SimulatedScans:
-        """Simulate with some effects and compare; which readings are strays is taken from a fit."""
+        """Simulate with effects and compare; outliers are those of the fit."""
         data = fitted.solver.data
         at = cast(data, effects)
         mu, expected, z = at.expected.reading, at.expected, data.ranges
@@ -87,11 +86,11 @@ class SimulatedScans:
         )
 
     def rms(self, sigma: float) -> Floats:
-        """Return the RMS [m] of each scan (n_scans,), residuals cut at CLIP_SIGMAS sigmas."""
+        """Return the RMS [m] of each scan (n_scans,), with residuals clipped at CLIP_SIGMAS sigmas."""
         return _rms(self.clipped(sigma))
 
     def clipped(self, sigma: float) -> Floats:
-        """Return residuals away from edges in depth, cut at CLIP_SIGMAS sigmas; nan elsewhere."""
+        """Return residuals away from depth edges, clipped at CLIP_SIGMAS sigmas; nan elsewhere."""
         cut = np.where(self.clear, np.clip(self.residual, -CLIP_SIGMAS * sigma, CLIP_SIGMAS * sigma), np.nan)
         return np.asarray(cut)
 
@@ -104,7 +103,7 @@ def _rms(values: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparedScans:
-    """The scans of a run, and two simulators of them: as mapped, and with the effects that were found."""
+    """Scans of a run, and their simulation without and with the effects that were found."""
 
     arena: Arena
     sensor: RangeSensor
@@ -125,11 +124,11 @@ class ComparedScans:
     before: SimulatedScans
     after: SimulatedScans
     is_amended: bool
-    """The two differ: an effect of the scan channel is named."""
+    """Whether an effect of the scan channel is named, so that the two simulations differ."""
 
     @cached_property
     def sigma(self) -> float:
-        """[m] nominal noise, or 1 cm if the sensor states none."""
+        """[m] nominal noise, or 1 cm if the sensor specifies none."""
         return self.sensor.sigma or 0.01
 
     @cached_property
@@ -140,7 +139,7 @@ class ComparedScans:
 
     @cached_property
     def magnification(self) -> int:
-        """Times as large as they are, that residuals are drawn so that they can be seen in the arena."""
+        """Magnification that makes residuals visible in the arena."""
         room = 0.022 * self.diagonal
         return max(
             (k for k in MAGNIFICATIONS if k * max(self.typical_residual, self.sigma) <= room), default=1
@@ -154,9 +153,9 @@ class ComparedScans:
 
     @cached_property
     def limits(self) -> tuple[float, float, float, float]:
-        """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin; where the run saw a small part of it, that part.
+        """x0, y0, x1, y1 [m] of the drawing: the arena with a margin, or the observed part of a large arena.
 
-        Wider where rays end behind its walls.
+        The limits extend to rays that end behind the walls.
         """
         low, high = np.reshape(self.arena.bounds, (2, 2))
         side = float((high - low).max())
@@ -174,7 +173,7 @@ class ComparedScans:
         )
 
     def enlarged_ranges(self, side: SimulatedScans) -> Floats:
-        """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
+        """Return ranges (n_scans, n_rays) [m] with magnified residuals; large residuals stay as measured."""
         large = self.magnification * side.residual
         with np.errstate(invalid="ignore"):
             return np.asarray(
@@ -182,18 +181,18 @@ class ComparedScans:
             )
 
     def ends(self, flat: Ints, ranges: Floats) -> Floats:
-        """Return where rays (by flat index) of these ranges (k,) end, (k, 2) [m, map]."""
+        """Return the end points (k, 2) [m, map] of rays, given by flat index, with ranges (k,)."""
         scan, ray = np.unravel_index(flat, self.measured.shape)
         if self.rays is not None:
             rays = self.rays[scan, ray]
             return np.asarray(rays[:, :2] + ranges[:, None] * rays[:, 2:])
         lasers = self.lasers[scan]
         angle = lasers[:, 2] + self.sensor.bearings[ray]
-        way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return np.asarray(lasers[:, :2] + ranges[:, None] * way)
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(lasers[:, :2] + ranges[:, None] * direction)
 
     def covariates(self) -> dict[str, tuple[Floats, Floats]]:
-        """Return what residuals may depend on: label -> (values (n_scans, n_rays), edges)."""
+        """Return the covariates of residuals: label -> (values (n_scans, n_rays), bin edges)."""
         shape = self.measured.shape
         bearings = np.degrees(self.sensor.bearings)
         aimed = np.where(np.isfinite(self.before.aimed), self.before.aimed, np.nan)
@@ -217,7 +216,7 @@ class ComparedScans:
         }
 
     def profile(self, values: Floats, index: Ints, count: int) -> tuple[Floats, Floats]:
-        """Return mean and standard error (clustered by blocks of time) of values in each bin."""
+        """Return mean and standard error (clustered by blocks of time) of the values in each bin."""
         blocks = (self.stamps / BLOCK_DURATION).astype(np.intp)
         n_blocks = int(blocks.max(initial=0)) + 1
         ok = (index >= 0) & np.isfinite(values)
@@ -232,10 +231,10 @@ class ComparedScans:
 
 
 def bare_gap(finding: Finding) -> Gap | None:
-    """Return the gap of the bare simulator on the held-out scans, beside the nominal noise; None: no scan effect.
+    """Return the gap of the bare simulator on the held-out scans, with the nominal noise as floor; None without a scan effect.
 
-    `held_out_gap.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
-    effect does. Here nothing shifts; residuals beyond CLIP_SIGMAS sigmas are cut. It has no likelihood: nats are nan.
+    `held_out_gap.gap` lets poses and map shift within their tolerances before and after, which hides a part of an
+    effect. Here nothing shifts; residuals are clipped at CLIP_SIGMAS sigmas. There is no likelihood: nats are nan.
     """
     named = _named(finding)
     if not named:
@@ -262,12 +261,12 @@ def bare_gap(finding: Finding) -> Gap | None:
 
 
 def _named(finding: Finding) -> tuple[Amendment, ...]:
-    """Return what is named in scans: a mount that driving alone tells is in the poses, which were found with the stated one."""
+    """Return the named effects of the scan channel; a mount calibrated from driving alone is already in the poses."""
     return finding.channels["scan"].effects if "scan" in finding.channels else ()
 
 
 def compare(finding: Finding) -> ComparedScans | None:
-    """Collect what pictures need; None where nothing was fitted."""
+    """Collect the data for pictures; None if nothing was fitted."""
     if finding.explained is None:
         return None
     null, final = finding.explained.null, finding.explained.final
@@ -300,7 +299,7 @@ def compare(finding: Finding) -> ComparedScans | None:
 
 
 def _rays_of(beams: Beams) -> Floats:
-    """Return where the rays start and where they point, (n_scans, n_rays, 4); in a cone, to the nearest surface."""
+    """Return start and direction of the rays, (n_scans, n_rays, 4); in a cone, towards the nearest surface."""
     ox, oy = (np.broadcast_to(o, beams.ux.shape) for o in (beams.ox, beams.oy))
     return np.stack([ox, oy, beams.ux, beams.uy], axis=-1)
 

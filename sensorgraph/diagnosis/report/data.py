@@ -1,4 +1,4 @@
-"""report.json: a finding as plain data."""
+"""Convert a finding to plain data, for report.json."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensorgraph.effects import Amendment
 
 
 def to_dict(finding: Finding) -> dict[str, Any]:
-    """Return the report as plain data; `gap`, `where` and `runner_up` begin with what the headline is about."""
+    """Return the report as plain data; `gap`, `where` and `runner_up` start with the channel of the headline."""
     main = main_channel(finding)
     results = dict(sorted(finding.channels.items(), key=lambda item: item[0] != main))
     unknown = finding.unknown
@@ -68,7 +68,7 @@ def effect_dict(a: Amendment) -> dict[str, Any]:
 
 
 def simulation_dict(compared: SimulationComparison) -> dict[str, Any]:
-    """Return how the run differs from a simulation, as plain data."""
+    """Return the difference between run and simulation as plain data."""
     noises = {"robot": compared.robot_noise, "simulation": compared.simulated_noise}
     return {
         "run": compared.name,
@@ -83,7 +83,7 @@ def simulation_dict(compared: SimulationComparison) -> dict[str, Any]:
 
 
 def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
-    """Return the rival of the first-named effect; where it has none, the first rival of another."""
+    """Return the rival of the first effect, or else the first rival of another effect."""
     first = next((a.name for a in (*finding.effects, *finding.undecided)), "")
     return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
 
@@ -94,7 +94,7 @@ def deviation_dict(deviation: Deviation) -> dict[str, Any]:
 
 
 def unknown_dict(unknown: Unknown) -> dict[str, Any]:
-    """Return what no effect explains as plain data."""
+    """Return an unexplained difference as plain data."""
     return {
         "statement": unknown.statement,
         "where": None if unknown.deviation is None else asdict(unknown.deviation),
@@ -107,12 +107,12 @@ def unknown_dict(unknown: Unknown) -> dict[str, Any]:
 
 
 def gap_dict(gap: Gap, channel: str = "scan") -> dict[str, Any]:
-    """Return a gap as plain data, with its channel and the unit of `rmse_m` (m/s but for scans)."""
+    """Return a gap as plain data, with its channel and the unit of `rmse_m` (m for scans, else m/s)."""
     return {"channel": channel, "unit": "m" if channel == "scan" else "m/s", **asdict(gap)}
 
 
 def channel_dict(result: ChannelResult) -> dict[str, Any]:
-    """Return what one channel says."""
+    """Return the result of one channel as plain data."""
     return {
         "effects": [a.name for a in result.effects],
         "within_tolerance": [a.name for a in result.within_tolerance],
@@ -125,7 +125,7 @@ def channel_dict(result: ChannelResult) -> dict[str, Any]:
 
 
 def plain(data: Any) -> Any:
-    """Return data that JSON can hold: numpy becomes Python, what is not finite becomes None."""
+    """Return JSON-compatible data: numpy becomes Python, non-finite numbers become None."""
     if isinstance(data, Mapping):
         return {str(k): plain(v) for k, v in data.items()}
     if isinstance(data, list | tuple):

@@ -18,18 +18,18 @@ from sensorgraph.world.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis(Finding):
-    """What `sensorgraph.diagnose` returns."""
+    """Result of `sensorgraph.diagnose`."""
 
     arena: Arena
     robot: Robot
 
     @classmethod
     def of(cls, finding: Finding, arena: Arena, robot: Robot) -> Diagnosis:
-        """Complete a finding with the arena and the robot that it is about."""
+        """Add arena and robot to a finding."""
         return cls(**{f.name: getattr(finding, f.name) for f in fields(Finding)}, arena=arena, robot=robot)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `report.json` holds; plain data."""
+        """Return the content of `report.json` as plain data."""
         return data.to_dict(self)
 
     def save(self, folder: Path | str) -> Path:
@@ -42,7 +42,7 @@ class Diagnosis(Finding):
         return f"Diagnosis: {summarise(self).headline}{named}"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the headline, and each named effect with its size and probability."""
+        """Return HTML for notebooks: the headline, and each named effect with size and probability."""
         rows = [
             (a.effect.title, place_text(a), ", ".join(parameters(a)), percent(a.probability))
             for a in self.effects

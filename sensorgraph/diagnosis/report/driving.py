@@ -1,4 +1,4 @@
-"""What driving alone tells, as plain data and as a section of a page."""
+"""Calibration from driving alone, as plain data and as a section of the page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNITS = dict(
 
 
 def calibrations(finding: DrivingFinding) -> list[dict[str, Any]]:
-    """Return the parameters of each run, and what changes within it, as plain data."""
+    """Return the parameters of each run, and their change within it, as plain data."""
     return [
         {**_calibration(name, found), "change": _change(finding, name)}
         for name, found in finding.runs.items()
@@ -49,10 +49,10 @@ def _change(finding: DrivingFinding, name: str) -> dict[str, Any] | None:
 
 
 def driving_section(finding: DrivingFinding, drawn: Path | None, *, heading: str) -> str:
-    """Return what the runs tell, with the picture of their parts."""
+    """Return the calibration of each run as HTML, with the picture of its parts."""
     caption = (
-        "Line and band: the whole run with two standard errors. Dots: its eighths, with one, as if their windows were "
-        "independent."
+        "Line and band: the whole run with two standard errors. Dots: eighths of the run with one standard error, for "
+        "independent windows."
     )
     parts = [f"<h2>{escape(heading)}</h2>"] if heading else []
     for name, found in finding.runs.items():

@@ -1,4 +1,4 @@
-"""The report of runs without arena and reference: report.json, report.html, effects.yaml and a picture."""
+"""Report of runs without arena and reference poses: report.json, report.html, effects.yaml and a picture."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from sensorgraph.version import __version__
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivingDiagnosis(DrivingFinding):
-    """What `sensorgraph.diagnose` returns for runs without arena and reference."""
+    """Result of `sensorgraph.diagnose` for runs without arena and reference poses."""
 
     @classmethod
     def of(cls, finding: DrivingFinding) -> DrivingDiagnosis:
-        """Let a finding print itself and save its report."""
+        """Add printing and saving to a finding."""
         return cls(**{f.name: getattr(finding, f.name) for f in fields(DrivingFinding)})
 
     def to_dict(self) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def save_driving(
 
     Parameters
     ----------
-    log_notes : what was taken for granted when the runs were read
+    log_notes : warnings of the readers of the runs
     """
     with atomic_folder(folder) as part:
         kept = {"version": __version__, **settings}
@@ -67,7 +67,7 @@ def save_driving(
 
 
 def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
-    """Return the report as plain data; what needs an arena or a reference is empty."""
+    """Return the report as plain data; keys that need an arena or reference poses are empty."""
     return {
         "effects": [effect_dict(a) for a in finding.effects],
         "unknown": None,
@@ -95,7 +95,7 @@ def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
 
 
 def _page(finding: DrivingFinding, drawn: Path, log_notes: Sequence[str]) -> str:
-    """Return a page that stands alone."""
+    """Return a self-contained page."""
     title, *rest = finding.verdict
     absorbed = "".join(f"<li>{escape(why)}</li>" for why in ABSORBED.values())
     is_found = bool(finding.effects) or any(d.differs and d.is_material for d in finding.differences)

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder."""
+"""Write the report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def save_diagnosis(
     settings: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write the report and the next run into a folder; all of it or nothing, in place of what an earlier one left.
+    """Write the report and the next run into a folder, all of it or nothing; replace an earlier report.
 
     Parameters
     ----------
-    arena, robot : what the run was diagnosed with; the next run keeps them
+    arena, robot : used for the diagnosis; stored with the next run
     name, settings, progress : see `save_report`
     """
     with atomic_folder(folder) as part:
@@ -65,9 +65,9 @@ def save_report(
 
     Parameters
     ----------
-    name : what to call the run
+    name : of the run
     settings : configuration, kept in the report; the version is added
-    progress : told how many of the parts are done
+    progress : called with the number of parts done
     """
 
     def done(count: int) -> None:
@@ -106,7 +106,7 @@ def save_report(
 
 
 def remove_old_report(folder: Path) -> None:
-    """Remove files of an earlier report that a later one may lack: pictures, review and next run."""
+    """Remove pictures, review and next run of an earlier report, which the new one may not have."""
     for name in ("review.rrd", *(f"{picture}.png" for picture in PICTURES)):
         (folder / name).unlink(missing_ok=True)
     plan = folder / "next_run"

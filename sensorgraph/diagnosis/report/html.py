@@ -1,4 +1,4 @@
-"""report.html: one page that stands alone, readable by somebody who has never seen it."""
+"""Write report.html: one self-contained page for a first-time reader."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ CHANNELS = {
     "odometry": "odometry against pose",
     "drive": "odometry against command",
 }
-NOT_SAID = ("", "None", "False", "0")
-"""What came in is not listed where it says nothing."""
+EMPTY_VALUES = ("", "None", "False", "0")
+"""Values of settings that are not listed."""
 FILES = {
     "report.json": "all numbers, SI units",
-    "effects.yaml": "the amendment: record, evaluate and diagnose take it as effects",
-    "review.rrd": "measured, nominal and amended scans on one timeline: rerun review.rrd",
+    "effects.yaml": "the effects found; pass it to record, evaluate and diagnose with --effects",
+    "review.rrd": "measured, nominal and amended scans on one timeline; open with: rerun review.rrd",
 }
 
 
@@ -52,7 +52,7 @@ def page(
     Parameters
     ----------
     pictures : name -> PNG file, put into the page
-    title : what to call the run
+    title : name of the run
     settings : configuration, listed at the end
     """
     summary = summarise(finding)
@@ -87,11 +87,11 @@ def _arena_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         return ""
     amended = any(a.effect.channel == "scan" for a in finding.effects)
     caption = (
-        "The arena from above. Each dot is the end of a measured ray, set off from where the simulator says it should end: "
-        "red where it is measured too long, blue too short. Grey line: the robot's way."
+        "The arena from above. Each dot is the end of a measured ray, offset from its simulated end: red where the "
+        "measured range is longer, blue where it is shorter. Grey line: the path of the robot."
     )
     if amended:
-        caption += " A model that is right leaves an even, narrow band of noise along every wall."
+        caption += " With a correct model, an even, narrow band of noise remains along every wall."
     title = "Where they differ" if main_channel(finding) == "scan" else "The scans in the arena"
     return f"<h2>{title}</h2>{picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
@@ -100,16 +100,16 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     gap = finding.channels["scan"].gap if "scan" in finding.channels else None
     rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
     caption = (
-        f"Measured on readings that no fit and no choice has seen{rays}; map and poses may shift within their "
-        "tolerances, before as after. Noise floor: what a perfect model would leave, from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better. "
-        "Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
+        f"Measured on held-out readings{rays}; map and poses may shift within their tolerances, before and after. "
+        "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood per reading; smaller "
+        "is better. Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
     )
     text = _scales_text(finding) + picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
-    return f"<h2>How large the gap is</h2>{text}" if text else ""
+    return f"<h2>Size of the gap</h2>{text}" if text else ""
 
 
 def _scales_text(finding: Finding) -> str:
-    """Say how wide the fit takes the tolerances of map, reference and stamps, as multiples of what is stated."""
+    """Report the tolerances of map, reference poses and stamps in the fit, as multiples of the specified ones."""
     if finding.explained is None:
         return ""
     found = {
@@ -120,28 +120,26 @@ def _scales_text(finding: Finding) -> str:
     }
     wider = {what: factor for what, factor in found.items() if factor is not None and factor >= 1.01}
     if not wider:
-        return "<p>The stated tolerances of map, reference poses and stamps are enough for the fit.</p>"
-    said = "; ".join(
-        f"those of {what} are {factor:.2f} times as wide as stated" for what, factor in wider.items()
-    )
-    return f"<p>Tolerances that the fit needs: {said}. From {SCAN.nuisance.stretched_scale:g} times on they count as wrong.</p>"
+        return "<p>The specified tolerances of map, reference poses and stamps suffice.</p>"
+    listed = "; ".join(f"{what}: {factor:.2f} times the specified value" for what, factor in wider.items())
+    return f"<p>Tolerances that the fit needs: {listed}. Above {SCAN.nuisance.stretched_scale:g} times, a tolerance counts as wrong.</p>"
 
 
 def _effects_section(finding: Finding) -> str:
     if not finding.effects:
         return ""
-    return "<h2>What was found</h2>" + "".join(_effect(a) for a in finding.effects)
+    return "<h2>Effects found</h2>" + "".join(_effect(a) for a in finding.effects)
 
 
 def _profile_section(pictures: Mapping[str, Path]) -> str:
     if "profile" not in pictures:
         return ""
     caption = (
-        "Fitted together with poses, map, mount and noise. The mean over all rays is taken out, since a mounting yaw or a bias "
-        "would say the same. Band: two standard errors, by how parts of the run differ. The numbers stand in report.json, "
-        "unknown.profile."
+        "Fitted together with poses, map, mount and noise. The mean over all rays is removed, because it equals a mounting "
+        "yaw or a bias. Band: two standard errors, from the differences between parts of the run. Numbers: unknown.profile in "
+        "report.json."
     )
-    return f"<h2>The shape of what is unknown</h2>{picture(pictures['profile'], 'Error over bearing or range', caption)}"
+    return f"<h2>Unexplained error</h2>{picture(pictures['profile'], 'Error over bearing or range', caption)}"
 
 
 def _effect(a: Amendment) -> str:
@@ -150,7 +148,7 @@ def _effect(a: Amendment) -> str:
     joined = "<br>".join(filter(None, [equation, numbers]))
     facts = {
         "probability": percent(a.probability),
-        "evidence": "–" if a.evidence is None else f"{a.evidence:,.0f} nats",
+        "log Bayes factor": "–" if a.evidence is None else f"{a.evidence:,.0f}",
         "size": f"{a.ratio:.1f} × the tolerance" if a.ratio != float("inf") else "",
         "place": place_text(a),
         "channel": CHANNELS[a.effect.channel],
@@ -166,7 +164,7 @@ def _effect(a: Amendment) -> str:
 
 
 def _with_subscripts(text: str) -> str:
-    """Set `α_max` with an index."""
+    """Write `α_max` with a subscript."""
     return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
 
 
@@ -180,22 +178,23 @@ def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         behind = evidence.get(rival.instead_of, 0.0) - rival.evidence_nats
         rows.append(
             f"<tr><td>{escape(title_of(rival.instead_of))}</td><td>{escape(title_of(rival.name))}</td>"
-            f'<td class="n">{minus(f"{behind:,.0f}")} nats</td><td>{escape(rival.separates)}</td></tr>'
+            f'<td class="n">{minus(f"{behind:,.0f}")}</td><td>{escape(rival.separates)}</td></tr>'
         )
     table = (
-        "<table><tr><th>found</th><th>runner-up</th><th class='n'>behind by</th><th>what tells them apart</th></tr>"
+        "<table><tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them</th><th>what would distinguish them</th></tr>"
         + "".join(rows)
         + "</table>"
         if rows
         else ""
     )
     caption = (
-        "Evidence of what was tried, one round after another. Every nat makes a name e = 2.7 times likelier than the model "
-        "without it; the baseline already has the freedom of a careful set-up (map, mount, poses, clock, noise)."
+        "Log Bayes factor of each candidate, by selection round: ln p(data with the effect) − ln p(data without it), less a "
+        "complexity penalty. A value of 3 means odds of 20 to 1. The baseline already adjusts map, mount, poses, clock "
+        "and noise within the tolerances."
     )
     close = undecided_rivals(finding)
-    lead = "<p>The best two are too close to call.</p>" if close else ""
-    return f"<h2>How the names rank</h2>{lead}{picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
+    lead = "<p>The data do not decide between the best two.</p>" if close else ""
+    return f"<h2>Ranking of the candidates</h2>{lead}{picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
 
 
 def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
@@ -207,15 +206,15 @@ def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     rest = "".join(f"<li>{escape(deviation_text(w))}</li>" for w in found[6:])
     more = f"<details><summary>{len(found) - 6} more</summary><ul>{rest}</ul></details>" if rest else ""
     text = (
-        f"<p>By more than chance, and more than a careful set-up may be off in map, mount, poses and clock:</p><ul>{rows}</ul>{more}"
+        f"<p>Significant, and larger than the tolerances of map, mount, poses and clock:</p><ul>{rows}</ul>{more}"
         if found
-        else "<p>No part of the data stands out, once map, mount, poses and clock may be off as in a careful set-up.</p>"
+        else "<p>No part of the data deviates by more than the tolerances of map, mount, poses and clock.</p>"
     )
     caption = (
-        "The bare simulator against what a difference may depend on; bands are two standard errors. Upper row: the mean of measured − simulated. "
-        "Lower row: scatter, or the share of rays that missed, returned unexpectedly, or strayed."
+        "Residuals of the bare simulator over the quantities they may depend on; bands: two standard errors. Upper row: mean "
+        "of measured − simulated. Lower row: scatter, or the share of missing returns, unexpected returns and outliers."
     )
-    return f"<h2>What differs, before any name</h2><p>What is left once map, mount, clocks and poses are corrected by as much as every set-up is allowed.</p>{text}{picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
+    return f"<h2>Deviations before any effect</h2><p>Residuals after map, mount, clocks and poses are corrected within their tolerances.</p>{text}{picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
 
 def _tolerated_section(finding: Finding) -> str:
@@ -224,12 +223,12 @@ def _tolerated_section(finding: Finding) -> str:
         return ""
     rows = "".join(
         f"<tr><td>{escape(', '.join(filter(None, [a.effect.title, place_text(a)])))}</td><td>{escape(', '.join(parameters(a)))}</td>"
-        f'<td class="n">{"–" if a.evidence is None else f"{a.evidence:,.0f} nats"}</td></tr>'
+        f'<td class="n">{"–" if a.evidence is None else f"{a.evidence:,.0f}"}</td></tr>'
         for a in small
     )
-    head = "<tr><th>effect</th><th>size</th><th class='n'>evidence</th></tr>"
+    head = "<tr><th>effect</th><th>size</th><th class='n'>log Bayes factor</th></tr>"
     return (
-        "<h2>Within tolerance</h2><p>There, but no larger than a careful set-up holds; not called effects.</p>"
+        "<h2>Within tolerance</h2><p>Present, but below the materiality; not counted as effects.</p>"
         f"<table>{head}{rows}</table>"
     )
 
@@ -245,7 +244,7 @@ def _channels_section(finding: Finding) -> str:
         if name != "scan"
         for w in result.deviations[:4]
     )
-    listed = f"<p>Odometry and drive deviate, before any name:</p><ul>{notes}</ul>" if notes else ""
+    listed = f"<p>Deviations of odometry and drive before any effect:</p><ul>{notes}</ul>" if notes else ""
     return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
 
 
@@ -263,7 +262,7 @@ def _motion_deviation(where: Any) -> str:
 
 def _channel_text(result: ChannelResult) -> str:
     if result.skipped:
-        return f"not looked at: {result.skipped}"
+        return f"not evaluated: {result.skipped}"
     out = []
     if result.effects:
         out.append("found: " + ", ".join(a.effect.title for a in result.effects))
@@ -286,7 +285,7 @@ def _not_observable_section(finding: Finding) -> str:
         for name, why in result.not_observable.items()
     )
     skipped = "".join(
-        f"<tr><td>everything of the {escape(name)} channel</td><td>{escape(result.skipped)}</td></tr>"
+        f"<tr><td>all effects of the {escape(name)} channel</td><td>{escape(result.skipped)}</td></tr>"
         for name, result in finding.channels.items()
         if result.skipped
     )
@@ -303,10 +302,10 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
     questions = [str(q) for q in plan.get("questions") or []]
     nats, median = plan.get("expected_nats"), plan.get("median_random_run_nats")
     facts = {
-        "expected evidence": "" if nats is None else f"{nats:,.0f} nats",
-        "a median random run": "" if median is None else f"{median:,.0f} nats",
+        "expected log Bayes factor": "" if nats is None else f"{nats:,.0f}",
+        "of a median random run": "" if median is None else f"{median:,.0f}",
         "duration": f"{plan['duration_s']:.0f} s" if plan.get("duration_s") else "",
-        "way": f"{plan['path_m']:.1f} m" if plan.get("path_m") else "",
+        "path": f"{plan['path_m']:.1f} m" if plan.get("path_m") else "",
     }
     cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
     asked = "".join(f"<li>{escape(q)}</li>" for q in questions)
@@ -320,7 +319,7 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
         + (f"<p>{escape(why)}</p>" if why else "")
         + (f"<ul>{asked}</ul>" if asked else "")
         + (f"<div class='facts'>{cells}</div>" if cells else "")
-        + picture(pictures.get("next_run"), "The way of the next run", "")
+        + picture(pictures.get("next_run"), "Path of the next run", "")
         + listed
     )
 
@@ -338,14 +337,16 @@ def _value(value: Any) -> str:
 
 
 def _settings_section(finding: Finding, settings: Mapping[str, Any]) -> str:
-    rows = [line for line in (*_lines_of(finding.intake), *_lines_of(settings)) if line[1] not in NOT_SAID]
+    rows = [
+        line for line in (*_lines_of(finding.intake), *_lines_of(settings)) if line[1] not in EMPTY_VALUES
+    ]
     body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
     files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
-    return f"<h2>What came in, and the settings</h2><table class='pairs'>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"
+    return f"<h2>Input and settings</h2><table class='pairs'>{body}</table><footer><p>In the same folder:</p><ul>{files}</ul></footer>"
 
 
 def _lines_of(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
-    """Return nested plain data as lines; what is empty or zero in a nest is left out."""
+    """Return nested plain data as lines, without the empty or zero values of nested levels."""
     out: list[tuple[str, str]] = []
     for key, value in data.items():
         label = f"{lead}{key}".replace("_", " ")

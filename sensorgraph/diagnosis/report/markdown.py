@@ -1,4 +1,4 @@
-"""The report in few words, in markdown: it stands beside the scans in the viewer."""
+"""Short report in markdown, shown next to the scans in the viewer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.report.summary import summarise
 
 
 def markdown(finding: Finding, name: str) -> str:
-    """Return the report in few words, in markdown."""
+    """Return a short report in markdown."""
     summary = summarise(finding)
     lines = [f"# {summary.headline}", "", *(f"{text}\n" for text in summary.details)]
     for a in finding.effects:
@@ -23,12 +23,17 @@ def markdown(finding: Finding, name: str) -> str:
             f"{a.effect.equation}: {', '.join(parameters(a))}" if a.parameters else a.effect.equation,
             "",
             f"probability {percent(a.probability)}"
-            + (f", evidence {a.evidence:,.0f} nats" if a.evidence is not None else "")
+            + (f", log Bayes factor {a.evidence:,.0f}" if a.evidence is not None else "")
             + (f", at {place_text(a)}" if place_text(a) else ""),
             "",
         ]
     scan = finding.channels.get("scan")
     if scan is not None and scan.deviations:
-        lines += ["Before any name:", "", *(f"- {deviation_text(w)}" for w in scan.deviations[:4]), ""]
-    lines += [f"*{name}. Gap and residuals here are the bare simulator's, at the reference poses.*"]
+        lines += [
+            "Deviations before any effect:",
+            "",
+            *(f"- {deviation_text(w)}" for w in scan.deviations[:4]),
+            "",
+        ]
+    lines += [f"*{name}. Gap and residuals are those of the bare simulator at the reference poses.*"]
     return "\n".join(lines)

@@ -75,12 +75,12 @@ def page_shell(
 
 
 def warnings(log_notes: Iterable[str]) -> list[str]:
-    """Return sentences for the lead on what was taken for granted when the logs were read."""
+    """Return the warnings of the log readers as sentences."""
     return [f"Warning: {note}." for note in log_notes]
 
 
 def picture(path: Path | None, alt: str, caption: str) -> str:
-    """Return a figure with a PNG file in it; nothing where there is no file."""
+    """Return a figure with an embedded PNG file; empty without a file."""
     if path is None:
         return ""
     data = base64.b64encode(path.read_bytes()).decode("ascii")

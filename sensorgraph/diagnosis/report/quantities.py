@@ -1,4 +1,4 @@
-"""Numbers for people: parameters with their errors in cm, degrees and ms, probabilities, places."""
+"""Format numbers for readers: parameters with errors in cm, degrees and ms, probabilities, places."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ SYMBOLS = {
 }  # fmt: skip
 SCALES = {"rad": (180 / math.pi, "°"), "m/m": (1000.0, "mm per m"), "m/s": (1.0, "m/s")}
 SIGNED = {"b", "b1", "s", "d", "dx", "dy", "delta", "tau", "T"}
-"""Parameters whose sign means something, if they are sizes."""
+"""Parameters that are printed with their sign, if they are sizes."""
 
 
 def symbol(name: str) -> str:
-    """Return a parameter as it stands in equations."""
+    """Return the symbol of a parameter in equations."""
     return SYMBOLS.get(name, name)
 
 
 def scaled(parameter: Parameter, value: float, size: float | None = None) -> tuple[float, str]:
-    """Return factor and unit in which people state a value of this parameter."""
+    """Return factor and unit for printing a value of this parameter."""
     size = abs(value) if size is None else size
     if parameter.unit == "m":
         if parameter.materiality is not None:
@@ -37,7 +37,7 @@ def scaled(parameter: Parameter, value: float, size: float | None = None) -> tup
 
 
 def number(value: float, error: float | None = None, *, signed: bool = False) -> str:
-    """Round to the digits that the error leaves; to three where it is not known."""
+    """Round to the digits that the standard error justifies; without one, to three digits."""
     if not math.isfinite(value):
         return str(value)
     known = error is not None and math.isfinite(error) and error > 0
@@ -53,12 +53,12 @@ def number(value: float, error: float | None = None, *, signed: bool = False) ->
 
 
 def minus(text: str) -> str:
-    """Set a proper sign before negative numbers."""
+    """Replace the hyphen before negative numbers by a minus sign."""
     return re.sub(r"(?<!\w)-(?=\d)", "−", text)
 
 
 def quantity(a: Amendment, name: str) -> str:
-    """Return one parameter of an effect with its standard error and unit: `+0.41° ± 0.01°`."""
+    """Return one parameter of an effect with standard error and unit: `+0.41° ± 0.01°`."""
     parameter = next((p for p in a.effect.parameters if p.name == name), None)
     value, error = a.parameters[name], a.stderr.get(name)
     if parameter is None:
@@ -78,7 +78,7 @@ def parameters(a: Amendment) -> list[str]:
 
 
 def brief(a: Amendment) -> str:
-    """Return an effect in a few words: `mounting yaw, +0.41° ± 0.01°`."""
+    """Return an effect with its sizes: `mounting yaw, +0.41° ± 0.01°`."""
     sizes = [name for name in a.parameters if name in a.effect.sizes] or list(a.parameters)
     plain = len(sizes) == 1 and "%" not in quantity(a, sizes[0])
     shown = [quantity(a, n) if plain else f"{symbol(n)} = {quantity(a, n)}" for n in sizes[:3]]
@@ -87,14 +87,14 @@ def brief(a: Amendment) -> str:
 
 
 def largest(a: Amendment) -> str:
-    """Return the size of an effect, several sizes taken together, without a sign."""
+    """Return the norm of the sizes of an effect, without a sign."""
     name = next(iter(a.effect.sizes))
     size = math.hypot(*(a.parameters.get(key, 0.0) for key in a.effect.sizes))
     return quantity(a.effect(**{name: size}), name).lstrip("+")
 
 
 def place_text(a: Amendment) -> str:
-    """Return where an effect sits, empty where it has no place."""
+    """Return the place of an effect, empty if it has none."""
     if a.location is None:
         return ""
     name, xy = a.location.name, a.location.xy
@@ -125,7 +125,7 @@ def title_of(name: str) -> str:
 
 
 def deviation_text(where: Deviation) -> str:
-    """Say one deviation in words."""
+    """Describe a deviation in words."""
     text = where.sentence().replace(" and half of the run ", " ").replace("at hit place around", "around")
-    text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # what rounding leaves of an edge at zero
+    text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # rounding error of a bin edge at zero
     return minus(text.replace(" at omega ", " at turn rate "))

@@ -29,7 +29,7 @@ def write(
 
     Parameters
     ----------
-    report : markdown shown beside the scans
+    report : markdown shown next to the scans
     marks : (words, (x, y) [m, map]) of what sits somewhere
     walls : (2, 2) [m] sections of walls to mark
     """

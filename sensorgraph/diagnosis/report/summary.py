@@ -1,4 +1,4 @@
-"""What a diagnosis says in one line and a few sentences: the top of the report, and the console."""
+"""Summarise a diagnosis in a headline and a few sentences, for the top of the report and for the terminal."""
 
 from __future__ import annotations
 
@@ -22,25 +22,28 @@ from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison
 from sensorgraph.effects import Amendment
 
 MIN_LEAD = 6.0
-"""[nats] by which an effect must lead its runner-up to be called found."""
+"""[nats] minimum lead over the runner-up of an effect that is called found."""
 UNCHANGED = 0.97
-"""Of the RMS gap: when more than this is left, the gap is said to hardly change."""
-QUIET_LASER = " sensor.sigma of robot.yaml is about {factor:.1f} times what the laser scatters; stated as it is, smaller effects show."
+"""Ratio of the RMS gap after to before, above which the gap is described as nearly unchanged."""
+QUIET_LASER = (
+    " sensor.sigma in robot.yaml is about {factor:.1f} times the scatter of the laser; with the right value, smaller "
+    "effects can be detected."
+)
 MAX_CHANGES = 5
-"""Changes of the building that are listed."""
+"""Maximum number of changes of the building that are listed."""
 
 BOTH_SIDES = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}
-"""Channel of motion -> what is compared."""
+"""Motion channel -> the two signals that it compares."""
 
 
 class Outcome(StrEnum):
-    """What kind of result a diagnosis has."""
+    """Kind of result of a diagnosis."""
 
     FOUND = "found"
     UNDECIDED = "undecided"
     """A rival explains the data almost as well."""
     UNKNOWN = "unknown"
-    """No effect of the library explains what differs."""
+    """No effect of the library explains the difference."""
     NOTHING = "nothing"
     MISPLACED = "misplaced"
     """Arena and run do not belong together."""
@@ -50,7 +53,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What the top of the report says."""
+    """Top of the report."""
 
     outcome: Outcome
     headline: str
@@ -59,7 +62,7 @@ class Summary:
 
 
 def summarise(finding: Finding) -> Summary:
-    """Summarise a finding: one headline, and the sentences that go with it."""
+    """Return the headline of a finding and the sentences that belong to it."""
     effects, unknown, undecided = finding.effects, finding.unknown, undecided_rivals(finding)
     details = gap_sentences(finding)
     if finding.explained is None and unknown is not None and unknown.deviation is None:
@@ -71,10 +74,10 @@ def summarise(finding: Finding) -> Summary:
     if undecided:
         a, rival = undecided[0]
         headline = f"Undecided between {brief(a)} and {title_of(rival.name)}."
-        details.insert(0, f"What would tell them apart: {rival.separates}.")
+        details.insert(0, f"What would distinguish them: {rival.separates}.")
         rest = [b for b in effects if b is not a]
         if rest:
-            details.insert(0, f"Found besides: {'; '.join(brief(b) for b in rest)}.")
+            details.insert(0, f"Also found: {'; '.join(brief(b) for b in rest)}.")
         outcome = Outcome.UNDECIDED
     elif unknown is not None and all((a.probability or 0.0) <= 0.5 for a in effects):
         headline, outcome = f"Something unknown{_place_phrase(unknown.deviation)}.", Outcome.UNKNOWN
@@ -93,7 +96,7 @@ def summarise(finding: Finding) -> Summary:
         text = deviation_text(unknown.deviation) if unknown.deviation is not None else unknown.statement
         text = text.removeprefix("something no effect of the library explains: ")
         lead = (
-            "Besides, something unknown is left: "
+            "In addition, something is unexplained: "
             if outcome is not Outcome.UNKNOWN
             else "No effect of the library explains it: "
         )
@@ -101,12 +104,12 @@ def summarise(finding: Finding) -> Summary:
         details[1:1] = [*_of_use(unknown, text), *_elsewhere(finding, unknown)]
         if (
             finding.intake.get("share_at_walls", 1.0) < SCAN.alignment.good_share
-        ):  # said first: names mean little there
+        ):  # first, because names mean little then
             fit, _, why = str(finding.intake["arena"]).partition(": ")
             details[:0] = [sentence_case(why), headline]
             headline = sentence_case(fit)
     if outcome is not Outcome.NOTHING and (worse := _worse_than_stated(finding)):
-        details.append(f"The fit assumes that {worse} than robot.yaml says.")
+        details.append(f"The fit assumes that {worse} than robot.yaml specifies.")
     details += map_sentences(finding)
     details += tolerance_sentences(finding)
     summary = Summary(outcome=outcome, headline=headline, details=tuple(details))
@@ -121,9 +124,9 @@ def _against(compared: SimulationComparison, summary: Summary, effects: Sequence
     if summary.outcome is Outcome.FOUND:
         lacking = [f"{brief(a)} ({percent(a.probability)})" for a in effects if a.name not in changed]
         headline = (
-            f"The robot shows what the simulation lacks: {'; '.join(lacking)}."
+            f"The simulation lacks {'; '.join(lacking)}."
             if lacking
-            else "Robot and simulation show the same effects, but not alike."
+            else "Robot and simulation show the same effects with different sizes."
         )
     elif summary.outcome is Outcome.NOTHING:
         headline = "Robot and simulation do not differ materially."
@@ -131,26 +134,26 @@ def _against(compared: SimulationComparison, summary: Summary, effects: Sequence
     if compared.only_in_simulation:
         only = "; ".join(brief(a) for a in compared.only_in_simulation)
         if summary.outcome is Outcome.NOTHING:
-            headline = f"The simulation shows what the robot lacks: {only}."
+            headline = f"Only the simulation shows {only}."
         else:
             details.insert(0, f"Only the simulation shows {only}.")
         for name, why in compared.not_observable.items():
             details.insert(1, f"The robot's run could not have shown {title_of(name)}: {why}.")
     if changed:
         pairs = [f"{brief(a)} (simulation: {brief(b).partition(', ')[2]})" for a, b in compared.changed]
-        details.insert(0, f"Both show, but not alike: {'; '.join(pairs)}.")
+        details.insert(0, f"Both show, with different sizes: {'; '.join(pairs)}.")
     if compared.shared:
         details.append(f"Both show {'; '.join(brief(a) for a in compared.shared)}: no difference.")
     if compared.unknown is not None:
         text = compared.unknown.statement.removeprefix("something no effect of the library explains: ")
         both = "Robot and simulation both show" if compared.shares_unknown else "The simulation itself shows"
-        details.append(f"{both} something unknown: {text}.")
+        details.append(f"{both} something that no effect explains: {text}.")
     details += _noise_sentences(compared)
     return replace(summary, headline=headline, details=tuple(details))
 
 
 def _noise_sentences(compared: SimulationComparison) -> list[str]:
-    """Say how the lasers differ."""
+    """Compare the scatter of the two lasers."""
     ours, theirs = compared.robot_noise, compared.simulated_noise
     if ours is None or theirs is None:
         return []
@@ -163,28 +166,28 @@ def _noise_sentences(compared: SimulationComparison) -> list[str]:
 
 
 def _agreement(finding: Finding) -> str:
-    """Say that nothing is left, and what that takes."""
+    """State that simulation and measurement agree, and under which condition."""
     worse = _worse_than_stated(finding)
     if not worse:
-        what = "the tolerances" if tolerated(finding) else "what a careful set-up holds"
+        what = "the tolerances" if tolerated(finding) else "the accuracy of a careful setup"
         return f"Simulation and measurement agree within {what}{_but_for_poses(finding)}."
-    text = f"Simulation and measurement agree only if {worse} than robot.yaml says"
+    text = f"Simulation and measurement agree only if {worse} than robot.yaml specifies"
     gap = finding.channels["scan"].gap
     if gap is None or gap.stated_floor is None:
         return f"{text}."
     stated, widened = 100 * gap.stated_floor.rmse_m, 100 * gap.noise_floor.rmse_m
-    return f"{text} (noise floor {widened:.2f} cm; {stated:.2f} cm with the tolerances as stated)."
+    return f"{text} (noise floor {widened:.2f} cm; {stated:.2f} cm with the specified tolerances)."
 
 
 def _but_for_poses(finding: Finding) -> str:
-    """Say what nobody can tell of a run whose poses were located with its own scans, and that drove too little for more."""
+    """State the limits of a short run whose poses were located with its own scans."""
     if not finding.data.from_scans or finding.driving is not None:
         return ""
-    return "; the poses were located with these scans, so that a mount or a delay of the laser would not show"
+    return "; the poses were located with these scans, so that an error of the laser's mount or delay would not show"
 
 
 def _worse_than_stated(finding: Finding) -> str:
-    """Say which tolerances the fit had to widen, and by how much; empty where they hold."""
+    """Return the tolerances that the fit widened, with the factor; empty where none is."""
     scales = (
         ("map is", finding.map_tolerance_factor),
         ("reference pose is", finding.pose_tolerance_factor),
@@ -200,7 +203,7 @@ def _worse_than_stated(finding: Finding) -> str:
 
 
 def _of_use(unknown: Unknown, said: str) -> list[str]:
-    """Say what the unknown costs, unless that is said, and what it may be."""
+    """Return the consequence of an unexplained difference, unless `said` has it, and its likely causes."""
     out = []
     if unknown.consequence and unknown.consequence not in said:
         out.append(sentence_case(unknown.consequence))
@@ -211,7 +214,7 @@ def _of_use(unknown: Unknown, said: str) -> list[str]:
 
 
 def _elsewhere(finding: Finding, told: Unknown) -> list[str]:
-    """Say what is unknown in other channels than the one of the headline: it may be the same thing."""
+    """Return what is unexplained in other channels than that of the headline; the cause may be the same."""
     others = [one.unknown for one in finding.channels.values() if one.unknown is not None]
     return [
         sentence_case(one.statement.replace(", which no effect of the library explains", "", 1))
@@ -221,19 +224,19 @@ def _elsewhere(finding: Finding, told: Unknown) -> list[str]:
 
 
 def _misplaced(unknown: Unknown) -> Summary:
-    """Say that arena and run do not belong together, before anything else."""
+    """Report that arena and run do not belong together."""
     head, _, rest = unknown.statement.partition(": ")
     details = tuple(map(sentence_case, rest.split("; ")))
     return Summary(outcome=Outcome.MISPLACED, headline=sentence_case(head), details=details)
 
 
 def sentence_case(text: str) -> str:
-    """Return text as a sentence: capital first, one full stop at the end."""
+    """Return text as a sentence, with a capital and one full stop."""
     return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
 def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
-    """Return named effects with a rival that explains the data almost as well; an effect that is named is no rival."""
+    """Return effects with a rival that explains the data almost as well and is not named itself."""
     names = {a.name for a in finding.effects}
     out = []
     for a in (*finding.undecided, *finding.effects):
@@ -246,7 +249,7 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
 
 
 def map_sentences(finding: Finding) -> list[str]:
-    """Say where the building is not as its map, what of the run was not judged, and where the map is from a log."""
+    """Report changes of the building, excluded rays, and a map that was built from a log."""
     notes = finding.intake.get("map_of_pixels", finding.intake)
     out = []
     if notes.get("changes"):
@@ -255,22 +258,22 @@ def map_sentences(finding: Finding) -> list[str]:
         rest = f"; and {more} smaller ones" if more > 0 else ""
         share = 100 * notes["changes_share"]
         out.append(
-            f"The building is not as its map ({share:.0f} % of the readings, not judged): {listed}{rest}."
+            f"The building differs from its map ({share:.0f} % of the readings, excluded): {listed}{rest}."
         )
     if notes.get("into_unknown_share", 0.0) > 0.005:
         out.append(
-            f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space that the map does not know: not judged."
+            f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space unknown to the map; they are excluded."
         )
     if finding.intake.get("is_uncommissioned_graph"):
         out.append(
-            "The walls were found in a log: what it has wrong counts as an effect here; runs known to be good "
-            "(--commissioning) tell the two apart."
+            "The walls were built from a log, so that errors of that log appear as effects. Known-good runs "
+            "(--commissioning) distinguish the two."
         )
     return out
 
 
 def tolerance_sentences(finding: Finding) -> list[str]:
-    """Say what the tolerances are too wide to show, and what they took in this run."""
+    """Report which effects the tolerances hide, and how much they absorbed in this run."""
     found = tolerated(finding)
     if not found:
         return []
@@ -282,14 +285,14 @@ def tolerance_sentences(finding: Finding) -> list[str]:
     keys = ", ".join(one.tolerance for one in found)
     whose = "in robot.yaml"
     if finding.data.baseline_intervals:
-        whose = "that the good runs show"
+        whose = "shown by the known-good runs"
     elif finding.data.grain > 0:
-        whose = "that the cells of the map leave"
-    return [f"The tolerances {whose} are wide ({keys}), so that these get no name: {'; '.join(passed)}."]
+        whose = "due to the cells of the map"
+    return [f"The tolerances {whose} are wide ({keys}); they hide: {'; '.join(passed)}."]
 
 
 def intake_sentences(finding: Finding) -> list[str]:
-    """Say which scans were dropped and which channels were not looked at, one line each."""
+    """Report dropped scans and channels that were not evaluated, one line each."""
     out = []
     scans, used = finding.intake.get("scans", 0), finding.intake.get("used", 0)
     dropped = {why: n for why, n in finding.intake.get("dropped", {}).items() if n}
@@ -298,14 +301,14 @@ def intake_sentences(finding: Finding) -> list[str]:
         out.append(f"used {used:,} of {scans:,} scans; dropped: {counted}")
     for name, result in finding.channels.items():
         if result.skipped and finding.explained is not None:
-            out.append(f"{name}: not looked at, {result.skipped}")
+            out.append(f"{name}: not evaluated, {result.skipped}")
     return out
 
 
 def _place_phrase(deviation: Deviation | None) -> str:
-    """Say where something unknown is, or between what."""
+    """Return where an unexplained difference is, or between which signals."""
     if deviation is None:
-        return " is left"
+        return ""
     if deviation.channel in BOTH_SIDES:
         return f": {BOTH_SIDES[deviation.channel]} differ {deviation.label}"
     part = deviation.partition.removesuffix(" and half of the run")
@@ -315,7 +318,7 @@ def _place_phrase(deviation: Deviation | None) -> str:
 
 
 def main_channel(finding: Finding) -> str:
-    """Return the channel that the headline is about: the first-named effect's, or that of the unknown."""
+    """Return the channel of the headline: that of the first effect, or of the unexplained difference."""
     if finding.effects or finding.undecided:
         return (*finding.effects, *finding.undecided)[0].effect.channel
     for name, result in finding.channels.items():
@@ -325,7 +328,7 @@ def main_channel(finding: Finding) -> str:
 
 
 def gap_sentences(finding: Finding) -> list[str]:
-    """Say how far the gap shrinks in each channel with a named effect; without one, how large the gap is."""
+    """Report the gap before and after in each channel with a named effect; without one, its size."""
     named = [name for name, result in finding.channels.items() if result.effects]
     out = []
     for name in named or [main_channel(finding)]:
@@ -336,27 +339,27 @@ def gap_sentences(finding: Finding) -> list[str]:
 
 
 def _second_gap_sentence(finding: Finding) -> str:
-    """Say how far the gap shrinks on a second run, or that the runs disagree; empty where there is none, or nothing to prove."""
+    """Report the gap on a second run, or that the runs disagree; empty without a second run or an effect."""
     gap = finding.second_gap
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     left = gap.after.normalised / gap.noise_floor.normalised
-    rest = f"its gap is {left:.2f} times the noise floor; diagnose it by itself"
+    rest = f"its gap is {left:.2f} times the noise floor; diagnose it separately"
     is_like = left < SCAN.nuisance.stretched_scale
     if not finding.channels["scan"].effects:
         return "" if is_like else f"The second run disagrees: {rest}."
     lost = gap.after.nats_per_ray - gap.before.nats_per_ray
     if lost > 0:
         return (
-            f"The second run disagrees: with that in the model its readings are less likely, by {lost:.3g} nats each; "
-            "what was found is of the first run alone."
+            f"The second run disagrees: with the effects in the model its log-likelihood falls by {lost:.3g} per reading. "
+            "The effects hold for the first run only."
         )
-    said = f"On the second run, of which nothing was fitted, it shrinks {_from_to(gap, 'cm')})"
-    return f"{said}." if is_like else f"{said}, and something else is left: {rest}."
+    said = f"On the second run, which was not used in any fit, it shrinks {_from_to(gap, 'cm')})"
+    return f"{said}." if is_like else f"{said}, and something else is unexplained: {rest}."
 
 
 def _from_to(gap: Gap, unit: str) -> str:
-    """Say how far a gap shrinks, the bracket open.
+    """Return a gap before and after in units of the noise floor, with an open bracket.
 
     Parameters
     ----------
@@ -370,7 +373,7 @@ def _from_to(gap: Gap, unit: str) -> str:
 
 
 def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) -> str:
-    """Say how far the gap shrinks, in units of the noise floor."""
+    """Return a sentence with the gap before and after, in units of the noise floor."""
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
@@ -382,14 +385,14 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) 
             f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
         ) + (QUIET_LASER.format(factor=floor / after) if is_loud else "")
     it = "it" if n_effects == 1 else "them"
-    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
+    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g}")
     if after > UNCHANGED * before:
         return (
-            f"With {it} in the model every reading is better explained, by {gained} on average over {gap.n_rays:,} "
-            "readings that no fit has seen; the RMS gap, which it hardly changes, is "
+            f"With {it} in the model the log-likelihood rises by {gained} per reading, over {gap.n_rays:,} "
+            "held-out readings; the RMS gap hardly changes and is "
             f"{after / floor:.2f} times the noise floor."
         )
     return (
-        f"With {it} in the model the gap shrinks {_from_to(gap, unit)}; a reading is likelier by {gained}), "
-        "on readings that no fit has seen."
+        f"With {it} in the model the gap shrinks {_from_to(gap, unit)}; the log-likelihood rises by {gained} per reading), "
+        "on held-out readings."
     )

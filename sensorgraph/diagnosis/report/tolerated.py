@@ -1,4 +1,4 @@
-"""What wide tolerances in robot.yaml take along without a name: nothing is found there, but nothing is shown either."""
+"""Effects that wide tolerances in robot.yaml hide: they can neither be found nor excluded."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import Tolerances
 
 WIDE = 2.0
-"""Times its materiality that an effect may reach unnamed, above which a tolerance is called wide; robot.yaml's defaults
-stay below 1.2."""
+"""Largest hidden size of an effect, in units of its materiality, above which a tolerance is called wide. The defaults of
+robot.yaml stay below 1.2."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tolerated:
-    """One effect that a tolerance takes along."""
+    """An effect that a tolerance hides."""
 
     tolerance: str
     """Its key in robot.yaml."""
     most: Amendment
-    """The largest that passes without a name."""
+    """The largest hidden size."""
     taken: Amendment | None
-    """What passed in this run, where that is more than its materiality."""
+    """The size absorbed in this run, if it exceeds the materiality."""
 
 
 def tolerated(finding: Finding) -> list[Tolerated]:
-    """List what the tolerances of this run are too wide to show."""
+    """List the effects that the tolerances of this run hide."""
     tolerances = finding.data.tolerances
     present = {a.name for a in finding.effects}
     out = []
@@ -48,14 +48,14 @@ def tolerated(finding: Finding) -> list[Tolerated]:
 
 
 def _tolerated_effects() -> list[Effect]:
-    """Return the effects that a tolerance takes along, in the order of robot.yaml's keys."""
+    """Return the effects that a tolerance can hide, in the order of the keys in robot.yaml."""
     keys = [f.name for f in fields(Tolerances)]
     own = [effect for effect in EFFECTS.values() if effect.diagnostics.tolerance]
     return sorted(own, key=lambda effect: keys.index(effect.diagnostics.tolerance))
 
 
 def _largest(effect: Effect, tolerances: Tolerances) -> Amendment:
-    """Return the largest size of an effect that a tolerance takes along, along its first parameter."""
+    """Return the largest size of an effect that its tolerance hides, along its first parameter."""
     first, *others = effect.steps
     if effect.nuisances:
         bound = SCAN.nuisance.max_tolerances * prior_widths(tolerances)[effect.nuisances[0]]
@@ -65,7 +65,7 @@ def _largest(effect: Effect, tolerances: Tolerances) -> Amendment:
 
 
 def _taken(effect: Effect, finding: Finding) -> Amendment | None:
-    """Return what a tolerance took in this run, as the effect it would have been."""
+    """Return the error that a tolerance absorbed in this run, expressed as the effect."""
     if finding.explained is None:
         return None
     g = finding.explained.final.state.g

@@ -1,1 +1,1 @@
-"""Pictures of a diagnosis, one module each; `draw` draws all of them. matplotlib is imported with the first."""
+"""Pictures of a diagnosis, one module each; `draw` draws all of them. matplotlib is imported on first use."""

@@ -1,4 +1,4 @@
-"""The arena from above: where measured rays ended, coloured by residual, before and after the amendment."""
+"""Draw the arena from above: end points of measured rays, coloured by residual, before and after the amendment."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 MAX_POINTS, MAX_LOST_POINTS = 6000, 1500
-"""End points, and lost rays, that are drawn."""
+"""Maximum numbers of end points and of missing returns in the picture."""
 LOST_SHARE = 0.003
-"""Share of lost rays above which they are drawn; a careful set-up loses one in a thousand."""
+"""Share of missing returns above which they are drawn; a careful setup loses one return in a thousand."""
 MIN_SHIFT = 1e-3
-"""[m] along its normal by which a wall must have moved to be drawn as moved."""
+"""[m] minimum shift along its normal of a wall that is drawn as moved."""
 
 
 def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
-    """Draw where the rays ended, coloured by residual, before and after."""
+    """Draw the end points of rays, coloured by residual, before and after."""
     from matplotlib.collections import LineCollection
 
     x0, y0, x1, y1 = compared.limits
     aspect = (y1 - y0) / (x1 - x0)
     models = [
-        ("before: the simulator as mapped", compared.before),
-        ("after: with what was found", compared.after),
+        ("before: simulator without effects", compared.before),
+        ("after: simulator with the effects found", compared.after),
     ]
     if not compared.is_amended:
-        models = [("measured against the simulator as mapped", compared.before)]
+        models = [("measured against the simulator", compared.before)]
     stacked = aspect < 0.5
     across, down = (1, len(models)) if stacked else (len(models), 1)
     wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
     factor = compared.magnification
-    enlarged = f"\ndifferences drawn {factor} times as large" if factor > 1 else ""
+    enlarged = f"\ndifferences magnified {factor} times" if factor > 1 else ""
     lines = 1 + enlarged.count("\n")
     figure = new_figure(
         max(wide * across + 1.5, 5.5),
@@ -90,12 +90,12 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
 
 
 def _loses_rays(compared: ComparedScans) -> bool:
-    """Tell whether more rays are lost than a careful set-up loses."""
+    """Return whether more returns are missing than with a careful setup."""
     return bool(compared.before.missing.mean() > LOST_SHARE)
 
 
 def _displaced(walls: Floats, other: Floats) -> Floats:
-    """Return the walls of `other` that have moved along their normal; one that is only longer or shorter has not."""
+    """Return the walls of `other` that moved along their normal; a change of length does not count."""
     if walls.shape != other.shape or len(walls) == 0:
         return np.zeros((0, 2, 2))
     way = walls[:, 1] - walls[:, 0]
@@ -111,7 +111,7 @@ def _diverging() -> Any:
 
 
 def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: float, colours: Any) -> Any:
-    """Draw a random sample of end points, coloured by residual, and where lost rays should have ended."""
+    """Draw a random sample of end points, coloured by residual, and the expected end points of missing returns."""
     rng = np.random.default_rng(0)
     shown = np.isfinite(model.residual) & model.clear
     flat = np.flatnonzero(shown)
@@ -154,7 +154,7 @@ def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: floa
 
 
 def _marks(axes: Any, compared: ComparedScans, effects: Sequence[Amendment], unknown: Unknown | None) -> None:
-    """Mark where effects sit, and where something unknown is left."""
+    """Mark the places of effects and of unexplained differences."""
     for a in effects:
         xy = point_of(a)
         if a.place:

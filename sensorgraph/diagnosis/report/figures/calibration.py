@@ -1,4 +1,4 @@
-"""Wheels and mount of one or two runs along their time."""
+"""Draw wheel and mount parameters of one or two runs over time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sensorgraph.show.figures.style import (
 
 
 def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> None:
-    """Draw each parameter of each run: the whole run's with two standard errors, those of its parts, and what is stated."""
+    """Draw each parameter of each run: estimate with two standard errors, parts of the run, and specified value."""
     figure = new_figure(9.0, 6.2)
     axes = figure.subplots(2, 3).ravel()
     start, ticks = 0.0, list[float]()
@@ -44,7 +44,7 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
             panel.errorbar(
                 minutes, factor * (values[:, k] - zero), factor * errors[:, k], fmt=".", color=colour, lw=0.8
             )
-            stated, label = factor * (found.stated[k] - zero), "" if start else "as stated"
+            stated, label = factor * (found.stated[k] - zero), "" if start else "specified value"
             panel.plot(span, [stated, stated], color=INK, lw=FINE, ls=(0, (5, 3)), label=label)
         ticks.append(start / 60.0)
         start += found.duration_s

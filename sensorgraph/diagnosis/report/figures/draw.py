@@ -1,4 +1,4 @@
-"""All pictures of a diagnosis."""
+"""Draw all pictures of a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.result import Gap
 
 
 def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> dict[str, Path]:
-    """Draw every picture for which the finding has something; return name -> file."""
+    """Draw every picture for which the finding has data; return name -> file."""
     out: dict[str, Path] = {}
     if compared is not None:
         out["arena"] = folder / "arena.png"
@@ -46,7 +46,7 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
 
 
 def _gaps(finding: Finding) -> dict[str, Gap]:
-    """Return the gaps worth a picture: where something was found first, and the scan channel's."""
+    """Return the gaps to draw: channels with an effect first, then the scan channel."""
     measured = {name: result for name, result in finding.channels.items() if result.gap is not None}
     first = [n for n, result in measured.items() if result.effects or result.unknown is not None]
     names = dict.fromkeys([*first, *(n for n in measured if n == "scan")]) or dict.fromkeys(measured)

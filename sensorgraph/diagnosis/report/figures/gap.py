@@ -1,4 +1,4 @@
-"""The gap before and after the amendment, beside the noise floor."""
+"""Draw the gap before and after the amendment, with the noise floor."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from sensorgraph.show.figures.style import (
 )
 
 MIN_NATS_SCALE = 0.02
-"""Nats per reading that the axis spans at least."""
+"""[nats] per reading, minimum span of the axis."""
 
 
 def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> None:
-    """Draw the gap before and after beside the noise floor, in three units, a row per channel.
+    """Draw gap before, gap after and noise floor in three units, one row per channel.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> Non
         columns = (
             (f"{title}: RMS gap [{unit}]", [100 * f.rmse_m for f in fits]),
             ("times the noise floor", [f.normalised / floor for f in fits]),
-            ("nats per reading above the floor", [f.nats_per_ray - least for f in fits]),
+            ("negative log-likelihood per reading above the floor", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
             if not np.isfinite(values).all():
                 axes.set_axis_off()
                 continue
-            _bars(axes, values, least=MIN_NATS_SCALE if label.startswith("nats") else 0.0)
+            _bars(axes, values, least=MIN_NATS_SCALE if label.startswith("negative") else 0.0)
             axes.set_title(label, fontsize=8.5, color=INK, loc="left", pad=3)
         charts[0].set_yticks([2, 1, 0], ["before", "after", "noise floor"], fontsize=8.5, color=INK)
         charts[0].tick_params(axis="y", length=0)

@@ -1,4 +1,4 @@
-"""The route of the next run."""
+"""Draw the path of the next run."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 MAX_ROUTE_POINTS, MAX_STROKES = 2000, 150
-"""Points of the route, and strokes for the heading, that are drawn."""
+"""Numbers of path points and of heading strokes in the picture."""
 
 
 def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
-    """Draw the route (n, 3) [m, m, rad] of the next run over the arena, time as colour."""
+    """Draw the path (n, 3) [m, m, rad] of the next run in the arena, coloured by time."""
     from matplotlib.collections import LineCollection
 
     x0, y0, x1, y1 = arena.bounds
@@ -43,6 +43,6 @@ def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
     )  # fmt: skip
     axes.plot(*poses[0, :2], "o", ms=8, mfc="white", mec=ALARM, mew=2.0, zorder=6)
     axes.set_title(
-        "from the ring on, dark to bright; strokes: where the robot faces", fontsize=9, color=INK, loc="left"
+        "start: ring; time: dark to bright; strokes: heading of the robot", fontsize=9, color=INK, loc="left"
     )
     save_figure(figure, path)

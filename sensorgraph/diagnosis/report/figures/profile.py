@@ -1,4 +1,4 @@
-"""An error of the laser over bearing or range."""
+"""Draw an error of the laser over bearing or range."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sensorgraph.diagnosis.result import Profile
 from sensorgraph.show.figures.style import ALARM, INK, SOFT, new_figure, reduce_frame, save_figure
 
 BAND_STDERRS = 2.0
-"""Standard errors on either side that the band shows."""
+"""Half-width of the band in standard errors."""
 
 
 def profile_picture(profile: Profile, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""How the candidates rank, one round of the selection after another."""
+"""Draw the ranking of the candidates by selection round."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from sensorgraph.show.figures.style import (
 )
 
 MAX_ROUNDS, MAX_CANDIDATES = 5, 5
-"""Rounds, and candidates of each, that are drawn."""
+"""Maximum numbers of rounds and of candidates per round in the picture."""
 
 
 def ranking_picture(finding: Finding, path: Path) -> None:
-    """Draw the evidence of what was tried, round by round."""
+    """Draw the log Bayes factor of each candidate, by selection round."""
     assert finding.explained is not None
     steps = [step for step in finding.explained.steps if step.tried][:MAX_ROUNDS]
     rounds = [(step, _distinct(step.tried)) for step in steps]
@@ -74,7 +74,7 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     axes.set(xlim=(0, 1.25 * top), ylim=(y + 0.4, 0.6))
     axes.axvline(SCAN.selection.threshold, color=ALARM, lw=0.9, ls=(0, (4, 3)))
     axes.set_xlabel(
-        f"evidence [nats] beyond the price of the parameters; dashed: the {SCAN.selection.threshold:g} that a name takes",
+        f"log Bayes factor; dashed: threshold for a name ({SCAN.selection.threshold:g})",
         fontsize=8,
         color=INK,
         loc="right",
@@ -86,9 +86,9 @@ def ranking_picture(finding: Finding, path: Path) -> None:
 
 
 def _outcome(step: Step, number: int) -> str:
-    """Say how a round ended."""
+    """Describe the result of a round."""
     if not step.chosen:
-        return "nothing more is accepted" if number > 1 else "nothing is accepted"
+        return "no further effect is accepted" if number > 1 else "no effect is accepted"
     if not step.became:
         return "the first is accepted"
     model = ", ".join(a.effect.title for a in step.became)
@@ -96,7 +96,7 @@ def _outcome(step: Step, number: int) -> str:
 
 
 def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
-    """Return the first candidates, each effect at each place once."""
+    """Return the best candidates, with each effect at each place once."""
     out: list[tuple[Amendment, float]] = []
     for a, gain in tried:
         if not any(a.name == b.name and (a.place == b.place and abs(gain - g) < 1) for b, g in out):

@@ -1,4 +1,4 @@
-"""Residuals of the bare simulator over what they may depend on: bearing, range, incidence, time, turn rate, speed."""
+"""Draw residuals of the bare simulator over bearing, range, incidence, time, turn rate and speed."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 BAND_STDERRS = 2.0
-"""Standard errors on either side that the bands show."""
+"""Half-width of the bands in standard errors."""
 PALE = "#eceef2"
 
 
 class Measure(Enum):
-    """What is averaged in each bin; the value is the label of the axis."""
+    """Quantity that is averaged in each bin; the value is the label of the axis."""
 
     MEAN = "mean residual [cm]"
     SCATTER = "scatter over noise"
@@ -36,7 +36,7 @@ class Measure(Enum):
 
 
 def residuals_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
-    """Draw the mean residual, and below it scatter or the share of unexpected rays, over each covariate."""
+    """Draw the mean residual and, below it, the scatter or the share of unexpected rays, over each covariate."""
     covariates = compared.covariates()
     measures = (Measure.MEAN, _second_measure(finding.channels.get("scan")))
     figure = new_figure(11.0, 3.9, layout=None)
@@ -95,7 +95,7 @@ def _draw_profiles(
 
 
 def _axis_limits(low: float, high: float, measure: Measure, sigma: float) -> tuple[float, float]:
-    """Return the limits of the axis for profiles between `low` and `high`, no closer than half the noise."""
+    """Return axis limits for profiles between `low` and `high`, at least half the noise apart."""
     least = 100 * sigma * 0.5 if measure is Measure.MEAN else 0.5
     middle, half = (low + high) / 2, max(0.62 * (high - low), least)
     bottom = -0.06 * half if measure is Measure.UNEXPECTED else middle - half
@@ -103,13 +103,13 @@ def _axis_limits(low: float, high: float, measure: Measure, sigma: float) -> tup
 
 
 def _second_measure(result: ChannelResult | None) -> Measure:
-    """Return what the lower row shows: scatter where that is the strongest deviation beside a bias."""
+    """Return the measure of the lower row: scatter if it is the strongest deviation except a bias."""
     families = [] if result is None else [d.family for d in result.deviations if d.family != "bias"]
     return Measure.SCATTER if families and families[0] == "spread" else Measure.UNEXPECTED
 
 
 def _values(model: SimulatedScans, measure: Measure, sigma: float) -> Floats:
-    """Return what is averaged (n_scans, n_rays); nan where a ray does not count."""
+    """Return the averaged quantity (n_scans, n_rays); nan for rays that do not count."""
     if measure is Measure.MEAN:
         return 100 * model.clipped(sigma)
     if measure is Measure.SCATTER:
