@@ -1,6 +1,6 @@
 """Evidence of a log in cells: hits, passes and interpolated hits by direction, and moments of the hits.
 
-Everything is a sum over scans: evidence of several runs, or of one run batch by batch, adds up.
+All quantities are sums over scans, so the evidence of several runs, or of batches of one run, can be added.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ CELL_SIZE, MAX_REACH, MIN_RANGE = EVIDENCE.cell_size, EVIDENCE.max_reach, EVIDEN
 SURFACE_STEP, SURFACE_SLOPE = EVIDENCE.surface_step, EVIDENCE.surface_slope
 MAX_SURFACE_STEP = EVIDENCE.max_surface_step
 FREE_MARGIN, SURFACE_MARGIN_CELLS = EVIDENCE.free_margin, EVIDENCE.surface_margin_cells
-N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] from the middle of their cell
+N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] relative to the centre of their cell
 
 
 @dataclass(kw_only=True, eq=False)
 class CellEvidence:
-    """Sums over scans, a row for each cell that any ray met."""
+    """Sums over scans, with a row for each cell that a ray crossed."""
 
     window: GridWindow
     reach: float
-    """[m] how far rays count."""
+    """[m] Range up to which rays are counted."""
     n_rows: int
-    """Cells kept; arrays may be longer."""
+    """Number of cells; the arrays may be longer."""
     hits: Counts
     """(n, 16) hits by sector of the ray."""
     interpolated: Counts
-    """(n, 16) hits between neighbouring rays that met one surface."""
+    """(n, 16) interpolated hits between neighbouring rays that met one surface."""
     passes: Counts
-    """(n, 8) passes in cell sides, by sector modulo 8."""
+    """(n, 8) passes in units of the cell side, by sector modulo 8."""
     face: RowGrid
-    """(n,) row in `moments`; -1 where no hit fell."""
+    """(n,) row in `moments`; -1 for cells without hits."""
     n_faces: int
     moments: Floats
-    """(n_faces, 16, 6) count, x, y, xx, xy, yy [m] of the hits from the middle of their cell."""
+    """(n_faces, 16, 6) count, x, y, xx, xy, yy [m] of the hits relative to the centre of their cell."""
 
     @classmethod
     def empty(cls, cell: float = CELL_SIZE, reach: float = MAX_REACH) -> CellEvidence:
-        """Start without any scan."""
+        """Return evidence without scans."""
         window = GridWindow(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
         return cls(
             window=window,
@@ -84,7 +84,7 @@ class CellEvidence:
         cell: float = CELL_SIZE,
         reach: float = MAX_REACH,
     ) -> CellEvidence:
-        """Gather the evidence of scans with ranges (n, n_rays), taken at poses as in `add`."""
+        """Return the evidence of scans with ranges (n, n_rays), with poses as in `add`."""
         evidence = cls.empty(cell, reach)
         evidence.add(poses, ranges, bearings)
         return evidence
@@ -94,16 +94,16 @@ class CellEvidence:
 
         Parameters
         ----------
-        poses : (n, 3) [m, m, rad] of the laser in map; (n, n_rays, 3) when each ray was taken, of a sweep
+        poses : (n, 3) [m, m, rad] Poses of the laser in map; (n, n_rays, 3) for a sweep, one for each ray.
         """
         if len(poses) == 0:
             return
         poses = per_ray(poses)
-        self._hold(GridWindow.around(poses[..., :2].reshape(-1, 2), self.reach, self.window.cell))
+        self._extend(GridWindow.around(poses[..., :2].reshape(-1, 2), self.reach, self.window.cell))
         gaps = np.append(np.diff(bearings), 0.0)
         between = np.maximum(
             np.round(gaps / EVIDENCE.max_ray_spacing).astype(np.int64) - 1, 0
-        )  # virtual rays after each ray
+        )  # number of virtual rays after each ray
         room = (len(bearings) + int(between.sum())) * max_cells_met(self.reach, self.window.cell)
         done = 0
         while done < len(poses):
@@ -115,20 +115,20 @@ class CellEvidence:
             )  # fmt: skip
 
     def merge(self, other: CellEvidence) -> None:
-        """Add the evidence of other scans, gathered with the same cells and reach.
+        """Add the evidence of other scans with the same cells and reach.
 
         Raises
         ------
-        ValueError : the other evidence has other cells or another reach
+        ValueError : The other evidence has other cells or another reach.
         """
         if (other.window.cell, other.reach) != (self.window.cell, self.reach):
             raise ValueError(
-                f"evidence in cells of {other.window.cell} m out to {other.reach} m cannot be added to "
-                f"cells of {self.window.cell} m out to {self.reach} m"
+                f"evidence with cells of {other.window.cell} m and a reach of {other.reach} m cannot be added to "
+                f"evidence with cells of {self.window.cell} m and a reach of {self.reach} m"
             )
         if other.n_rows == 0:
             return
-        self._hold(other.window)
+        self._extend(other.window)
         self._make_room(other.n_rows, other.n_faces)
         theirs = other.window.places() + np.subtract(other.window.low, self.window.low)
         rows = self.window.index[theirs[:, 0], theirs[:, 1]]
@@ -146,20 +146,20 @@ class CellEvidence:
         self.n_faces += len(fresh)
         self.moments[self.face[rows[hit]]] += other.moments[other.face[hit]]
 
-    def _hold(self, window: GridWindow) -> None:
+    def _extend(self, window: GridWindow) -> None:
         self.window = window if self.n_rows == 0 else self.window.grown(window)
 
     def _make_room(self, rows: int, faces: int) -> None:
-        """Lengthen the arrays so that so many more rows fit."""
+        """Extend the arrays by the given numbers of rows."""
         if self.n_rows + rows > len(self.hits):
             n = max(self.n_rows + rows, 2 * len(self.hits))
-            self.hits, self.interpolated = _longer(self.hits, n), _longer(self.interpolated, n)
-            self.passes, self.face = _longer(self.passes, n), _longer(self.face, n, -1)
+            self.hits, self.interpolated = _lengthened(self.hits, n), _lengthened(self.interpolated, n)
+            self.passes, self.face = _lengthened(self.passes, n), _lengthened(self.face, n, -1)
         if self.n_faces + faces > len(self.moments):
-            self.moments = _longer(self.moments, max(self.n_faces + faces, 2 * len(self.moments)))
+            self.moments = _lengthened(self.moments, max(self.n_faces + faces, 2 * len(self.moments)))
 
     def widened(self, cells: int = 2) -> CellEvidence:
-        """Return the evidence with rows also for all cells within so many of one that was met, in the order of places."""
+        """Return the evidence with additional rows for all cells within `cells` of a crossed one, in grid order."""
         seen = self.window.index >= 0
         near = seen.copy()
         for _ in range(cells):
@@ -173,21 +173,21 @@ class CellEvidence:
             window=GridWindow(cell=self.window.cell, low=self.window.low, index=index),
             reach=self.reach,
             n_rows=n,
-            hits=_moved(self.hits[old], rows, n),
-            interpolated=_moved(self.interpolated[old], rows, n),
-            passes=_moved(self.passes[old], rows, n),
-            face=_moved(self.face[old], rows, n, -1),
+            hits=_rearranged(self.hits[old], rows, n),
+            interpolated=_rearranged(self.interpolated[old], rows, n),
+            passes=_rearranged(self.passes[old], rows, n),
+            face=_rearranged(self.face[old], rows, n, -1),
             n_faces=self.n_faces,
             moments=self.moments,
         )
 
 
-def _longer(array: NDArray[T], n: int, fill: int = 0) -> NDArray[T]:
-    return _moved(array, np.arange(len(array)), n, fill)
+def _lengthened(array: NDArray[T], n: int, fill: int = 0) -> NDArray[T]:
+    return _rearranged(array, np.arange(len(array)), n, fill)
 
 
-def _moved(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) -> NDArray[T]:
-    """Put an array's rows at other places of an array of n rows."""
+def _rearranged(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) -> NDArray[T]:
+    """Copy the rows of an array to given rows of a new array with n rows."""
     longer = np.zeros((n, *array.shape[1:]), dtype=array.dtype)
     if fill:
         longer[:] = fill
@@ -197,7 +197,7 @@ def _moved(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) 
 
 @inner_kernel
 def row_of(i: int, j: int, index: RowGrid, n_rows: int) -> int:
-    """Return the row of a cell, the next free one if it has none yet."""
+    """Return the row of a cell; a new cell is assigned the next free row."""
     if index[i, j] < 0:
         index[i, j] = n_rows
     return int(index[i, j])
@@ -209,7 +209,7 @@ def add_scans(
     low: CellIndices, index: RowGrid, n_rows: int, n_faces: int,
     hits: Counts, interpolated: Counts, passes: Counts, face: RowGrid, moments: Floats,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Add scans from `start` on until the arrays may overflow; return the next scan and the rows in use."""
+    """Add scans from index `start` until the arrays may overflow; return the next scan and the row counts."""
     n_rays = len(bearings)
     at = np.empty((max_cells_met(reach, cell), 2), dtype=np.int64)
     ends = np.empty(len(at))
@@ -219,7 +219,7 @@ def add_scans(
             return scan, n_rows, n_faces
         for ray in range(n_rays):
             r = ranges[scan, ray]
-            if not r > MIN_RANGE:  # too close or broken
+            if not r > MIN_RANGE:  # too close, or a broken reading
                 continue
             pose = poses[scan, min(ray, poses.shape[1] - 1)]
             x, y = pose[0] - low[0] * cell, pose[1] - low[1] * cell
@@ -248,7 +248,7 @@ def add_scans(
 
 @inner_kernel
 def add_moments(moments: Floats, x: float, y: float, weight: float) -> None:
-    """Add a hit at (x, y) [m] from the middle of its cell to moments (6,)."""
+    """Add a hit at (x, y) [m], relative to the centre of its cell, to moments (6,)."""
     moments[0] += weight
     moments[1] += weight * x
     moments[2] += weight * y
@@ -262,7 +262,7 @@ def pass_through(
     x: float, y: float, c: float, s: float, b: int, free: float, weight: float, cell: float,
     index: RowGrid, n_rows: int, passes: Counts, at: CellIndices, ends: Floats,
 ) -> int:  # fmt: skip
-    """Count a pass in every cell of a ray up to `free` [m]; return the rows in use."""
+    """Count a pass in every cell of a ray up to `free` [m]; return the number of rows in use."""
     n = traverse(x, y, c, s, free, cell, at, ends)
     before = 0.0
     for k in range(n):
@@ -278,10 +278,11 @@ def fill_gap(
     x: float, y: float, angle: float, gap: float, r: float, q: float, n_between: int, reach: float, cell: float,
     index: RowGrid, n_rows: int, interpolated: Counts, passes: Counts, at: CellIndices, ends: Floats,
 ) -> int:  # fmt: skip
-    """Add virtual rays between two neighbours with ranges r and q [m], `gap` [rad] apart.
+    """Add virtual rays between two neighbours with ranges r and q [m] that are `gap` [rad] apart.
 
-    Where both end on what looks like one surface, they end on the chord between the end points; elsewhere only
-    the space that both have crossed counts as free.
+    If the neighbours met one surface, virtual rays end on the chord between the two end points. Otherwise only the
+    space that both rays crossed is free. Range to the chord at the fraction f of the gap:
+    (z = r q sin(gap) / (r sin(f gap) + q sin((1 - f) gap))).
     """
     weight = 1.0 / (n_between + 1)
     apart = math.sqrt(r * r + q * q - 2.0 * r * q * math.cos(gap)) if r < reach and q < reach else math.inf

@@ -1,7 +1,7 @@
-"""Cells of a square grid that is nailed to the map frame, and the walk of a ray through them.
+"""Cells of a square grid that is fixed in the map frame, and the traversal of the grid by a ray.
 
-Cell (i, j) covers [i, i + 1) x [j, j + 1) times the cell size, whatever was seen: grids of several runs agree.
-Directions fall in 16 sectors; sector b is centred on b * 22.5 deg in map.
+Cell (i, j) covers [i, i + 1) x [j, j + 1) times the cell size in map, so grids of several runs coincide.
+Directions are divided into 16 sectors; sector b is centred on b * 22.5 deg in map.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ CellIndices = NDArray[np.int64]
 
 N_SECTORS = 16
 DIAGONAL = 1.4143
-"""Cells that a ray meets on a length of one cell, at most: the square root of 2, rounded up."""
+"""Maximum number of cells that a ray crosses per cell side: the square root of 2, rounded up."""
 BORDER_CELLS = 6
-"""Cells around what is covered, so that neighbours up to there need no check."""
+"""Width of the margin around the covered cells, so that neighbours within it need no bounds check."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridWindow:
-    """The part of the grid that is held, and the row in which each of its cells is kept."""
+    """A rectangular part of the grid, with the row of each of its cells."""
 
     cell: float
-    """[m] side of a cell."""
+    """[m] Side of a cell."""
     low: tuple[int, int]
     """(i, j) of the window's first cell."""
     index: RowGrid
-    """(nx, ny) row of each cell; -1 where nothing is kept."""
+    """(nx, ny) row of each cell; -1 for cells without a row."""
 
     @classmethod
     def around(cls, xy: Floats, reach: float, cell: float) -> GridWindow:
-        """Make an empty window that holds everything within reach [m] of places (n, 2)."""
+        """Return an empty window that covers everything within reach [m] of places (n, 2)."""
         low = np.floor((xy.min(axis=0) - reach) / cell).astype(np.int64) - BORDER_CELLS
         high = np.floor((xy.max(axis=0) + reach) / cell).astype(np.int64) + BORDER_CELLS + 1
         shape = high - low
         return cls(cell=cell, low=(int(low[0]), int(low[1])), index=np.full(shape, -1, dtype=np.int32))
 
     def holds(self, other: GridWindow) -> bool:
-        """Tell whether every cell of another window lies in this one."""
+        """Return whether this window contains every cell of another window."""
         return all(
             mine <= theirs and theirs + n <= mine + m
             for mine, theirs, m, n in zip(
@@ -54,20 +54,20 @@ class GridWindow:
         )
 
     def grown(self, other: GridWindow) -> GridWindow:
-        """Return a window with the same rows that also holds another window's cells."""
+        """Return a window with the same rows that also covers another window's cells."""
         if self.holds(other):
             return self
         low = np.minimum(self.low, other.low)
         high = np.maximum(
             np.add(self.low, self.index.shape), np.add(other.low, other.index.shape)
-        )  # (2,) first cell outside
+        )  # (2,) first cell beyond both
         index = np.full(high - low, -1, dtype=np.int32)
         i, j = np.subtract(self.low, low)
         index[i : i + self.index.shape[0], j : j + self.index.shape[1]] = self.index
         return GridWindow(cell=self.cell, low=(int(low[0]), int(low[1])), index=index)
 
     def places(self) -> CellIndices:
-        """Return (n_rows, 2) place in the window of each row's cell."""
+        """Return the indices (n_rows, 2) in the window of each row's cell."""
         i, j = np.nonzero(self.index >= 0)
         places = np.empty((len(i), 2), dtype=np.int64)
         places[self.index[i, j]] = np.column_stack([i, j])
@@ -75,7 +75,7 @@ class GridWindow:
 
 
 def per_ray(poses: Floats) -> Floats:
-    """Return poses (n, n_rays or 1, 3) of poses (n, 3) that all rays of a scan share, or of each ray's own."""
+    """Return poses (n, n_rays or 1, 3) from poses (n, 3), shared by all rays of a scan, or (n, n_rays, 3)."""
     return poses if poses.ndim == 3 else poses[:, None]
 
 
@@ -89,19 +89,19 @@ def sector_of(c: float, s: float) -> int:
 def traverse(
     x: float, y: float, c: float, s: float, far: float, cell: float, at: CellIndices, ends: Floats
 ) -> int:
-    """Walk a ray through the cells, Amanatides & Woo 1987.
+    """List the cells that a ray crosses (Amanatides & Woo 1987).
 
     Parameters
     ----------
-    x, y : [m] start, from the corner of the window's first cell
-    c, s : direction
-    far : [m] where to stop
-    at : (n_max, 2) filled with the place in the window of each cell met
-    ends : (n_max,) filled with the distance [m] at which the ray leaves that cell
+    x, y : [m] Start of the ray, relative to the corner of the window's first cell.
+    c, s : Direction of the ray.
+    far : [m] Length of the ray.
+    at : (n_max, 2) Filled with the indices in the window of each crossed cell.
+    ends : (n_max,) [m] Filled with the distance at which the ray leaves that cell.
 
     Returns
     -------
-    count of cells; the chord in cell k is ends[k] - ends[k - 1]
+    number of cells; the chord in cell k is ends[k] - ends[k - 1]
     """
     i, j = math.floor(x / cell), math.floor(y / cell)
     step_i, step_j = (1 if c > 0 else -1), (1 if s > 0 else -1)
@@ -128,14 +128,14 @@ def traverse(
 
 @kernel
 def max_cells_met(far: float, cell: float) -> int:
-    """Return the largest count of cells that a ray of length `far` [m] can meet."""
+    """Return the maximum number of cells that a ray of length `far` [m] can cross."""
     return int(DIAGONAL * far / cell) + 4
 
 
 def traverse_plain(
     x: float, y: float, c: float, s: float, far: float, cell: float
 ) -> tuple[CellIndices, Floats]:
-    """Do what `traverse` does, by sorting the crossings of all grid lines: cells (n, 2) and where they end (n,)."""
+    """Compute `traverse` by sorting the crossings with all grid lines; reference implementation in numpy."""
     crossings = [np.array([far])]
     for start, slope in ((x, c), (y, s)):
         if slope != 0.0:

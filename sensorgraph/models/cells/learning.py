@@ -1,4 +1,9 @@
-"""Learn the polynomial of visibility: which cells stopped rays whose scans are not part of the evidence."""
+"""Learning of the visibility polynomial from rays whose scans are not part of the evidence.
+
+The stopping of rays is a discrete-time survival process: p = P(ray stops in the cell | ray reaches the cell) and
+logit p = beta·phi. The coefficients maximise sum weight (label log p + (1 - label) log(1 - p)) minus a quadratic
+penalty. The label is the posterior probability of a stop, and the weight that of reaching the cell.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +23,13 @@ LEARNING = CELLS.learning
 RANGE_SPREAD, CANDIDATE_DISTANCE = LEARNING.range_spread, LEARNING.candidate_distance
 MIN_AT_RISK = LEARNING.min_at_risk
 MAX_LOGIT = 30.0
-"""Beyond it a chance is 0 or 1 in floating point."""
+"""Logit beyond which a probability is numerically 0 or 1."""
 MIN_STEP, MIN_FALL = 1e-3, 1e-5
-"""Share of a Newton step below which it is halved no more, and relative fall of the loss at which Newton's steps end."""
+"""Minimum fraction of a Newton step, and relative decrease of the loss at which the iteration ends."""
 
 
 def is_set_aside(n: int, fold: int = 0) -> Bools:
-    """Tell which of n scans are set aside: ten stretches of 2 %, others for each fold 0 ... 4."""
+    """Return a mask of the scans (n,) that are set aside for learning: ten stretches of 2 % for each fold 0 ... 4."""
     stretch = np.arange(n) * LEARNING.n_stretches // max(n, 1)
     return np.asarray(stretch % LEARNING.folds == (2 + fold) % LEARNING.folds)
 
@@ -40,10 +45,12 @@ def list_at_risk(
     label: Floats,
     weight: Floats,
 ) -> int:
-    """List every cell that a ray was still at risk in; poses (n, n_rays or 1, 3) of the laser.
+    """List every cell that a ray reached; poses (n, n_rays or 1, 3) of the laser.
 
-    Fills row, sector, label (chance that it stopped the ray, given that none before did) and weight (chance that
-    none before did) of up to len(rows) samples; returns how many there are. `left` chance not explained: no sample.
+    Fills row, sector, label and weight of up to len(rows) samples, and returns their number. The label is the
+    probability that the cell stopped the ray, given that no cell before it did. The weight is the probability that no
+    cell before it did; a pass counts in proportion to its chord. A return that no cell near its end explains gives no
+    samples.
     """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
@@ -64,7 +71,7 @@ def list_at_risk(
             n_steps = traverse(x0, y0, c, s, far, table.cell, at, ends)
             if n + n_steps > len(rows):
                 return n
-            before, left, total = 0.0, 1.0, 0.0
+            before, unexplained, total = 0.0, 1.0, 0.0
             for k in range(n_steps):
                 row = table.rows[at[k, 0], at[k, 1]]
                 chord = ends[k] - before
@@ -75,8 +82,8 @@ def list_at_risk(
                         table.angle[row, b], table.offset[row, b], table.cell,
                     )  # fmt: skip
                     chance = -math.expm1(-RATES[table.rate[row, b]] * chord)
-                    stop[k] = left * chance * math.exp(-0.5 * ((z - r) / RANGE_SPREAD) ** 2)
-                    left *= 1.0 - chance
+                    stop[k] = unexplained * chance * math.exp(-0.5 * ((z - r) / RANGE_SPREAD) ** 2)
+                    unexplained *= 1.0 - chance
                     total += stop[k]
                 before = ends[k]
             if hit and total <= 0.0:
@@ -90,10 +97,10 @@ def list_at_risk(
                 if at_risk < MIN_AT_RISK:
                     break
                 share = stop[k] / total if hit else 0.0
-                now = min(share / at_risk, 1.0)
+                current = min(share / at_risk, 1.0)
                 rows[n], sectors[n] = table.rows[at[k, 0], at[k, 1]], b
-                weight[n] = at_risk * (now + (1.0 - now) * chord / table.cell)
-                label[n] = at_risk * now / weight[n]
+                weight[n] = at_risk * (current + (1.0 - current) * chord / table.cell)
+                label[n] = at_risk * current / weight[n]
                 at_risk -= share
                 n += 1
     return n
@@ -109,7 +116,12 @@ def fit_logistic(
     steps: int,
     ridge: float = LEARNING.ridge,
 ) -> Floats:
-    """Fit a logistic regression: maximise sum weight (label log p + (1 - label) log(1 - p)) - ridge / 2 |beta - prior|^2."""
+    """Fit a logistic regression by Newton's method with step halving.
+
+    Maximise sum weight (label log p + (1 - label) log(1 - p)) - ½ sum penalty (beta - prior)², with
+    p = 1 / (1 + exp(-phi·beta)). The step solves (phi' W phi + penalty) change = phi' (weight (label - p)) -
+    penalty (beta - prior), with W = weight p (1 - p). The penalty is `ridge`, and `intercept_ridge` for the constant.
+    """
     penalty = np.full(len(start), ridge)
     penalty[0] = LEARNING.intercept_ridge
 
@@ -118,23 +130,23 @@ def fit_logistic(
         return float(weight @ (np.logaddexp(0.0, eta) - label * eta) + penalty @ (beta - prior) ** 2 / 2), eta
 
     beta = start.copy()
-    now, eta = loss(beta)
+    current, eta = loss(beta)
     for _ in range(steps):
         p = 1.0 / (1.0 + np.exp(-np.clip(eta, -MAX_LOGIT, MAX_LOGIT)))
-        slope = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
+        gradient = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
         root = phi * np.sqrt(weight * p * (1.0 - p)).astype(np.float32)[:, None]
         gram = (root.T @ root).astype(np.float64)
-        change = np.linalg.solve(gram + np.diag(penalty), slope)
+        change = np.linalg.solve(gram + np.diag(penalty), gradient)
         length = 1.0
-        while True:  # a whole step may overshoot far from the solution
+        while True:  # a full step may overshoot far from the solution
             after, eta = loss(beta + length * change)
-            if after <= now or length < MIN_STEP:
+            if after <= current or length < MIN_STEP:
                 break
             length /= 2
         beta = beta + length * change
-        if now - after < MIN_FALL * now:
+        if current - after < MIN_FALL * current:
             break
-        now = after
+        current = after
     return beta
 
 
@@ -146,7 +158,7 @@ def training_samples(
     table: CellTable,
     most: int = LEARNING.max_passed_samples,
 ) -> tuple[Floats32, Floats, Floats]:
-    """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
+    """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays reached."""
     size = max(len(poses) * len(bearings) * LEARNING.samples_per_ray, 1000)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)

@@ -1,4 +1,4 @@
-"""The face in a cell: a line through the hits around it, as seen from each sector; else a place across the ray."""
+"""The face in a cell for each sector: a line through the surrounding hits, or a distance along the ray."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Codes = NDArray[np.uint8]
 Offsets = NDArray[np.int8]
 
 NO_LINE = 255
-"""Code of a face that stands across every ray: only a distance is known."""
+"""Code of a face without a line: only its distance along the ray is known."""
 N_ANGLES = 255
-"""Codes 0 ... 254 are angles of the normal in [0, pi)."""
+"""Number of codes of the normal's angle in [0, pi): 0 ... 254."""
 LINES = CELLS.lines
 OFFSET_STEP = LINES.offset_step
 MAX_STEPS = 127.4
-"""Steps of an offset that a signed byte holds, when rounded."""
+"""Largest offset in steps that fits into a signed byte after rounding."""
 RADIUS, FALLBACK_RADIUS = LINES.radius, LINES.fallback_radius
 MIN_HITS, MIN_ELONGATION = LINES.min_hits, LINES.min_elongation
 MIN_LENGTH_CELLS, MAX_OFFSET_CELLS = LINES.min_length_cells, LINES.max_offset_cells
@@ -43,7 +43,10 @@ def sum_neighbourhood(
     b: int,
     out: Floats,
 ) -> None:
-    """Sum moments (already over similar sectors) of b in the cells within radius, about the middle of cell (i, j)."""
+    """Sum the moments of sector b in the cells within radius, relative to the centre of cell (i, j).
+
+    `moments` are sums over similar sectors already.
+    """
     for k in range(len(out)):
         out[k] = 0.0
     for di in range(-radius, radius + 1):
@@ -63,7 +66,15 @@ def sum_neighbourhood(
 
 @inner_kernel
 def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
-    """Fit a line to moments (6,): is there one, angle of its normal [rad], its offset [m], spread across [m]."""
+    """Fit a line to moments (6,) by total least squares.
+
+    The variances along and across the line are the eigenvalues of the covariance. They
+    are (½ (xx + yy) ± sqrt(¼ (xx - yy)² + xy²)). The normal has the angle ½ atan2(2 xy, xx - yy) + π/2.
+
+    Returns
+    -------
+    whether there is a line, angle of its normal [rad], its offset [m], standard deviation across it [m]
+    """
     if m[0] < MIN_HITS:
         return False, 0.0, 0.0, 0.0
     x, y = m[1] / m[0], m[2] / m[0]
@@ -72,7 +83,7 @@ def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
     small, large = half - root, half + root
     if not (large > MIN_ELONGATION * small and large > (MIN_LENGTH_CELLS * cell) ** 2):
         return False, 0.0, 0.0, 0.0
-    angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # of the normal: across the long axis
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # perpendicular to the long axis
     return True, angle, x * math.cos(angle) + y * math.sin(angle), math.sqrt(max(small, 0.0))
 
 
@@ -86,7 +97,7 @@ def fill_local_lines(
     angle: Codes,
     offset: Offsets,
 ) -> None:
-    """Fill angle and offset (n, 16) for every place (n, 2); moments are summed over similar sectors."""
+    """Fill angle and offset (n, 16) for every cell in places (n, 2); moments are sums over similar sectors."""
     m = np.empty(N_MOMENTS)
     for k in range(len(places)):
         i, j = places[k]
@@ -102,7 +113,7 @@ def fill_local_lines(
             sum_neighbourhood(i, j, RADIUS, cell, index, face, moments, b, m)
             found, normal, d, _ = fit_line(m, cell)
             if found:
-                code = round(normal / math.pi * N_ANGLES)  # a turn by pi turns the normal round
+                code = round(normal / math.pi * N_ANGLES)  # adding pi reverses the normal
                 if (code // N_ANGLES) % 2 != 0:
                     d = -d
                 code %= N_ANGLES
@@ -118,7 +129,7 @@ def fill_local_lines(
 
 
 def local_lines(evidence: CellEvidence) -> tuple[Codes, Offsets]:
-    """Return angle and offset (n_rows + 1, 16) of the face in each cell as each sector sees it, in bytes."""
+    """Return coded angle and offset (n_rows + 1, 16) of the face in each cell for each sector."""
     angle = np.full((evidence.n_rows + 1, N_SECTORS), NO_LINE, dtype=np.uint8)
     offset = np.zeros((evidence.n_rows + 1, N_SECTORS), dtype=np.int8)
     own = evidence.moments[: evidence.n_faces]

@@ -1,8 +1,8 @@
-"""Model `cells`: cell-faces in 5 cm cells, whose visibility is one learned polynomial of the evidence around them.
+"""Model `cells`: faces in 5 cm cells, whose visibility is one learned polynomial of the surrounding evidence.
 
-For worlds without long clean faces, and for poses with noise. Evidence (hits, passes, by direction) is gathered in
-one pass; how likely a cell stops a ray is a polynomial of that evidence, learned on stretches of the log that the
-evidence leaves out. A prediction marches through the cells and gives a mixture of what may be hit.
+It is meant for cluttered environments without long walls and for noisy poses. Evidence (hits and passes by direction)
+is collected in one pass. The probability that a cell stops a ray is a polynomial of this evidence, learned on
+stretches of the log that the evidence omits. A prediction traverses the cells and returns a mixture of possible hits.
 """
 
 from __future__ import annotations
@@ -33,49 +33,49 @@ from sensorgraph.models.stored_numbers import check_positive, check_range, check
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 MIN_CELL, MAX_CELL = 0.01, 0.5
-"""[m] sides of a cell that may be asked for."""
+"""[m] Limits of the cell size."""
 
 
 @cache
 def shipped_visibility() -> tuple[float, ...]:
-    """Return the coefficients that come with the software, learned from several buildings.
+    """Return the shipped coefficients, which were learned from several buildings.
 
     Raises
     ------
-    ValueError : visibility.json has other terms than the polynomial
+    ValueError : The terms in visibility.json differ from those of the polynomial.
     """
     table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
     if tuple(table) != TERMS:
-        raise ValueError("visibility.json has other terms than the polynomial; learn it again")
+        raise ValueError("the terms in visibility.json differ from those of the polynomial; learn it again")
     return tuple(table.values())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CellModel:
-    """A table of cells, and the polynomial it was made with."""
+    """A table of cells, and the visibility polynomial it was made with."""
 
     name: ClassVar[str] = "cells"
 
     sensor: RangeSensor
     mount: Floats
-    """(3,) [m, m, rad] laser in the frame of the poses."""
+    """(3,) [m, m, rad] pose of the laser in the frame of the poses."""
     table: CellTable
     beta: Floats
-    """(n_terms,) coefficients of visibility."""
+    """(n_terms,) coefficients of the visibility polynomial."""
     reliability: Floats
-    """(3, n_knots) seen chance of being off at `KNOTS` of the said one, for each of `POINTS`."""
+    """(3, n_knots) observed probability of being off at the predicted ones in `KNOTS`, for each of `POINTS`."""
     nothing: float
-    """Share of no return at all among the readings beyond reach; the others saw something farther."""
+    """Share of missing returns among the readings beyond reach; the others are longer ranges."""
     counts: Mapping[str, int]
-    """What it was made from: scans, key_frames, set_aside, hits."""
+    """Numbers of training data: scans, key_frames, set_aside, hits."""
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before.
+        """Collect evidence from all key frames, after learning visibility and calibration on stretches set aside.
 
         Raises
         ------
-        SensorgraphError : an option is unknown, the cell has no sensible size, or no ray returned within reach
+        SensorgraphError : An option is unknown, the cell size is out of range, or no ray returned within reach.
         """
         if unknown := set(options) - {"cell"}:
             raise SensorgraphError(
@@ -86,8 +86,8 @@ class CellModel:
             raise SensorgraphError(f"cell is {cell:g} m, expected {MIN_CELL:g} to {MAX_CELL:g}")
         keep = is_key_frame(scans.poses, scans.run)
         mount = scans.laser_mount
-        taken = scans.poses if scans.ray_poses is None else scans.ray_poses
-        poses, ranges = laser_poses(taken[keep], mount), scans.ranges[keep]
+        own_poses = scans.poses if scans.ray_poses is None else scans.ray_poses
+        poses, ranges = laser_poses(own_poses[keep], mount), scans.ranges[keep]
         bearings = scans.sensor.bearings
         reach = min(MAX_REACH, scans.sensor.range_max)
         if not ((ranges > MIN_RANGE) & (ranges < reach)).any():
@@ -95,7 +95,7 @@ class CellModel:
                 f"no ray of any training scan returned between {MIN_RANGE} and {reach:g} m"
             )
         report = progress or (lambda done, total: None)
-        beta, sigma, said = learn_visibility(poses, ranges, bearings, cell, reach, report)
+        beta, sigma, reliability = learn_visibility(poses, ranges, bearings, cell, reach, report)
         evidence = CellEvidence.of(poses, ranges, bearings, cell=cell, reach=reach)
         table = tabulate(evidence.widened(), beta, sigma)
         report(5, 5)
@@ -111,21 +111,21 @@ class CellModel:
             mount=mount,
             table=table,
             beta=beta,
-            reliability=said,
+            reliability=reliability,
             nothing=none / max(far, 1),
             counts=counts,
         )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
-        out, near, dark = summarise_poses(
+        out, near, unobserved = summarise_poses(
             self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays], point
         )
         out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.reliability[which_of(point)])
         beyond = out[..., NO_RETURN] > 0.5
         out[..., NO_RETURN] *= self.nothing
-        answered = (dark <= CELLS.answers.max_unseen_way) & np.where(
-            beyond, out[..., NO_RETURN] > 0.5, near >= CELLS.answers.min_near_chance
+        answered = (unobserved <= CELLS.answers.max_unseen_length) & np.where(
+            beyond, out[..., NO_RETURN] > 0.5, near >= CELLS.answers.min_near_probability
         )
         return to_prediction(out, point, answered)
 
@@ -134,55 +134,57 @@ class CellModel:
     ) -> Floats:
         """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture.
 
-        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes. The least
-        uniform numbers have no return, those above it are off the mode, as often as `predict` says by what was seen, the
-        farthest first and last those that only noise put there; a reading that is not off lies about the mode with the
-        cells' sigma, as near as that.
+        `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings. The uniform
+        number selects the outcome. Outcomes are ordered: no return, candidates off the mode from far to near, readings
+        that only noise moves off the mode, and readings near the mode. Their probabilities are those of `predict`, with
+        the calibrated p_off. A reading near the mode has the spread `sigma` of the cells, within `OFF_DISTANCE`.
         """
         out = np.full(uniform.shape, np.inf)
         bearings = self.sensor.bearings[rays]
         lasers = laser_poses(poses, self.mount)
-        said, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
-        from scipy.special import ndtr, ndtri  # takes long to import, for drawing only
+        summaries, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
+        from scipy.special import ndtr, ndtri  # imported here, since it takes long and only drawing needs it
 
         sigma_here = self.table.sigma
         by_noise = max(math.erfc(OFF_DISTANCE / (math.sqrt(2.0) * sigma_here)), 1e-300)
-        p_off = np.interp(said[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
-        chance = ndtr(normal)
-        near = sigma_here * ndtri(0.5 * by_noise + (1.0 - by_noise) * chance)
-        far = sigma_here * np.where(chance < 0.5, ndtri(by_noise * chance), -ndtri(by_noise * (1.0 - chance)))
+        p_off = np.interp(summaries[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
+        quantile = ndtr(normal)
+        near = sigma_here * ndtri(0.5 * by_noise + (1.0 - by_noise) * quantile)
+        far = sigma_here * np.where(
+            quantile < 0.5, ndtri(by_noise * quantile), -ndtri(by_noise * (1.0 - quantile))
+        )
         for i, pose in enumerate(lasers):
-            r, w, sigma, left = (part[0] for part in list_candidates(self.table, pose[None], bearings))
-            mode = said[i, :, MODE]
-            beyond = (
-                left * self.nothing
-            )  # what goes beyond reach returns nothing by that share, else it is not known
+            r, w, sigma, survival = (part[0] for part in list_candidates(self.table, pose[None], bearings))
+            mode = summaries[i, :, MODE]
+            # the other readings beyond reach are longer ranges, which are unknown
+            beyond = survival * self.nothing
             nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
             off = np.where(np.abs(r - mode[:, None]) > OFF_DISTANCE, w, 0.0)
-            to_end = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]  # (n_rays, n_most) of this and all farther
+            # (n_rays, n_most) of this candidate and all farther ones
+            to_end = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]
             by_cells = to_end[:, 0]
             all_off = by_cells + by_noise * np.maximum(w.sum(axis=1) - by_cells, 0.0)
-            rest = (uniform[i] - nothing) / np.maximum(1.0 - nothing, 1e-300)
-            is_there = (rest >= 0) & (w > 0).any(axis=1)
-            is_off = is_there & (rest < p_off[i]) & (all_off > 0)
-            share = np.where(is_off, all_off * rest / np.maximum(p_off[i], 1e-300), np.inf)
+            number = (uniform[i] - nothing) / np.maximum(1.0 - nothing, 1e-300)
+            is_there = (number >= 0) & (w > 0).any(axis=1)
+            is_off = is_there & (number < p_off[i]) & (all_off > 0)
+            share = np.where(is_off, all_off * number / np.maximum(p_off[i], 1e-300), np.inf)
             rows = np.flatnonzero(share < by_cells)
             k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
-            by_chance, is_on = is_off & ~(share < by_cells), is_there & ~is_off
+            moved_by_noise, is_on = is_off & ~(share < by_cells), is_there & ~is_off
             out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
-            out[i, by_chance] = mode[by_chance] + far[i, by_chance]
+            out[i, moved_by_noise] = mode[moved_by_noise] + far[i, moved_by_noise]
             out[i, is_on] = mode[is_on] + near[i, is_on]
         return out
 
     def equation(self, ray: int) -> str:
-        """Print how a ray's range comes about, and the polynomial of visibility with its numbers."""
+        """Return the equations of a ray's range and the coefficients of the visibility polynomial as text."""
         bearing = np.degrees(self.sensor.bearings[ray])
         lines = [
-            f"ray {ray}, bearing {bearing:.2f} deg: sorted by range, the faces k of the cells on its way give",
+            f"ray {ray}, bearing {bearing:.2f} deg: the faces k of the cells that it crosses, sorted by range, give",
             "r_k = (d_k - n_k . q) / (n_k . u)   [m]   q: laser, u: direction, n_k . p = d_k: line through the hits",
-            "w_k = (1 - (1 - a_k)^(l_k / g)) * (chance that no cell before stopped it)   "
-            f"l_k: way in the cell, g = {self.table.cell:g} m",
-            f"a mixture of Gaussians with sigma {self.table.sigma:.4f} m; what is left is no return within {self.table.reach:g} m",
+            "w_k = (1 - (1 - a_k)^(l_k / g)) * (probability that no cell before stopped it)   "
+            f"l_k: length in the cell, g = {self.table.cell:g} m",
+            f"a mixture of Gaussians with sigma {self.table.sigma:.4f} m; the remaining weight is no return within {self.table.reach:g} m",
             "",
             f"logit a = sum of {len(TERMS)} terms; counts enter as log(1 + 3 count)",
         ]
@@ -190,14 +192,14 @@ class CellModel:
         return "\n".join(lines)
 
     def summary(self) -> Mapping[str, str]:
-        """Return how many cells, what they come from, and the spread about them."""
+        """Return number of cells, training data, spread and reach."""
         c = self.counts
         return {
             "form": f"{len(self.table.rate) - 1} cells of {self.table.cell:g} m, one polynomial of {len(TERMS)} terms for all",
             "from": f"{c['hits']} hits of {c['key_frames']} key frames ({c['scans']} scans); "
             f"{c['set_aside']} of them set aside to learn visibility",
             "sigma": f"{self.table.sigma:.3g} m about a face",
-            "reach": f"{self.table.reach:g} m; {100 * self.nothing:.0f} % of what goes farther returns nothing, the rest is not answered",
+            "reach": f"{self.table.reach:g} m; {100 * self.nothing:.0f} % of the readings beyond are missing returns, the others are not answered",
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -228,11 +230,11 @@ class CellModel:
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave.
+        """Recreate the model from the output of `state`.
 
         Raises
         ------
-        ValueError : an array has a wrong shape, or a number that no table has
+        ValueError : An array has a wrong shape, or a number is out of range.
         """
         nx, ny = map(int, header["shape"])
         if min(nx, ny) < 1 or (nx * ny + 7) // 8 != arrays["kept"].size:
@@ -267,7 +269,7 @@ class CellModel:
 
 
 def is_key_frame(poses: Floats, run: Ints) -> Bools:
-    """Tell which scans are key frames: the first of each run, and each that is far enough from the last key frame."""
+    """Return a mask of key frames: the first scan of each run, and each scan far enough from the last key frame."""
     keep = np.zeros(len(poses), dtype=np.bool_)
     last = -1
     for i, (x, y, phi) in enumerate(poses.tolist()):
@@ -285,7 +287,7 @@ def is_key_frame(poses: Floats, run: Ints) -> Bools:
 
 
 def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Return the laser's pose in map (..., 3) for poses (..., 3) of the frame it is mounted in."""
+    """Return the pose of the laser in map (..., 3) for poses (..., 3) of the frame that carries it."""
     cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
     x = poses[..., 0] + cos * mount[0] - sin * mount[1]
     y = poses[..., 1] + sin * mount[0] + cos * mount[1]
@@ -295,35 +297,40 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
 def learn_visibility(
     poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
 ) -> tuple[Floats, float, Floats]:
-    """Learn beta (n_terms,), sigma [m] and the calibration (3, n_knots) on stretches that the evidence leaves out."""
+    """Learn beta (n_terms,), sigma [m] and the calibration (3, n_knots) on stretches that the evidence omits."""
     beta = np.array(shipped_visibility())
-    said = np.tile(KNOTS, (len(POINTS), 1))
+    reliability = np.tile(KNOTS, (len(POINTS), 1))
     if len(poses) < CELLS.learning.min_scans:
-        return beta, CELLS.answers.first_sigma, said
+        return beta, CELLS.answers.first_sigma, reliability
     aside = is_set_aside(len(poses))
     evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
     report(1, 5)
     table = tabulate(evidence, beta, CELLS.answers.first_sigma)
     report(2, 5)
-    apart = poses[aside], ranges[aside], bearings
-    phi, label, weight = training_samples(evidence, *apart, table)
+    set_aside = poses[aside], ranges[aside], bearings
+    phi, label, weight = training_samples(evidence, *set_aside, table)
     beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
     report(3, 5)
     table = tabulate(evidence, beta, CELLS.answers.first_sigma)
-    table = table._replace(sigma=best_sigma(*apart, table))
-    every = np.array(
+    table = table._replace(sigma=best_sigma(*set_aside, table))
+    all_summaries = np.array(
         [summarise_poses(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
     )
     scored = (ranges[aside] > MIN_RANGE) & (ranges[aside] < reach)
     report(4, 5)
-    return beta, table.sigma, calibrate_p_off(every, ranges[aside], scored)
+    return beta, table.sigma, calibrate_p_off(all_summaries, ranges[aside], scored)
 
 
 def summarise_poses(
     table: CellTable, poses: Floats, bearings: Floats, point: Point
 ) -> tuple[NDArray[np.float64], Floats, Floats]:
-    """March all rays from poses (n, 3), or (n, n_rays, 3); return (n_poses, n_rays, 6) summaries, chance within 10 cm of the median, way [m] never seen."""
+    """Traverse the cells along all rays from poses (n, 3) or (n, n_rays, 3).
+
+    Returns
+    -------
+    summaries (n_poses, n_rays, 6), probability of a return near the median, length [m] through unobserved cells
+    """
     shape = (len(poses), len(bearings))
-    out, near, dark = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
-    summarise_rays(per_ray(poses), bearings, table, which_of(point), out, near, dark)
-    return out, near, dark
+    out, near, unobserved = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
+    summarise_rays(per_ray(poses), bearings, table, which_of(point), out, near, unobserved)
+    return out, near, unobserved

@@ -1,4 +1,4 @@
-"""Settle what is said against what is seen, on scans set aside: spread of ranges, and the chance of being off."""
+"""Calibration of predictions on scans set aside: the spread of ranges and the probability of being off."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from sensorgraph.types import Bools, Floats
 ANSWERS = CELLS.answers
 TRIED_SIGMAS = np.geomspace(*ANSWERS.tried_sigmas, ANSWERS.n_tried)
 DENSITY_AT_0 = 0.3989422804
-"""Of the standard normal distribution."""
-STRAY_DENSITY, KNOTS = ANSWERS.stray_density, np.array(ANSWERS.knots)
+"""Standard normal density at 0."""
+OUTLIER_DENSITY, KNOTS = ANSWERS.outlier_density, np.array(ANSWERS.knots)
 
 
 @kernel
 def log_likelihoods(
     poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, sigmas: Floats, out: Floats
 ) -> None:
-    """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face.
+    """Fill out (n_sigmas,) with the log likelihood of all returns for each spread about the faces.
 
-    Poses (n, n_rays or 1, 3) are the laser's.
+    p(z) = outlier density + sum_i w_i N(z; r_i, sigma²). Poses (n, n_rays or 1, 3) are those of the laser.
     """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
@@ -56,7 +56,7 @@ def log_likelihoods(
                 unseen,
             )
             for k in range(len(sigmas)):
-                density = STRAY_DENSITY
+                density = OUTLIER_DENSITY
                 for i in range(n):
                     e = (z - r[i]) / sigmas[k]
                     if abs(e) < TAIL:
@@ -65,7 +65,7 @@ def log_likelihoods(
 
 
 def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: CellTable) -> float:
-    """Return the spread [m] under which set-aside returns are likeliest."""
+    """Return the spread [m] that maximises the likelihood of set-aside returns, with parabolic interpolation."""
     out = np.empty(len(TRIED_SIGMAS))
     log_likelihoods(per_ray(poses), ranges, bearings, table, TRIED_SIGMAS, out)
     k = int(np.clip(np.argmax(out), 1, len(TRIED_SIGMAS) - 2))
@@ -76,21 +76,21 @@ def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: CellTable
 
 
 def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:
-    """Return (3, n_knots) what share of returns is off, for each point of `POINTS`, where the mixture says `KNOTS`.
+    """Fit the observed probability of being off to the predicted one; return (3, n_knots), for each of `POINTS`.
 
-    A straight line between knots, fitted by least squares to the returns, never falling; without much data it stays
-    close to what was said.
+    A function that is linear between `KNOTS` minimises sum_i (off_i - value(predicted_i))² + ridge sum_k (value_k -
+    KNOTS_k)². It is clipped to [0, 1] and made monotonic. With few data it stays close to the prediction.
     """
     columns = {"mode": MODE, "median": MEDIAN, "mean": MEAN}
     out = np.empty((len(POINTS), len(KNOTS)))
     for k, name in enumerate(POINTS):
-        said = summaries[k][..., P_OFF][scored]
+        predicted = summaries[k][..., P_OFF][scored]
         off = np.abs(summaries[k][..., columns[name]][scored] - ranges[scored]) > OFF_DISTANCE
-        left = np.clip(np.searchsorted(KNOTS, said, side="right") - 1, 0, len(KNOTS) - 2)
-        share = (said - KNOTS[left]) / np.diff(KNOTS)[left]
-        hat = np.zeros((len(said), len(KNOTS)))
-        hat[np.arange(len(said)), left] = 1.0 - share
-        hat[np.arange(len(said)), left + 1] = share
+        left = np.clip(np.searchsorted(KNOTS, predicted, side="right") - 1, 0, len(KNOTS) - 2)
+        share = (predicted - KNOTS[left]) / np.diff(KNOTS)[left]
+        hat = np.zeros((len(predicted), len(KNOTS)))
+        hat[np.arange(len(predicted)), left] = 1.0 - share
+        hat[np.arange(len(predicted)), left + 1] = share
         ridge = ANSWERS.knot_weight
         value = np.linalg.solve(hat.T @ hat + ridge * np.eye(len(KNOTS)), hat.T @ off + ridge * KNOTS)
         out[k] = np.maximum.accumulate(np.clip(value, 0.0, 1.0))

@@ -1,4 +1,9 @@
-"""March rays through a table of cells: where each may stop, how likely, and what that says of the range."""
+"""March of rays through a table of cells: where each ray may stop, and with which probability.
+
+Probability of a stop in cell k: w_k = S_k (1 - exp(-rate_k l_k)), where l_k is the chord [m].
+Probability of reaching it: S_k = exp(-sum_{i<k} rate_i l_i). Rate of stops [1/m]: rate_k = -log(1 - p_k) / cell.
+Range to its face n_k·p = d_k from the laser q in direction u: r_k = (d_k - n_k·q) / (n_k·u).
+"""
 
 from __future__ import annotations
 
@@ -28,30 +33,30 @@ from sensorgraph.types import Floats
 MARCH = CELLS.march
 MIN_SINE, MIN_SURVIVAL, MIN_STOP = MARCH.min_sine, MARCH.min_survival, MARCH.min_stop
 RATES = np.concatenate([[0.0], np.geomspace(*MARCH.rates, MARCH.n_rates)])
-"""[1/m] what a code of a rate means."""
+"""[1/m] Rate of stops for each code."""
 
 
 class CellTable(NamedTuple):
-    """What a march looks up; row -1 of each array is a cell never seen."""
+    """Lookup table of the march; row -1 of each array is an unobserved cell."""
 
     low: Floats
     """(2,) [m] corner of the window."""
     cell: float
-    """[m] side of a cell."""
+    """[m] Side of a cell."""
     reach: float
-    """[m] how far rays are followed."""
+    """[m] Range up to which rays are followed."""
     rows: RowGrid
     """(nx, ny) row of each cell."""
     rate: Codes
-    """(n + 1, 16) code in `RATES` of the stops per metre under way."""
+    """(n + 1, 16) code in `RATES` of the rate of stops."""
     angle: Codes
-    """(n + 1, 16) code of the face's normal."""
+    """(n + 1, 16) code of the angle of the face's normal."""
     offset: Offsets
-    """(n + 1, 16) [mm] of the face from the middle of the cell."""
+    """(n + 1, 16) [mm] offset of the face from the centre of the cell."""
     sigma: float
-    """[m] standard deviation of a range about the face that ended it, with the noise of poses."""
+    """[m] Standard deviation of a range about its face, including the noise of poses."""
     is_seen: Codes
-    """(n + 1,) whether a training ray met the cell."""
+    """(n + 1,) 1 where a training ray crossed the cell, else 0."""
 
 
 def tabulate(
@@ -60,20 +65,18 @@ def tabulate(
     sigma: float,
     *,
     margin: int = 2,
-    chance: float = MARCH.plain_chance,
+    chance: float = MARCH.default_probability,
 ) -> CellTable:
-    """Look everything up once: (widened) evidence and a polynomial of visibility become a table.
+    """Compute the lookup table from (widened) evidence and the coefficients of the visibility polynomial.
 
-    Without beta, every cell stops a ray with the same chance.
+    Without beta, every cell stops a ray with the probability `chance`.
     """
     window = evidence.window
     angle, offset = local_lines(evidence)
     if beta is None:
         rate = np.full(angle.shape, -math.log1p(-chance) / window.cell)
     else:
-        rate = (
-            np.logaddexp(0.0, logits(evidence, beta)) / window.cell
-        )  # -log(1 - chance) for a side of a cell
+        rate = np.logaddexp(0.0, logits(evidence, beta)) / window.cell  # -log(1 - p) per cell side
     n = evidence.n_rows
     seen = np.zeros(n + 1, dtype=np.uint8)
     for counts in (evidence.hits, evidence.interpolated, evidence.passes):
@@ -95,8 +98,8 @@ def tabulate(
 def face_range(
     x: float, y: float, c: float, s: float, i: int, j: int, middle: float, code: int, offset: int, cell: float
 ) -> float:
-    """Return where a ray from (x, y) meets the face of cell (i, j); `middle` [m]: of its chord, if nothing is known."""
-    px, py = (i + 0.5) * cell - x, (j + 0.5) * cell - y  # from the start to the middle of the cell
+    """Return the range at which a ray from (x, y) meets the face of cell (i, j); `middle` [m] where it is unknown."""
+    px, py = (i + 0.5) * cell - x, (j + 0.5) * cell - y  # from the start to the centre of the cell
     d = offset * OFFSET_STEP
     if code == NO_LINE:
         return px * c + py * s + d if offset != 0 else middle
@@ -113,32 +116,32 @@ def stop_candidates(
     x: float, y: float, c: float, s: float, table: CellTable, at: CellIndices, ends: Floats,
     r: Floats, w: Floats, sigma: Floats, unseen: Floats,
 ) -> tuple[int, float]:  # fmt: skip
-    """List where one ray may stop.
+    """List the candidates at which one ray may stop.
 
     Parameters
     ----------
-    x, y, c, s : start [m] in map and direction
-    at, ends : room for the walk, (n_max, 2) and (n_max,)
-    r, w, sigma, unseen : (n_max,) filled, sorted by r: range [m], chance, standard deviation [m], and the length [m]
-        of way before it through cells that no training ray has met
+    x, y, c, s : Start [m] in map and direction of the ray.
+    at, ends : (n_max, 2) and (n_max,) Work arrays of the traversal.
+    r, w, sigma, unseen : (n_max,) Filled, sorted by r: range [m], probability, standard deviation [m], and the length
+        [m] of the ray up to there in cells that no training ray crossed.
 
     Returns
     -------
-    count of candidates, chance to stop at none of them
+    number of candidates, probability that none stops the ray
     """
     x0, y0 = x - table.low[0], y - table.low[1]
     b = sector_of(c, s)
     n_steps = traverse(x0, y0, c, s, table.reach, table.cell, at, ends)
     n = 0
-    left, before, dark = 1.0, 0.0, 0.0
+    survival, before, unobserved = 1.0, 0.0, 0.0
     for k in range(n_steps):
         i, j = at[k]
         row = -1
         if 0 <= i < table.rows.shape[0] and 0 <= j < table.rows.shape[1]:
             row = table.rows[i, j]
         chord = ends[k] - before
-        rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # nearer ranges are not used
-        chance = left * -math.expm1(-rate * chord)
+        rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # shorter ranges are not used
+        chance = survival * -math.expm1(-rate * chord)
         if chance > MIN_STOP:
             middle = 0.5 * (before + ends[k])
             at_r = max(
@@ -149,25 +152,32 @@ def stop_candidates(
             while m > 0 and r[m - 1] > at_r:
                 r[m], w[m], sigma[m], unseen[m] = r[m - 1], w[m - 1], sigma[m - 1], unseen[m - 1]
                 m -= 1
-            r[m], w[m], sigma[m], unseen[m] = at_r, chance, table.sigma, dark
+            r[m], w[m], sigma[m], unseen[m] = at_r, chance, table.sigma, unobserved
             n += 1
-        left -= chance
+        survival -= chance
         before = ends[k]
         if table.is_seen[row] == 0:
-            dark += chord
-        if left < MIN_SURVIVAL:
+            unobserved += chord
+        if survival < MIN_SURVIVAL:
             break
-    return n, left
+    return n, survival
 
 
 @kernel
 def summarise_rays(
-    poses: Floats, bearings: Floats, table: CellTable, which: int, out: Floats, near: Floats, dark: Floats
+    poses: Floats,
+    bearings: Floats,
+    table: CellTable,
+    which: int,
+    out: Floats,
+    near: Floats,
+    unobserved: Floats,
 ) -> None:
-    """Summarise every ray; poses (n_poses, n_rays or 1, 3) are the laser's.
+    """Summarise every ray; poses (n_poses, n_rays or 1, 3) are those of the laser.
 
-    Fills out (n_poses, n_rays, 6) as `mixture.summarise`, near (n_poses, n_rays) with the chance that a return lies
-    within 2 `OFF_DISTANCE` of the median, dark (n_poses, n_rays) with the way [m] through cells never seen before the mode.
+    Fills out (n_poses, n_rays, 6) as `mixture.summarise`. Fills `near` (n_poses, n_rays) with the probability that a
+    return is within 2 `OFF_DISTANCE` of the median, and `unobserved` (n_poses, n_rays) with the length [m] in
+    unobserved cells before the mode.
     """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
@@ -177,26 +187,26 @@ def summarise_rays(
             pose = poses[p, min(q, poses.shape[1] - 1)]
             angle = pose[2] + bearings[q]
             c, s = math.cos(angle), math.sin(angle)
-            n, left = stop_candidates(pose[0], pose[1], c, s, table, at, ends, r, w, sigma, unseen)
-            summary = summarise(r, w, sigma, n, left, table.reach, which)
+            n, survival = stop_candidates(pose[0], pose[1], c, s, table, at, ends, r, w, sigma, unseen)
+            summary = summarise(r, w, sigma, n, survival, table.reach, which)
             for k in range(6):
                 out[p, q, k] = summary[k]
-            inside, total, way = 0.0, 0.0, 0.0
+            inside, total, length = 0.0, 0.0, 0.0
             for k in range(n):
                 total += w[k]
                 if abs(r[k] - summary[0]) <= 2.0 * OFF_DISTANCE:
                     inside += w[k]
                 if r[k] <= summary[1]:
-                    way = unseen[k]
+                    length = unseen[k]
             near[p, q] = inside / total if total > 0.0 else 0.0
-            dark[p, q] = way
+            unobserved[p, q] = length
 
 
 @kernel
 def fill_candidates(
-    poses: Floats, bearings: Floats, table: CellTable, r: Floats, w: Floats, sigma: Floats, left: Floats
+    poses: Floats, bearings: Floats, table: CellTable, r: Floats, w: Floats, sigma: Floats, survival: Floats
 ) -> int:
-    """Fill r, w, sigma (n_poses, n_rays, n_max) and left (n_poses, n_rays); return the largest count of a ray."""
+    """Fill r, w, sigma (n_poses, n_rays, n_max) and survival (n_poses, n_rays); return the largest number of candidates."""
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, unseen = np.empty(size), np.empty(size)
@@ -204,7 +214,7 @@ def fill_candidates(
     for p in range(len(poses)):
         for q in range(len(bearings)):
             angle = poses[p, 2] + bearings[q]
-            n, left[p, q] = stop_candidates(
+            n, survival[p, q] = stop_candidates(
                 poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
                 r[p, q], w[p, q], sigma[p, q], unseen,
             )  # fmt: skip
@@ -216,22 +226,22 @@ def fill_candidates(
 def list_candidates(
     table: CellTable, poses: Floats, bearings: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what every ray may hit, sorted by range: r, w, sigma (n_poses, n_rays, n_most) and left (n_poses, n_rays).
+    """Return the candidates of every ray: r, w, sigma (n_poses, n_rays, n_most) and survival (n_poses, n_rays).
 
-    A ray with fewer candidates is filled up with r = inf, w = 0. Take few poses at a time.
+    Candidates are sorted by range. Unused entries have r = inf and w = 0. The arrays are large, so pass few poses at a time.
     """
     shape = (len(poses), len(bearings))
     size = max_cells_met(table.reach, table.cell)
     r, w, sigma = (np.empty((*shape, size)) for _ in range(3))
-    left = np.empty(shape)
-    n = fill_candidates(poses, bearings, table, r, w, sigma, left)
-    return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), left
+    survival = np.empty(shape)
+    n = fill_candidates(poses, bearings, table, r, w, sigma, survival)
+    return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), survival
 
 
 def stop_candidates_plain(
     x: float, y: float, c: float, s: float, table: CellTable
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
-    """Do what `stop_candidates` does for one ray, in numpy: r, w, sigma, unseen (n,) and what is left."""
+    """Compute `stop_candidates` in numpy: r, w, sigma, unseen (n,), survival; reference implementation for tests."""
     x0, y0 = np.array([x, y]) - table.low
     at, ends = traverse_plain(x0, y0, c, s, table.reach, table.cell)
     chord = np.diff(ends, prepend=0.0)
@@ -248,7 +258,7 @@ def stop_candidates_plain(
     )
     code, d = table.angle[row, b], table.offset[row, b] * OFFSET_STEP
     to_middle = (at + 0.5) * table.cell - [x0, y0]
-    n = np.column_stack([np.append(COS, c)[code], np.append(SIN, s)[code]])  # ACROSS is the last code
+    n = np.column_stack([np.append(COS, c)[code], np.append(SIN, s)[code]])  # NO_LINE is the last code
     den = n @ [c, s]
     with np.errstate(divide="ignore"):
         r = ((n * to_middle).sum(axis=1) + d) / den

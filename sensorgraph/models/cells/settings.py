@@ -1,15 +1,15 @@
-"""Settings of the model `cells`: every tuned number of `models/cells` with its unit, its meaning and what set it.
+"""Settings of the model `cells`: every tuned number of `models/cells` with unit, meaning and source.
 
-One frozen dataclass, `CellModelSettings`, with one group per step; `CELLS` is the instance that the modules use. Some are
-constants of compiled code: `planners.kernel` compiles anew after a change of any file that names it, as this one.
+`CellModelSettings` has one group per step, and the modules use its instance `CELLS`. Some settings are constants of
+compiled code: `planners.kernel` recompiles after a change of any file that names it, as this one.
 
-Unless a group says otherwise, its numbers were set on public logs of real floors, by the error on stretches held out as
-printed by
+Unless a group states otherwise, the values were set on public logs of real floors. The criterion is the error on
+held-out stretches, as printed by
 
     python -m benchmarks.real_logs LOG [LOG ...] --others
 
-The shipped coefficients of visibility were learned with these numbers, and must be learned again (`--learn`) when
-`VisibilityFeatureSettings` or `CellEvidenceSettings` change.
+The shipped coefficients of visibility were learned with these values. They must be learned again (`--learn`) after a
+change of `VisibilityFeatureSettings` or `CellEvidenceSettings`.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ class CellEvidenceSettings:
     """Hits and passes of a log in cells (`evidence`, `model.is_key_frame`)."""
 
     cell_size: float = 0.05
-    """[m] side of a cell; 3.5 to 7 cm do nearly as well."""
+    """[m] Side of a cell; 3.5 to 7 cm give similar errors."""
     max_reach: float = 10.0
-    """[m] a longer range counts as nothing seen within reach."""
+    """[m] Longer ranges count as no return within reach."""
     min_range: float = 0.1
-    """[m] a shorter range is not used."""
+    """[m] Shorter ranges are not used."""
     max_ray_spacing: float = math.radians(0.34)
-    """[rad] wider gaps between neighbouring rays are filled by virtual ones."""
+    """[rad] Gaps between neighbouring rays that are wider are filled with virtual rays."""
     surface_step: float = 0.10
-    """[m] between the ends of neighbouring rays, within which they met one surface however near it is."""
+    """[m] Distance between end points of neighbouring rays below which they met one surface, at any range."""
     surface_slope: float = 4.0
-    """The same in widths of the gap between the rays, of surfaces seen at a flat angle."""
+    """The same limit in widths of the gap between the rays, for surfaces at grazing incidence."""
     max_surface_step: float = 0.6
-    """[m] at most."""
+    """[m] Upper bound of both limits."""
     free_margin: float = 0.15
-    """[m] before the nearer of two rays that met different surfaces, up to which the gap between them is free."""
+    """[m] The gap between rays that met different surfaces is free up to this distance before the shorter ray's end."""
     surface_margin_cells: float = 1.5
-    """The same before one surface, in cells."""
+    """The gap between rays that met one surface is free up to this distance before the surface, in cells."""
     key_frame_distance: float = 0.4
-    """[m] a scan counts where the robot has moved so far since the last one: counts are independent looks."""
+    """[m] Minimum motion between key frames; only key frames are counted, so that counts are independent."""
     key_frame_turn: float = math.radians(20.0)
-    """[rad] or has turned so far."""
+    """[rad] Minimum turn between key frames; one of both limits suffices."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,110 +51,110 @@ class LocalLineSettings:
     """The line through the hits around a cell (`local_lines`)."""
 
     radius: int = 2
-    """Cells around one whose hits make its line."""
+    """Neighbourhood whose hits determine the line of a cell, in cells."""
     fallback_radius: int = 1
-    """Cells whose hits tell the distance where there is no line."""
+    """Neighbourhood whose hits determine the distance where there is no line, in cells."""
     similar_sectors: int = 3
-    """Sectors to each side whose hits count as seen from the same side."""
+    """Number of sectors to each side whose hits are from the same side of a surface."""
     min_hits: float = 2.5
-    """Hits of a line."""
+    """Minimum number of hits of a line."""
     min_elongation: float = 4.0
-    """Variance of hits along a line over that across it."""
+    """Minimum ratio of the variances of hits along and across a line."""
     min_length_cells: float = 0.6
-    """Standard deviation of hits along a line, in cells."""
+    """Minimum standard deviation of hits along a line, in cells."""
     max_offset_cells: float = 1.5
-    """Distance of a face without a line from the middle of its cell, in cells."""
+    """Maximum distance of a face without a line from the centre of its cell, in cells."""
     offset_step: float = 0.001
-    """[m] in which a line's distance from the middle of its cell is kept, in one byte."""
+    """[m] Resolution of the stored distance of a line from the centre of its cell (one byte)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilityFeatureSettings:
-    """How evidence becomes the features of the polynomial of visibility (`visibility`)."""
+    """Features of the visibility polynomial (`visibility`)."""
 
     neighbour_step: float = 1.2
-    """Cells between neighbours along and across a ray: more than 1, so that diagonal ones differ."""
+    """Distance between neighbours along and across a ray, in cells; above 1 so that diagonal neighbours differ."""
     count_scale: float = 3.0
-    """Counts n enter as log(1 + scale n)."""
+    """Scale of counts n in log(1 + scale n)."""
     box_scale: float = 5.0
-    """The same of hits within 5 x 5 cells."""
+    """The same scale for hits within 5 x 5 cells."""
     interpolated_weight: float = 0.5
-    """A hit between two rays counts so much of a hit."""
+    """Weight of an interpolated hit relative to a hit."""
     other_weight: float = 0.3
-    """A hit or pass of another direction counts so much of one of a similar direction."""
+    """Weight of a hit or pass in another direction relative to one in a similar direction."""
     prior_hits: float = 0.05
-    """In the log ratio of hits to passes."""
+    """Prior numbers of hits and passes in the log ratio of both."""
     prior_passes: float = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilityLearningSettings:
-    """Learning the coefficients of visibility (`learning`, `model.learn_visibility`)."""
+    """Learning of the visibility coefficients (`learning`, `model.learn_visibility`)."""
 
     min_scans: int = 50
-    """Key frames, below which the shipped polynomial is used as it is."""
+    """Number of key frames below which the shipped polynomial is used unchanged."""
     n_stretches: int = 50
-    """Stretches of a log."""
+    """Number of stretches that a log is divided into."""
     folds: int = 5
-    """Every so many stretches one is set aside."""
+    """One stretch of this number is set aside."""
     range_spread: float = 0.03
-    """[m] standard deviation of a range about the face that stops it, with the noise of poses."""
+    """[m] Standard deviation of a range about the face that stops the ray, including the noise of poses."""
     candidate_distance: float = 0.15
-    """[m] from the measured range, within which a cell may be the one that stopped the ray."""
+    """[m] Distance from the measured range within which a cell may have stopped the ray."""
     min_at_risk: float = 0.01
-    """Chance that a ray came so far, below which a cell is no sample."""
+    """Probability of reaching a cell below which the cell is not a sample."""
     ridge: float = 2.0
-    """Precision with which coefficients are held near the shipped ones."""
+    """Precision of the prior around the shipped coefficients."""
     intercept_ridge: float = 1e-6
-    """The same of the constant term."""
+    """Precision of the prior of the constant term."""
     newton_steps: int = 4
-    """Newton steps; the shipped polynomial is a good start."""
+    """Number of Newton steps, starting from the shipped polynomial."""
     max_passed_samples: int = 60_000
-    """Samples of cells that were passed; the others stand for those left out."""
+    """Maximum number of samples of passed cells; they are weighted to represent all of them."""
     min_label: float = 0.01
-    """Chance to have stopped a ray, above which a cell is not one that was passed."""
+    """Probability of a stop above which a cell does not count as passed."""
     samples_per_ray: int = 150
-    """Room for the cells that one ray is at risk in."""
+    """Capacity of the sample arrays, in cells per ray."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellMarchSettings:
-    """The march of a ray through cells (`ray_march`)."""
+    """March of a ray through cells (`ray_march`)."""
 
     min_sine: float = 0.17
-    """A line seen at a flatter angle than this sine says nothing of the range."""
+    """Sine of the angle between ray and line below which the line does not determine the range."""
     min_survival: float = 1e-4
-    """A ray with a smaller chance to be still under way is not followed."""
+    """Probability of being under way below which a ray is not followed further."""
     min_stop: float = 1e-6
-    """A smaller chance to stop is no candidate."""
-    plain_chance: float = 0.2
-    """Chance to stop within a cell, where there is no polynomial of visibility."""
+    """Probability of a stop below which a cell is not a candidate."""
+    default_probability: float = 0.2
+    """Probability of a stop within a cell if there is no visibility polynomial."""
     rates: tuple[float, float] = (2e-3, 200.0)
-    """[1/m] least and largest rate of stops: one in 500 m, and one in 5 mm."""
+    """[1/m] Smallest and largest rate of stops: one in 500 m, and one in 5 mm."""
     n_rates: int = 127
-    """Codes between them, in steps of 10 %."""
+    """Number of codes of the rate, in steps of 10 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellAnswerSettings:
-    """The spread about a face, the chance of being off, and which rays are answered (`probability_calibration`, `model`)."""
+    """Spread about a face, probability of being off, and answered rays (`probability_calibration`, `model`)."""
 
     first_sigma: float = 0.027
-    """[m] spread about a face before it is known."""
+    """[m] Initial spread about a face."""
     tried_sigmas: tuple[float, float] = (0.005, 0.08)
-    """[m] least and largest spread tried."""
+    """[m] Smallest and largest spread that is tried."""
     n_tried: int = 17
-    """Spreads tried."""
-    stray_density: float = 1e-3
-    """[1/m] density of a return that nothing explains."""
+    """Number of spreads that are tried."""
+    outlier_density: float = 1e-3
+    """[1/m] Density of outliers: returns that no face explains."""
     knots: tuple[float, ...] = (0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0)
-    """Said chances of being off between which the correction is a straight line."""
+    """Predicted probabilities of being off between which the correction is linear."""
     knot_weight: float = 20.0
-    """Returns that each knot's own claim is worth."""
-    min_near_chance: float = 0.5
-    """Least chance that a return lies within 10 cm of the median, for a ray to be answered."""
-    max_unseen_way: float = 0.10
-    """[m] of way through cells that no training ray has met, above which a ray is not answered."""
+    """Weight of the prediction at each knot, in returns."""
+    min_near_probability: float = 0.5
+    """Minimum probability of a return within 10 cm of the median for a ray to be answered."""
+    max_unseen_length: float = 0.10
+    """[m] Maximum length in cells that no training ray crossed for a ray to be answered."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,4 +170,4 @@ class CellModelSettings:
 
 
 CELLS = CellModelSettings()
-"""The settings of the model `cells`."""
+"""The settings that the modules use."""

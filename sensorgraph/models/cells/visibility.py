@@ -1,7 +1,8 @@
-"""Visibility of cells: ONE polynomial of the evidence around a cell says how likely a ray of a direction stops there.
+"""Visibility of cells: one polynomial of the surrounding evidence predicts how probably a cell stops a ray.
 
-logit(chance of stopping within one cell side) = beta . phi, where phi are 1, the `FEATURES` of (cell, sector), all squares
-and products of `SELF_PRODUCTS`, and products of `NEIGHBOUR_PRODUCTS` with `PRODUCT_PARTNERS`. One beta serves a whole building, and others too.
+Equation: logit(p) = beta·phi. A ray in the direction of a sector stops within one cell side with probability p.
+Terms phi: 1, the `FEATURES` of (cell, sector), all squares and products of `SELF_PRODUCTS`, and the products of
+`NEIGHBOUR_PRODUCTS` with `PRODUCT_PARTNERS`. One beta holds for all cells of a building, and transfers to others.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ FEATURES = (
     "unseen", "all unseen", "L", "L5", "S5",
     "S5 +4", "S5 -4", "S5 side 4", "S5 both sides 4", "seen 11", "H11", "Q11", "unseen +4",
 )  # fmt: skip
-"""H hits, I interpolated hits, S both, Q passes, O hits and interpolated hits of other directions; s: from similar
-directions, o: from others; + farther from the sensor, - nearer; L log ratio of hits to passes;
-5, 11: of 5 x 5 and 11 x 11 cells; both sides: the lesser one."""
+"""Names of the features: H hits, I interpolated hits, S both, Q passes, L log ratio of hits to passes.
+O: hits and interpolated hits from other directions. Suffix s: from similar directions, o: from other directions.
+The suffix + is farther from the sensor, - is nearer. Numbers 5, 11: within 5 x 5 and 11 x 11 cells.
+The value of "both sides" is the smaller one."""
 SELF_PRODUCTS = (
     "Hs",
     "Ho",
@@ -62,13 +64,13 @@ PAIRS = np.array(
     [(_COLUMN[a], _COLUMN[b]) for i, a in enumerate(SELF_PRODUCTS) for b in SELF_PRODUCTS[i:]]
     + [(_COLUMN[a], _COLUMN[b]) for a in NEIGHBOUR_PRODUCTS for b in PRODUCT_PARTNERS]
 )
-"""(n_products, 2) which features are multiplied."""
+"""(n_products, 2) indices of the multiplied features."""
 TERMS = ("1", *FEATURES, *(f"{FEATURES[a]} * {FEATURES[b]}" for a, b in PAIRS))
-"""What beta multiplies, by name."""
+"""Names of the terms, in the order of beta."""
 
 
 def neighbour_offsets(b: int) -> CellIndices:
-    """Return (n, 2) cells from a cell to its neighbours as sector b sees them, in the order of `_NEIGHBOURS`."""
+    """Return the offsets (n, 2) of a cell's neighbours in the frame of sector b, in the order of `_NEIGHBOURS`."""
     angle = b * 2 * np.pi / N_SECTORS
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     return np.array(
@@ -86,7 +88,7 @@ _NEIGHBOURS = (
 def fill_sector_maps(
     b: int, n_rows: int, hits: Counts, interpolated: Counts, passes: Counts, raw: Floats32, logs: Floats32
 ) -> None:
-    """Fill raw and logs (n_rows + 1, 14) with the counts of every cell as sector b sees them; the last row stays 0."""
+    """Fill raw and logs (n_rows + 1, 14) with the counts of every cell for sector b; the last row stays 0."""
     half = N_SECTORS // 2
     for row in range(n_rows):
         hs = i_s = h_all = i_all = q_all = 0.0
@@ -132,9 +134,9 @@ def add_box_sums(places: CellIndices, index: RowGrid, raw: Floats32, logs: Float
 def add_surroundings(
     places: CellIndices, index: RowGrid, hits: Counts, interpolated: Counts, passes: Counts, logs: Floats32
 ) -> None:
-    """Add to logs what lies within 11 x 11 cells, from any sector: share of cells seen, hits and passes a 5 x 5."""
+    """Add sums over 11 x 11 cells and all sectors to logs: share of observed cells, hits and passes per 5 x 5 cells."""
     nx, ny = index.shape
-    total = np.zeros((nx + 1, ny + 1, 3))  # sums over all cells before (i, j)
+    total = np.zeros((nx + 1, ny + 1, 3))  # summed-area table: sums over all cells before (i, j)
     own = np.zeros(3)
     for i in range(nx):
         for j in range(ny):
@@ -161,7 +163,7 @@ def add_surroundings(
 def fill_features(
     i: int, j: int, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, f: Floats32
 ) -> None:
-    """Fill f (40,) with the features of cell (i, j) in the maps of one sector; `around` are its `neighbour_offsets`."""
+    """Fill f (40,) with the features of cell (i, j) from the maps of one sector; `around` are `neighbour_offsets`."""
     row = index[i, j]
     for k in range(7):
         f[k] = logs[row, k]
@@ -172,7 +174,7 @@ def fill_features(
     f[8] = 0.5 * (logs[n[2], 7] + logs[n[3], 7])
     f[9] = 0.5 * (logs[n[0], 4] + logs[n[1], 4])
     f[10] = 0.5 * (logs[n[2], 4] + logs[n[3], 4])
-    for k in range(5):  # ahead 1, 2, 3, behind 1, 2
+    for k in range(5):  # ahead by 1, 2, 3, behind by 1, 2
         f[11 + k] = logs[n[4 + k], 7]
         f[16 + k] = logs[n[4 + k], 4]
     f[21] = 0.5 * (logs[n[9], 7] + logs[n[10], 7])
@@ -202,7 +204,7 @@ def fill_features(
 
 @kernel
 def evaluate_logit(f: Floats32, beta: Floats, pairs: CellIndices) -> float:
-    """Evaluate the polynomial at features f (40,)."""
+    """Return beta·phi(f) for features f (40,)."""
     total = beta[0]
     for k in range(len(f)):
         total += beta[1 + k] * f[k]
@@ -222,7 +224,7 @@ def fill_logits(
     pairs: CellIndices,
     out: Floats32,
 ) -> None:
-    """Fill out (n,) with the polynomial at every place (n, 2) of the maps of one sector."""
+    """Fill out (n,) with the logit in every cell of places (n, 2), from the maps of one sector."""
     f = np.zeros(N_FEATURES, dtype=np.float32)
     for k in range(len(places)):
         fill_features(places[k, 0], places[k, 1], index, raw, logs, around, f)
@@ -233,13 +235,13 @@ def fill_logits(
 def fill_all_features(
     places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, out: Floats32
 ) -> None:
-    """Fill out (n, 40) with the features at every place (n, 2) of the maps of one sector."""
+    """Fill out (n, 40) with the features of every cell of places (n, 2), from the maps of one sector."""
     for k in range(len(places)):
         fill_features(places[k, 0], places[k, 1], index, raw, logs, around, out[k])
 
 
 def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
-    """Return (n_rows + 1, 16) logit of the chance to stop in each cell and sector; the last row is a cell never seen."""
+    """Return the logits (n_rows + 1, 16) of all cells and sectors; the last row is an unobserved cell."""
     places = evidence.window.places()
     raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
     add_surroundings(
@@ -260,7 +262,7 @@ def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
 
 
 def features(evidence: CellEvidence, rows: CellIndices, sectors: CellIndices) -> Floats32:
-    """Return the (n, 40) features of cells in rows (n,) as sectors (n,) see them."""
+    """Return the features (n, 40) of cells in rows (n,) for sectors (n,)."""
     places = evidence.window.places()
     raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
     add_surroundings(
@@ -280,13 +282,13 @@ def features(evidence: CellEvidence, rows: CellIndices, sectors: CellIndices) ->
 
 
 def expand_products(f: Floats32) -> Floats32:
-    """Return phi (n, n_terms) of features (n, 40)."""
+    """Return the terms phi (n, n_terms) of features (n, 40)."""
     one = np.ones((len(f), 1), dtype=np.float32)
     return np.hstack([one, f, f[:, PAIRS[:, 0]] * f[:, PAIRS[:, 1]]])
 
 
 def features_plain(evidence: CellEvidence, row: int, b: int) -> Floats:
-    """Do what `features` does for one cell and sector, in numpy and as `FEATURES` reads."""
+    """Compute the features of one cell and sector in numpy; reference implementation for tests."""
     near = [(b + d) % N_SECTORS for d in range(-2, 3)]
     far = [k for k in range(N_SECTORS) if k not in near]
     beside = [(b + d) % (N_SECTORS // 2) for d in (-1, 0, 1)]
@@ -327,14 +329,14 @@ def features_plain(evidence: CellEvidence, row: int, b: int) -> Floats:
     hits += INTERPOLATED * (own["Is"] + OTHER * own["Io"])
     out += [math.log(hits / free), math.log((s5 + OTHER * o5 + PRIOR_HITS) / free)]
 
-    def boxed(place: CellIndices) -> float:
+    def box_log(place: CellIndices) -> float:
         if evidence.window.index[tuple(place)] < 0:
             return 0.0
         box = [counts(place[0] + i, place[1] + j)["S"] for i in range(-2, 3) for j in range(-2, 3)]
         return math.log(1 + BOX_SCALE * sum(box))
 
-    ahead, behind, left, right = (boxed(place + steps[k]) for k in range(13, 17))
-    out += [boxed(place), ahead, behind, (left + right) / 2, min(left, right)]
+    ahead, behind, left, right = (box_log(place + steps[k]) for k in range(13, 17))
+    out += [box_log(place), ahead, behind, (left + right) / 2, min(left, right)]
     large = [counts(place[0] + i, place[1] + j) for i in range(-5, 6) for j in range(-5, 6)]
     out.append(sum(c["seen"] for c in large) / SURROUNDING_CELLS)
     out += [
