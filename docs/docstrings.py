@@ -1,6 +1,6 @@
-"""Let mkdocstrings read our docstrings: `name : what it is`, on one line, with the type in the signature.
+"""Adapt our docstrings to mkdocstrings: an entry is one line, `name : description`, with the type in the signature.
 
-numpydoc takes what follows the colon for the type; this moves it to the description before the text is parsed.
+numpydoc reads the text after the colon as the type. This extension moves it to the description before the text is parsed.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ NAMED = ("Parameters", "Raises", "Attributes")
 
 
 class OneLineEntries(griffe.Extension):
-    """Rewrite the docstring of every object that is loaded."""
+    """Rewrite the docstring of every loaded object."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rewrite one docstring."""
+        """Rewrite the docstring of one object."""
         if obj.docstring is not None:
             obj.docstring.value = rewritten(obj.docstring.value)
 
 
 def rewritten(text: str) -> str:
-    """Put the description of each entry on a line below its name; say what is returned in a sentence."""
+    """Return a docstring with each description on the line below its name, and the return value as a sentence."""
     lines, out, section = text.splitlines(), [], ""
     for k, line in enumerate(lines):
         following = lines[k + 1] if k + 1 < len(lines) else ""

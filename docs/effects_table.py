@@ -1,4 +1,4 @@
-"""Print the table of effects that is the page reference/effects.md: python docs/effects_table.py > docs/pages/reference/effects.md."""
+"""Print the page of effects: python docs/effects_table.py > docs/pages/reference/effects.md."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from sensorgraph.effects import EFFECTS, Effect, Parameter
 
 HEAD = """# Effects
 
-What a bare ray caster lacks: the physics that `sensorgraph record --effects` adds to the embedded robot, its sensor and
-the room. An effect stands in `effects.yaml` by its name, for instance
+An effect is a piece of physics that a bare ray caster lacks. `sensorgraph record --effects` adds effects to the
+simulated robot, its sensor and the arena; `sensorgraph diagnose` looks for them. `effects.yaml` lists effects by name:
 
 ```yaml
 - name: glass
@@ -18,10 +18,14 @@ the room. An effect stands in `effects.yaml` by its name, for instance
 - {name: wheel_radius, parameters: {s: 0.01}}
 ```
 
-`location.name` is a wall `NAME/edge_i` or an obstacle of the arena, where the table says so. A parameter's materiality is
-the size below which it is within the tolerance of a careful set-up; several of one effect add as a vector. Where
-`tolerances` of robot.yaml states a mount or stamps worse than usual, that takes in proportion more. Any subset of effects
-composes; the order in the file does not matter. This page is what `python docs/effects_table.py` prints.
+Any subset of effects can be combined, and the order in the file does not matter. If the column "location" names a wall
+or an obstacle, `location.name` is required: a wall `NAME/edge_i`, or an obstacle of the arena.
+
+The **materiality** of a parameter is the size below which it is within the tolerance of a careful setup. Several
+parameters of one effect add as a vector. If `tolerances` in robot.yaml are larger than the defaults for the mount or
+the stamps, the materiality grows in proportion.
+
+`python docs/effects_table.py` prints this page.
 """
 CHANNELS = {
     "scan": "Scans against map and pose",
@@ -31,17 +35,19 @@ CHANNELS = {
 
 
 def page() -> str:
-    """Return the page."""
+    """Return the page as Markdown."""
     parts = [HEAD]
     for channel, title in CHANNELS.items():
         rows = [row(effect) for effect in EFFECTS.values() if effect.channel == channel]
-        head = "| name | physics | parameters [unit], materiality | sits on | source |\n|---|---|---|---|---|"
+        head = (
+            "| name | physics | parameters [unit], materiality | location | source |\n|---|---|---|---|---|"
+        )
         parts.append("\n".join([f"## {title}\n", head, *rows, ""]))
     return "\n".join(parts)
 
 
 def row(effect: Effect) -> str:
-    """Return one line of the table."""
+    """Return the row of an effect in the table."""
     numbers = "; ".join(parameter(p) for p in effect.parameters) or "none"
     place = effect.place if effect.place in ("wall", "obstacle") else ""
     cells = (f"`{effect.name}`", effect.physics, numbers, place, effect.source)
@@ -49,7 +55,7 @@ def row(effect: Effect) -> str:
 
 
 def parameter(p: Parameter) -> str:
-    """Say what a parameter is."""
+    """Describe a parameter: name, unit, meaning and materiality."""
     unit = f" [{p.unit}]" if p.unit else ""
     size = f", {p.materiality:.3g}" if p.materiality is not None else ""
     return f"`{p.name}`{unit} {p.doc}{size}"

@@ -1,4 +1,4 @@
-"""Take the picture of a review that stands in the README, without a display.
+"""Take the picture of a review for the README, without a display.
 
 apt-get install -y --no-install-recommends mesa-vulkan-drivers libvulkan1 libgl1-mesa-dri libegl1
 sensorgraph demo -o runs/picture
@@ -16,12 +16,12 @@ from pathlib import Path
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-TOASTS = 14  # [s] that messages of the start cover the right column
-BAR = 37  # [pixels] of the window's own bar, cut off
+TOASTS = 14  # [s] for which start-up messages cover the right column
+BAR = 37  # [pixels] height of the window's title bar, which is cut off
 
 
 def main() -> None:
-    """Open the review in rerun's headless viewer and save what it shows."""
+    """Open the review in the headless viewer of rerun and save a screenshot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("review", type=Path)
     parser.add_argument("picture", type=Path)
