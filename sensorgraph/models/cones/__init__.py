@@ -1,1 +1,1 @@
-"""Faces from sensors that measure the nearest surface in a cone: sonars and infrared."""
+"""Faces fitted to sensors that measure the nearest surface in a cone: sonar and infrared sensors."""

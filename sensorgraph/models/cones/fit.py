@@ -1,4 +1,4 @@
-"""Fit faces to readings of cones: search among what nothing explains, refine all, and again."""
+"""Fit of faces to readings of cones: search among unexplained readings, refine all stretches, repeat."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from sensorgraph.types import Floats, Progress
 logger = logging.getLogger(__name__)
 
 READINGS_AT_A_TIME = 1 << 17
-"""Readings whose cones are filled with rays together."""
+"""Number of readings whose cones are sampled with rays at a time."""
 SIGMA_OF_MAD = 1.4826
-"""Standard deviation of a normal, over the median of its sizes."""
+"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedCones:
-    """What `fit_cones` found."""
+    """Result of `fit_cones`."""
 
     faces: FaceSet
-    """Of one stretch each."""
+    """Faces with one stretch each."""
     noise: ReturnNoise
     hits: Floats
-    """(n_faces,) returns that each face explains, of `n_readings`."""
+    """(n_faces,) number of returns that each face explains, of `n_readings`."""
     n_readings: int
     observed: ObservedSpace
 
 
 def readings_of_cones(sample: RaySample, sensor: RangeSensor, mount: Floats) -> ConeReadings:
-    """Return the readings of a sample, of sensors mounted at `mount` (3,)."""
+    """Return the readings of a sample from sensors mounted at `mount` (3,)."""
     rays = sample.rays(sensor, mount)
     return ConeReadings(
         origins=rays.origins,
@@ -53,7 +53,7 @@ def readings_of_cones(sample: RaySample, sensor: RangeSensor, mount: Floats) -> 
 
 
 def fit_cones(readings: ConeReadings, *, progress: Progress | None = None) -> FittedCones:
-    """Find the faces that explain readings of cones."""
+    """Fit faces to readings of cones."""
     observed = observed_by_cones(readings)
     step = -(-len(readings) // CONES.max_readings)
     readings = readings.take(slice(None, None, step + 1 - step % 2)) if step > 1 else readings
@@ -67,28 +67,28 @@ def fit_cones(readings: ConeReadings, *, progress: Progress | None = None) -> Fi
         sigma = work.sigma = _sigma(readings, work.nearest())
         logger.info("%d stretches, noise %.4f m", len(work.stretches), sigma)
     work.sweep(_part(progress, n_stages - 1, n_stages))
-    faces, noise, hits = _as_faces(readings, work, sigma)
+    faces, noise, hits = _to_faces(readings, work, sigma)
     return FittedCones(faces=faces, noise=noise, hits=hits, n_readings=len(readings), observed=observed)
 
 
 def _part(progress: Progress | None, stage: int, n_stages: int) -> Progress | None:
-    """Return the progress of one stage of several, in percent of them all."""
+    """Return a progress function for one of several stages, in percent of all stages."""
     if progress is None:
         return None
-    tell = progress
-    return lambda done, total: tell(int(100 * (stage + done / max(total, 1)) / n_stages), 100)
+    report = progress
+    return lambda done, total: report(int(100 * (stage + done / max(total, 1)) / n_stages), 100)
 
 
 def _sigma(readings: ConeReadings, nearest: Floats) -> float:
-    """Return the noise [m] of the readings that a stretch explains."""
+    """Estimate the noise [m] of the readings that a stretch explains, from the median absolute deviation."""
     with np.errstate(invalid="ignore"):
         e = np.abs(readings.ranges - nearest)
     e = e[np.isfinite(e) & (e < CONES.fit_sigmas * CONES.max_sigma)]
     return float(np.clip(SIGMA_OF_MAD * np.median(e), 1e-4, CONES.max_sigma)) if len(e) else CONES.first_sigma
 
 
-def _as_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[FaceSet, ReturnNoise, Floats]:
-    """Count how often each stretch returned, and pack them as faces, those that explain most first."""
+def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[FaceSet, ReturnNoise, Floats]:
+    """Count hits and passes of each stretch, and return the stretches as faces in the order of their hits."""
     n = len(work.stretches)
     nearest = work.nearest()
     owner = work.ranges.argmin(axis=0) if n else np.zeros(len(readings), dtype=np.intp)
@@ -117,7 +117,7 @@ def _as_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[Face
 
 
 def observed_by_cones(readings: ConeReadings) -> ObservedSpace:
-    """Count the space that cones were clear in, each filled with rays that are at most a cell apart where it ends."""
+    """Return the space in which cones were clear; each cone is sampled with rays at most a cell apart at its end."""
     total: ObservedSpace | None = None
     for start in range(0, len(readings), READINGS_AT_A_TIME):
         some = readings.take(slice(start, start + READINGS_AT_A_TIME))

@@ -1,8 +1,9 @@
-"""The nearest surface in a cone: compiled loops over readings, and over the stretches of faces.
+"""The nearest surface in a cone: compiled loops over readings and over stretches of faces.
 
-A stretch is what is seen of the line n·p = d between two abscissae t·p, t = (-n_y, n_x). At the foot of the perpendicular
-from q it is h = n·q - d away; s metres beside the foot, hypot(h, s). A cone about the axis u covers an interval of s, and
-the nearest surface lies at the foot if that is within the cone and the stretch, else where the nearer of them ends.
+Range to a stretch: r = sqrt(h² + s²), where h = n·q - d is the distance of the sensor q from the line n·p = d.
+The nearest point is at the offset s from the foot of the perpendicular. It is the value of least magnitude in the
+intersection of the intervals that the cone and the stretch cover on the line. A stretch is the visible part of the
+line between two abscissae t·p, t = (-n_y, n_x).
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ from sensorgraph.models.mixture import SQRT_HALF, summarise
 
 MIN_COSINE = CONES.min_cosine
 GRAZING = math.sqrt(1.0 - MIN_COSINE**2) / MIN_COSINE
-"""Metres to the side, in units of h, beyond which a line is out of sight."""
+"""Largest offset s of a cone's edge on a line, in units of h; the line is invisible beyond."""
 MAX_CANDIDATES, END_BLUR, EDGE_BLUR = CONES.max_candidates, CONES.end_blur, CONES.edge_blur
 MIN_SHARE, SUPPORT_MARGIN = FACES.prediction.min_share, FACES.prediction.support_margin
-BACK = MAX_CANDIDATES + 1
-"""Place in the list of ranges of where the axis meets a face from behind."""
-BLURS = 3.0
-"""Standard errors beyond which an end is surely within a cone, or beside it."""
+BACK_SLOT = MAX_CANDIDATES + 1
+"""Index in the list of ranges of the point where the axis meets a face from behind."""
+MAX_BLURS = 3.0
+"""Standard errors beyond which an end of a stretch is certainly inside or outside a cone."""
 
 
 @inner_kernel
 def cone_edge(cosine: float, sine: float, cos: float, sin: float) -> float:
-    """Return how far to the side, in units of h, the edge of a cone meets a line; held at a grazing angle.
+    """Return the offset s, in units of h, at which the edge of a cone meets a line; limited to grazing incidence.
 
     Parameters
     ----------
-    cosine, sine : of the angle from the line's -n to the axis
-    cos, sin : of the angle from the axis to the edge
+    cosine, sine : Of the angle from the line's -n to the axis.
+    cos, sin : Of the angle from the axis to the edge.
     """
     c, s = cosine * cos - sine * sin, sine * cos + cosine * sin
     if c <= MIN_COSINE:
@@ -48,7 +49,7 @@ def cone_edge(cosine: float, sine: float, cos: float, sin: float) -> float:
 def ranges_to_stretch(
     origins: Any, directions: Any, halves: Any, nx: Any, ny: Any, d: Any, low: Any, high: Any, r: Any, t: Any
 ) -> Any:
-    """Fill ranges r (n,) [m] to the nearest point of a stretch in each cone, inf for none, and its abscissa t (n,)."""
+    """Fill r (n,) [m] with the ranges to a stretch in each cone (inf: none), and t (n,) with the nearest abscissae."""
     half, cos, sin = 0.0, 1.0, 0.0
     for i in range(len(r)):
         qx, qy, ux, uy = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1]
@@ -61,7 +62,7 @@ def ranges_to_stretch(
         tq = nx * qy - ny * qx
         c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
         a, b = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
-        if a >= b and abs(a) >= GRAZING * h:  # all of the cone looks past the line
+        if a >= b and abs(a) >= GRAZING * h:  # the whole cone points past the line
             continue
         a, b = max(a, low - tq), min(b, high - tq)
         if a <= b:
@@ -76,7 +77,7 @@ def count_along_line(
     halves: Any,
     ranges: Any,
     reach: Any,
-    free: Any,
+    unexplained: Any,
     nx: Any,
     ny: Any,
     d: Any,
@@ -85,13 +86,14 @@ def count_along_line(
     start: Any,
     size: Any,
     hits: Any,
-    fresh: Any,
+    new_hits: Any,
     passes: Any,
 ) -> Any:
-    """Count in bins of `size` [m] along a line, from abscissa `start` on, what readings say of it.
+    """Count readings in bins of `size` [m] along a line, from the abscissa `start`.
 
-    Fills `hits`: readings that end there to `tolerance` [m]; `fresh`: those of them that are `free` of an explanation;
-    `passes` (one longer, differences): those whose cone was clear there, by `margin` [m].
+    Fills `hits` with the number of readings that end in a bin, within `tolerance` [m], and `new_hits` with the number
+    of `unexplained` ones. Fills `passes`, which has one more entry, with the differences of the number of readings
+    whose cone is clear in a bin, by `margin` [m].
     """
     n = len(hits)
     half, cos, sin = 0.0, 1.0, 0.0
@@ -113,7 +115,7 @@ def count_along_line(
             at = int(np.floor((tq + s - start) / size))
             if 0 <= at < n:
                 hits[at] += 1
-                fresh[at] += free[i]
+                new_hits[at] += unexplained[i]
         if clear > h:
             wide = math.sqrt(clear * clear - h * h)
             first = int(np.ceil((max(a, -wide) + tq - start) / size))
@@ -128,14 +130,14 @@ def count_along_line(
 def stretches_in_cone(
     x: Any, y: Any, ux: Any, uy: Any, half: Any, range_max: Any, stretches: Any, levels: Any, r: Any, w: Any
 ) -> Any:
-    """List the stretches in a cone, nearest first: ranges r [m] and the chance w that each returns; return how many.
+    """List the stretches in a cone by range r [m], with the probability w that each returns; return their number.
 
-    An end that is about where the cone ends may be in it or beside it: its chance is shared out. r[BACK] is the range at
-    which the axis meets a stretch from behind: it can only come from where nobody has looked.
+    An end of a stretch near the edge of the cone is inside with the probability Φ(margin / standard error). The entry r[BACK_SLOT] is the
+    range at which the axis meets a stretch from behind, which is only possible from unobserved space.
     """
     cos, sin = math.cos(half), math.sin(half)
     n = 0
-    r[BACK] = 1e300
+    r[BACK_SLOT] = 1e300
     for k in range(len(stretches)):
         nx, ny, d = stretches[k, 0], stretches[k, 1], stretches[k, 2]
         h = nx * x + ny * y - d
@@ -146,7 +148,7 @@ def stretches_in_cone(
             ahead = nx * ux + ny * uy
             side = tq - h * (nx * uy - ny * ux) / ahead if ahead > 1e-9 else 1e300
             if stretches[k, 3] < side < stretches[k, 4]:
-                r[BACK] = min(r[BACK], -h / ahead)
+                r[BACK_SLOT] = min(r[BACK_SLOT], -h / ahead)
             continue
         c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
         right, left = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
@@ -156,10 +158,12 @@ def stretches_in_cone(
         at = min(max(0.0, low), high) if low <= high else 0.5 * (low + high)
         far = math.sqrt(h * h + at * at)
         share = levels[k] if low <= high else 0.0
-        if (low == right) != (high == left):  # one end of the stretch, one edge of the cone
+        if (low == right) != (
+            high == left
+        ):  # the interval is between an end of the stretch and an edge of the cone
             turn = EDGE_BLUR * far * far / h
             margin = (high - low) / math.sqrt(END_BLUR**2 + turn * turn)
-            share = levels[k] * 0.5 * math.erfc(-max(min(margin, BLURS), -BLURS) * SQRT_HALF)
+            share = levels[k] * 0.5 * math.erfc(-max(min(margin, MAX_BLURS), -MAX_BLURS) * SQRT_HALF)
         if share < MIN_SHARE or far > range_max:
             continue
         m = n
@@ -173,14 +177,16 @@ def stretches_in_cone(
 
 @inner_kernel
 def is_cone_observed(
-    x: Any, y: Any, ux: Any, uy: Any, half: Any, reach: Any, origin: Any, cell: Any, room: Any
+    x: Any, y: Any, ux: Any, uy: Any, half: Any, reach: Any, origin: Any, cell: Any, clearance: Any
 ) -> Any:
-    """Look along rays that fill a cone, at most a cell apart where it ends."""
+    """Return whether a cone lies in observed space; it is sampled with rays at most a cell apart at its end."""
     n = 2 * int(np.ceil(half * max(reach, 0.0) / cell))
     for m in range(n + 1):
         turn = half * (2.0 * m / n - 1.0) if n > 0 else 0.0
         cos, sin = math.cos(turn), math.sin(turn)
-        if not is_ray_observed(x, y, ux * cos - uy * sin, uy * cos + ux * sin, reach, origin, cell, room):
+        if not is_ray_observed(
+            x, y, ux * cos - uy * sin, uy * cos + ux * sin, reach, origin, cell, clearance
+        ):
             return False
     return True
 
@@ -200,19 +206,22 @@ def predict_cones(
     sigma: Any,
     origin: Any,
     cell: Any,
-    room: Any,
+    clearance: Any,
     which: Any,
     table: Any,
     supported: Any,
 ) -> Any:
-    """Fill table (n_poses, n_rays, 6) as `mixture.summarise` and `supported` (n_poses, n_rays): the cone was seen.
+    """Fill table (n_poses, n_rays, 6) as `mixture.summarise`, and `supported` (n_poses, n_rays).
+
+    The nearest stretch m stops the cone with probability w_m, so its weight is w_m prod_{i<m} (1 - w_i).
 
     Parameters
     ----------
-    stretches : (n, 5) n_x, n_y, d, low, high
-    levels : (n,) chance that a stretch in the cone returns
+    stretches : (n, 5) n_x, n_y, d, low, high of each stretch.
+    levels : (n,) Probability that a stretch in the cone returns.
+    supported : Filled with whether the cone lies in observed space.
     """
-    r, w, spread = np.empty(BACK + 1), np.empty(BACK + 1), np.full(BACK + 1, sigma)
+    r, w, spread = np.empty(BACK_SLOT + 1), np.empty(BACK_SLOT + 1), np.full(BACK_SLOT + 1, sigma)
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
@@ -225,6 +234,6 @@ def predict_cones(
                 r, w, spread, n, passed, range_max, which
             )
             reach = range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
-            supported[i, b] = r[BACK] > reach and is_cone_observed(
-                x[i], y[i], ux, uy, halves[b], reach, origin, cell, room
+            supported[i, b] = r[BACK_SLOT] > reach and is_cone_observed(
+                x[i], y[i], ux, uy, halves[b], reach, origin, cell, clearance
             )

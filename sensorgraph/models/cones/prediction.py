@@ -1,4 +1,4 @@
-"""Predict cones from faces, and print what is predicted of one."""
+"""Prediction of cones from faces, and the equations of one cone as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sensorgraph.types import Bools, Floats, Ints
 
 
 def visible_stretches(faces: FaceSet) -> tuple[Floats, Floats]:
-    """Return the visible stretches (n, 5) of faces, n_x, n_y, d, low, high, and the chance (n,) that each returns."""
+    """Return the visible stretches (n, 5) as n_x, n_y, d, low, high, and the probability (n,) that each returns."""
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
     at = np.flatnonzero(faces.levels > MIN_VISIBILITY)
     k = owner[at]
@@ -30,11 +30,11 @@ def visible_stretches(faces: FaceSet) -> tuple[Floats, Floats]:
 def cone_table(
     model: FacesData, lasers: tuple[Floats, Floats, Floats, Floats], rays: Ints, which: int
 ) -> tuple[Floats, Bools]:
-    """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` gives, and whether the cones were seen.
+    """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` does, and whether the cones lie in observed space.
 
     Parameters
     ----------
-    lasers : x, y, cos and sin (n_poses,) of where the rays start
+    lasers : x, y, cos and sin (n_poses,) of the poses from which the rays start.
     """
     table = np.empty((len(lasers[0]), len(rays), 6))
     supported = np.empty(table.shape[:2], dtype=np.bool_)
@@ -49,24 +49,24 @@ def cone_table(
 
 
 def cone_equations(model: FacesData, start: Floats, ray: int) -> list[str]:
-    """Write the equations of a cone, face by face, those that explain most returns first.
+    """Return the equations of a cone as text, face by face, in the order of the returns that the faces explain.
 
     Parameters
     ----------
-    start : (3,) [m, m, rad] where the cone starts, in the frame of the poses
+    start : (3,) [m, m, rad] Pose of the sensor in the frame of the poses.
     """
     half, bearing = 0.5 * float(model.sensor.cones[ray]), float(model.sensor.bearings[ray])
     faces = model.faces
     lines = [
         f"ray {ray}, bearing {math.degrees(bearing):.2f}°, a cone of {math.degrees(2 * half):.2f}°: "
-        "r is the least of these r_k, the distance of the nearest surface in the cone",
+        "r is the smallest of these r_k, the distance of the nearest surface in the cone",
         "(x, y, phi: pose; c = cos phi, s = sin phi)",
-        "each face k has h, how far the sensor is in front of it; f, the abscissa of the foot of the perpendicular; and a, "
-        "the angle of the axis against it (in -pi to pi)",
-        f"    r_k = sqrt(h^2 + v^2), v = the number nearest 0 that lies in [-h tan(a + {half:.5f}), -h tan(a - {half:.5f})] "
+        "each face k has h: distance of the sensor from its line; f: abscissa of the foot of the perpendicular; "
+        "a: angle of the axis against the perpendicular (in -pi to pi)",
+        f"    r_k = sqrt(h^2 + v^2), v = the value nearest 0 that lies in [-h tan(a + {half:.5f}), -h tan(a - {half:.5f})] "
         "and in [low - f, high - f]",
-        f"    where both overlap and h > 0; the angles of the tangents are held within {math.degrees(math.acos(CONES.min_cosine)):.1f}°",
-        "so v = 0, r_k = h where the foot is in the cone and on the face; else the nearer edge of the cone, or an end of the face",
+        f"    where both overlap and h > 0; the angles of the tangents are limited to {math.degrees(math.acos(CONES.min_cosine)):.1f}°",
+        "v = 0 and r_k = h if the foot is in the cone and on the face; otherwise v is at an edge of the cone or end of the face",
     ]
     mx, my, yaw = map(float, start)
     for k in np.argsort(-model.hits, kind="stable").tolist():
@@ -78,5 +78,5 @@ def cone_equations(model: FacesData, start: Floats, ray: int) -> list[str]:
         for j in range(faces.first[k], faces.first[k + 1] - 1):
             if faces.levels[j] > MIN_VISIBILITY:
                 low, high = faces.edges[j], faces.edges[j + 1]
-                lines.append(f"    low {low:.3f}, high {high:.3f} (chance {faces.levels[j]:.3f})")
-    return [*lines, f"returns spread by {model.noise.sigma:.4f} m of range"]
+                lines.append(f"    low {low:.3f}, high {high:.3f} (probability {faces.levels[j]:.3f})")
+    return [*lines, f"the standard deviation of a return is {model.noise.sigma:.4f} m of range"]

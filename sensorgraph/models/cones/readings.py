@@ -1,4 +1,4 @@
-"""Readings of cones, and the stretches of wall that explain them."""
+"""Readings of cones, and the visible stretches of walls that explain them."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from sensorgraph.types import Bools, Floats, Ints
 
 
 class Stretch(NamedTuple):
-    """What is seen of a line n·p = d, n = (cos angle, sin angle) towards the side that is seen."""
+    """The visible part of a line n·p = d, with n = (cos angle, sin angle) towards the visible side."""
 
     angle: float
-    """[rad]"""
+    """[rad] Angle of the normal n."""
     offset: float
-    """[m] d."""
+    """[m] Offset d."""
     low: float
-    """[m] abscissa t·p of one end, t = (-n_y, n_x) ..."""
+    """[m] Abscissa t·p of the lower end, t = (-n_y, n_x)."""
     high: float
-    """... and of the other."""
+    """[m] Abscissa of the upper end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConeReadings:
-    """Readings, each of the nearest surface in a cone."""
+    """Readings of the nearest surface in cones."""
 
     origins: Floats
-    """(n, 2) [m] in map."""
+    """(n, 2) [m] positions of the sensor in map."""
     directions: Floats
-    """(n, 2) unit, of the axes."""
+    """(n, 2) unit vectors of the axes."""
     halves: Floats
-    """(n,) [rad] half the opening angles; 0: a thin ray."""
+    """(n,) [rad] half opening angles; 0: a thin ray."""
     ranges: Floats
-    """(n,) [m]; +inf: nothing up to `range_max`."""
+    """(n,) [m] measured ranges; +inf: no return up to `range_max`."""
     range_max: float
 
     def __len__(self) -> int:
@@ -44,12 +44,12 @@ class ConeReadings:
 
     @property
     def returned(self) -> Bools:
-        """(n,) something was seen."""
+        """(n,) whether the reading is a return."""
         return np.isfinite(self.ranges)
 
     @property
     def reach(self) -> Floats:
-        """(n,) [m] up to where the cone was clear."""
+        """(n,) [m] range up to which the cone is clear."""
         return np.minimum(self.ranges, self.range_max)
 
     def take(self, index: Ints | Bools | slice) -> ConeReadings:
@@ -63,7 +63,7 @@ class ConeReadings:
         )
 
     def to(self, stretch: Stretch) -> tuple[Floats, Floats]:
-        """Return ranges (n,) [m] to the nearest point of a stretch, inf where it is in no cone, and its abscissae (n,)."""
+        """Return the ranges (n,) [m] to the nearest point of a stretch (inf: not in the cone) and its abscissae (n,)."""
         r, t = np.empty(len(self)), np.empty(len(self))
         nx, ny = float(np.cos(stretch.angle)), float(np.sin(stretch.angle))
         ranges_to_stretch(
@@ -81,15 +81,16 @@ class ConeReadings:
         return r, t
 
     def refit(self, stretch: Stretch, sigma: float, *, with_ends: bool = False) -> Stretch:
-        """Move a stretch so that these readings end on it: one step of Gauss and Newton.
+        """Fit a stretch to the readings that end on it, by one Gauss-Newton step.
 
-        A stretch that turns by da, shifts by dd and is cut at its end e carries the nearest point along; what the range
-        changes by is the part of that along the ray. A reading of the line itself tells of da and dd as a thin ray does.
+        The step of (angle, offset, low, high) minimises |e - slopes' step|² + |prior step|², with e = measured - r.
+        The range is r = sqrt(h² + s²). If the nearest point is an end: (dr/doffset = -h / r, dr/dend = s / r).
+        Otherwise: (dr/doffset = -r / h).
 
         Parameters
         ----------
-        sigma : [m] noise of the readings; those `fit_sigmas` off are left out
-        with_ends : move the ends, too, by the readings that are nearest to them
+        sigma : [m] Noise of the readings; residuals above `fit_sigmas` are not used.
+        with_ends : Also fit the ends, to the readings whose nearest point is an end.
         """
         r, t = self.to(stretch)
         cos, sin = np.cos(stretch.angle), np.sin(stretch.angle)
@@ -99,14 +100,15 @@ class ConeReadings:
         if near.sum() < 3:
             return stretch
         e, r, t, origins = e[near], r[near], t[near], self.origins[near]
-        height = origins @ np.array([cos, sin]) - stretch.offset  # (n,) of the sensor above the line
-        along = t - origins @ np.array([-sin, cos])  # (n,) from its foot to the nearest point
+        height = (
+            origins @ np.array([cos, sin]) - stretch.offset
+        )  # (n,) h: distance of the sensor from the line
+        along = t - origins @ np.array([-sin, cos])  # (n,) s: from the foot to the nearest point
         middle = float(t.mean())
         at_low, at_high = (np.abs(t - end) < ON_END for end in (stretch.low, stretch.high))
         at_end = at_low | at_high
-        scale = np.where(
-            at_end, -height / r, -r / height
-        )  # d r / d offset: of a point that stays, of a ray that does
+        # dr/doffset, where the nearest point is an end or a point of the line
+        scale = np.where(at_end, -height / r, -r / height)
         slopes = np.stack(
             [
                 np.where(
@@ -134,10 +136,10 @@ class ConeReadings:
 
 
 ON_END = 1e-9
-"""[m] within which the nearest point is an end."""
+"""[m] Distance from an end below which the nearest point is the end."""
 
 
 def loss(ranges: Floats, predicted: Floats, sigma: float, range_max: float) -> Floats:
-    """Return what each reading (n,) [m] is unlikely by [nats], given a predicted range (n,); held at `fit_sigmas`."""
+    """Return ½ min(e² / sigma², fit_sigmas²): the negative log likelihood [nats] of readings (n,) given ranges (n,)."""
     e = (np.minimum(ranges, range_max) - np.minimum(predicted, range_max)) / sigma
     return 0.5 * np.minimum(e * e, CONES.fit_sigmas**2)

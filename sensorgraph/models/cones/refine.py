@@ -1,4 +1,4 @@
-"""Refine stretches together: lines, ends, and whether each is needed, by what it adds to the likelihood of all readings."""
+"""Refinement of stretches given all others: lines, ends, and whether each raises the likelihood of the readings."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from sensorgraph.types import Bools, Floats, Ints, Progress
 
 
 class Refiner:
-    """Stretches, and the range of each reading to each of them."""
+    """Stretches, and the range of each reading to each stretch."""
 
     def __init__(self, readings: ConeReadings, stretches: list[Stretch], sigma: float) -> None:
         self.readings, self.stretches, self.sigma = readings, list(stretches), sigma
         shape = (len(stretches), len(readings))
         self.ranges = np.empty(shape, dtype=np.float32)
-        """(n_stretches, n) [m], inf where a stretch is in no cone."""
+        """(n_stretches, n) [m] ranges; inf where a stretch is not in the cone."""
         for k, stretch in enumerate(stretches):
             self.ranges[k] = readings.to(stretch)[0]
 
     def nearest(self) -> Floats:
-        """(n,) [m] predicted ranges."""
+        """(n,) [m] predicted ranges: those to the nearest stretch."""
         if len(self.stretches) == 0:
             return np.full(len(self.readings), np.inf)
         return np.asarray(self.ranges.min(axis=0), dtype=np.float64)
 
     def is_explained(self) -> Bools:
-        """(n,) a stretch predicts what was read."""
+        """(n,) whether a stretch predicts the reading."""
         nearest, measured = self.nearest(), self.readings.ranges
         both = np.isfinite(nearest) & np.isfinite(measured)
         e = np.where(both, measured, 0.0) - np.where(both, nearest, 0.0)
         return np.asarray(both & (np.abs(e) < CONES.fit_sigmas * self.sigma))
 
     def sweep(self, progress: Progress | None = None) -> None:
-        """Refine each stretch given the others, and drop those that are not worth it."""
+        """Refine each stretch given the others, and remove stretches with too little gain."""
         total = len(self.stretches)
         k = 0
         for done in range(total):
@@ -50,7 +50,7 @@ class Refiner:
                 progress(done + 1, total)
 
     def _refined(self, k: int) -> Stretch | None:
-        """Return the stretch, better; None where the readings are as likely without it."""
+        """Return the refined stretch k; None if the readings are as likely without it."""
         stretch, reach = self.stretches[k], CONES.end_search
         widest = stretch._replace(low=stretch.low - reach, high=stretch.high + reach)
         there = np.flatnonzero(np.isfinite(self.readings.to(widest)[0]))
@@ -61,7 +61,7 @@ class Refiner:
             stretch = some.take(r < others).refit(stretch, self.sigma, with_ends=with_ends)
             if not stretch.low < stretch.high:
                 return None
-        stretch = self._with_ends(stretch, some, others)
+        stretch = self._search_ends(stretch, some, others)
         r, _ = some.to(stretch)
         gain = self._loss(some, others) - self._loss(some, np.minimum(r, others))
         return stretch if gain > CONES.min_gain else None
@@ -76,8 +76,8 @@ class Refiner:
     def _loss(self, some: ConeReadings, predicted: Floats) -> float:
         return float(loss(some.ranges, predicted, self.sigma, some.range_max).sum())
 
-    def _with_ends(self, stretch: Stretch, some: ConeReadings, others: Floats) -> Stretch:
-        """Move each end to where the readings are most likely, step by step from coarse to fine."""
+    def _search_ends(self, stretch: Stretch, some: ConeReadings, others: Floats) -> Stretch:
+        """Move each end to the maximum of the likelihood, by search with a decreasing step."""
         for end in ("low", "high"):
             step = CONES.end_search / 2
             sign = 1 if end == "high" else -1
@@ -86,8 +86,8 @@ class Refiner:
                 some.to(stretch._replace(**{end: at + sign * reach}))[0]
                 for reach in (-CONES.end_search, CONES.end_search)
             )
-            asks = shortest != longest
-            mine, rest = some.take(asks), others[asks]
+            depends = shortest != longest
+            mine, rest = some.take(depends), others[depends]
             while step > CONES.end_step / 2:
                 places = at + step * np.array([0.0, -2.0, -1.0, 1.0, 2.0])
                 places = (

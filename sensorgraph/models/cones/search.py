@@ -1,8 +1,9 @@
-"""Find stretches of wall in readings of cones: a Hough transform of the lines that touch each reading's arc.
+"""Search for stretches of wall in readings of cones: a Hough transform of the tangents to each reading's arc.
 
-Each reading votes for the lines that are perpendicular to a ray of its cone, at its range (Tardos, Neira, Newman and Leonard
-2002, Robust Mapping and Localization in Indoor Environments Using Sonar Data). A peak becomes a line by least squares, and
-is seen where readings end on it and few passed it.
+Each reading votes for the lines that are perpendicular to a ray of its cone, at its range. A line is fitted to a peak
+by least squares. It is visible where readings end on it and few readings pass it.
+
+Source: Tardos, Neira, Newman and Leonard 2002, Robust Mapping and Localization in Indoor Environments Using Sonar Data.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from sensorgraph.models.cones.readings import ConeReadings, Stretch
 from sensorgraph.models.cones.settings import CONES
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-EVERYWHERE = (-1e9, 1e9)
+UNBOUNDED = (-1e9, 1e9)
 
 
 class TangentVotes:
-    """Votes of readings for lines: angle of the normal times offset."""
+    """Votes of readings for lines, in bins of normal angle and offset."""
 
     def __init__(self, readings: ConeReadings, voters: Ints) -> None:
-        """Let the readings of these indices vote."""
+        """Collect the votes of the readings with these indices."""
         self.centre = 0.5 * (readings.origins.min(axis=0) + readings.origins.max(axis=0))
         self.radius = float(np.hypot(*(readings.origins - self.centre).T).max()) + readings.range_max
         self.n_offsets = int(2 * self.radius / CONES.offset_bin) + 2
@@ -50,7 +51,7 @@ class TangentVotes:
         self.counts = np.bincount(self._bins, minlength=CONES.n_angles * self.n_offsets)
 
     def peak(self) -> tuple[int, Stretch]:
-        """Return the votes of the line with most of them, and the line; it gets no more votes."""
+        """Return the number of votes of the line with most votes, and the line; its votes are set to 0."""
         at = int(self.counts.argmax())
         votes = int(self.counts[at])
         a, j = divmod(at, self.n_offsets)
@@ -59,10 +60,10 @@ class TangentVotes:
         offset += float(self.centre @ [np.cos(angle), np.sin(angle)])
         near = [(a + k) % CONES.n_angles for k in (-1, 0, 1)]
         self.counts.reshape(CONES.n_angles, -1)[near, max(j - 1, 0) : j + 2] = 0
-        return votes, Stretch(angle, offset, *EVERYWHERE)
+        return votes, Stretch(angle, offset, *UNBOUNDED)
 
     def withdraw(self, readings: Ints) -> None:
-        """Take back the votes of readings that are explained."""
+        """Remove the votes of readings that are explained."""
         rank = self._rank[readings]
         first, last = self._first[rank], self._first[rank + 1]
         within = np.arange(int((last - first).sum())) - np.repeat(
@@ -73,73 +74,75 @@ class TangentVotes:
 
 
 def search(
-    readings: ConeReadings, free: Bools, sigma: float, *, progress: Progress | None = None
+    readings: ConeReadings, unexplained: Bools, sigma: float, *, progress: Progress | None = None
 ) -> list[Stretch]:
-    """Find stretches among the readings (n,) that are free of an explanation, by votes, most first."""
-    free = free & readings.returned
+    """Find stretches that explain readings of the mask `unexplained` (n,), in the order of their votes."""
+    unexplained = unexplained & readings.returned
     found: list[Stretch] = []
-    n_free = int(free.sum())
-    if n_free < CONES.min_hits:
+    n_unexplained = int(unexplained.sum())
+    if n_unexplained < CONES.min_hits:
         return found
-    votes = TangentVotes(readings, np.flatnonzero(free))
+    votes = TangentVotes(readings, np.flatnonzero(unexplained))
     failures = 0
     while failures < CONES.max_failures and len(found) < CONES.max_stretches:
         count, line = votes.peak()
         if count < CONES.min_hits:
             break
         failures += 1
-        line = _line_of_peak(readings.take(free), line, sigma)
-        for stretch in _seen_of(readings, line, free, sigma):
+        line = _line_of_peak(readings.take(unexplained), line, sigma)
+        for stretch in _visible_stretches(readings, line, unexplained, sigma):
             r, _ = readings.to(stretch)
             with np.errstate(invalid="ignore"):
-                explained = free & (np.abs(readings.ranges - r) < CONES.fit_sigmas * sigma)
+                explained = unexplained & (np.abs(readings.ranges - r) < CONES.fit_sigmas * sigma)
             if explained.sum() < CONES.min_hits:
                 continue
             found.append(stretch)
-            free = free & ~explained
+            unexplained = unexplained & ~explained
             votes.withdraw(np.flatnonzero(explained))
             failures = 0
         if progress is not None:
-            progress(n_free - int(free.sum()), n_free)
+            progress(n_unexplained - int(unexplained.sum()), n_unexplained)
     return found
 
 
-def _line_of_peak(free: ConeReadings, line: Stretch, sigma: float) -> Stretch:
-    """Fit the line of a peak to the free readings near it, in a band that narrows."""
+def _line_of_peak(unexplained: ConeReadings, line: Stretch, sigma: float) -> Stretch:
+    """Fit the line of a peak to the unexplained readings near it, in a band of decreasing width."""
     for share in (1.0, 0.5, 0.25, 0.0, 0.0):
-        line = free.refit(line, max(sigma, share * CONES.first_band / CONES.fit_sigmas))
+        line = unexplained.refit(line, max(sigma, share * CONES.first_band / CONES.fit_sigmas))
     return line
 
 
-def _seen_of(readings: ConeReadings, line: Stretch, free: Bools, sigma: float) -> list[Stretch]:
-    """Return the stretches of a line where readings end and few passed."""
+def _visible_stretches(
+    readings: ConeReadings, line: Stretch, unexplained: Bools, sigma: float
+) -> list[Stretch]:
+    """Return the stretches of a line on which readings end and that few readings pass."""
     size, tolerance = CONES.bin, CONES.fit_sigmas * sigma
     r, t = readings.to(line)
     with np.errstate(invalid="ignore"):
-        mine = free & (np.abs(readings.ranges - r) < tolerance)
+        mine = unexplained & (np.abs(readings.ranges - r) < tolerance)
     if mine.sum() < CONES.min_hits:
         return []
     start = (np.floor(t[mine].min() / size) - 1) * size
     n = int((t[mine].max() - start) / size) + 2
-    hits, fresh, passes = np.zeros(n), np.zeros(n), np.zeros(n + 1)
+    hits, new_hits, passes = np.zeros(n), np.zeros(n), np.zeros(n + 1)
     count_along_line(
-        readings.origins, readings.directions, readings.halves, readings.ranges, readings.reach, free,
+        readings.origins, readings.directions, readings.halves, readings.ranges, readings.reach, unexplained,
         float(np.cos(line.angle)), float(np.sin(line.angle)), line.offset, tolerance,
-        tolerance + CONES.pass_margin, start, size, hits, fresh, passes,
+        tolerance + CONES.pass_margin, start, size, hits, new_hits, passes,
     )  # fmt: skip
     passed = np.cumsum(passes)[:n]
-    stands = np.flatnonzero((hits > CONES.max_pass_share * passed) & (fresh > 0))
+    occupied = np.flatnonzero((hits > CONES.min_hit_ratio * passed) & (new_hits > 0))
     out: list[Stretch] = []
-    for run in _runs(stands, hits, passed):
-        if fresh[run].sum() >= CONES.min_hits:
+    for run in _joined_bins(occupied, hits, passed):
+        if new_hits[run].sum() >= CONES.min_hits:
             out.append(line._replace(low=start + run.start * size, high=start + run.stop * size))
     return out
 
 
-def _runs(stands: Ints, hits: Floats, passed: Floats) -> list[slice]:
-    """Join bins in which something stands, across gaps of which nothing is known."""
+def _joined_bins(occupied: Ints, hits: Floats, passed: Floats) -> list[slice]:
+    """Join occupied bins across gaps without information."""
     runs: list[slice] = []
-    for i in stands.tolist():
+    for i in occupied.tolist():
         if runs:
             gap = slice(runs[-1].stop, i)
             is_open = (passed[gap] > np.maximum(2.0, 0.5 * hits[gap])).any()

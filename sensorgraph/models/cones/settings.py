@@ -1,7 +1,7 @@
-"""Settings of faces that are fitted to cones: every tuned number of `models/cones` with its unit and its meaning.
+"""Settings of faces fitted to cones: every tuned number of `models/cones` with unit and meaning.
 
-One frozen dataclass; `CONES` is the instance that the modules use. They were set on rings of 16 sonars in the shipped square
-and office, by median error and share of wrong readings as printed by
+The modules use the instance `CONES`. The values were set on rings of 16 sonars in the shipped square and office, by
+median error and share of wrong readings as printed by
 
     sensorgraph evaluate GRAPH RUN
 """
@@ -16,64 +16,64 @@ from logs.run import RangeSensor
 
 @dataclass(frozen=True, kw_only=True)
 class ConeSettings:
-    """How faces are found in readings of cones, and how cones are predicted."""
+    """Fit of faces to readings of cones, and prediction of cones."""
 
     narrow: float = math.radians(5.0)
-    """[rad] a cone up to this is a thin ray: met at 45°, its nearest surface is 4 % nearer than the ray's."""
+    """[rad] Opening angle up to which a cone counts as a thin ray: at 45° incidence the range is 4 % shorter."""
     max_readings: int = 100_000
-    """Readings that faces are fitted to; of more, every n-th."""
+    """Maximum number of readings used by the fit; of more readings, every n-th is used."""
     first_sigma: float = 0.01
-    """[m] range noise to begin with."""
+    """[m] Initial range noise."""
     max_sigma: float = 0.05
-    """[m] range noise that is looked for, at most."""
+    """[m] Upper limit of the estimated range noise."""
     n_angles: int = 720
-    """Normals over the full turn that a reading may vote for."""
+    """Number of normal angles over the full circle in the Hough transform."""
     offset_bin: float = 0.02
-    """[m] bins of the offset of a line."""
+    """[m] Bin size of the offset in the Hough transform."""
     bin: float = 0.04
-    """[m] bins along a line, in which readings that end there and that passed are counted."""
+    """[m] Bin size along a line, for counting readings that end there and that pass."""
     min_hits: int = 12
-    """Readings that make a stretch."""
+    """Minimum number of readings of a stretch."""
     max_failures: int = 40
-    """Peaks without a new stretch, after which a search ends."""
+    """Number of successive peaks without a new stretch after which a search ends."""
     max_stretches: int = 600
-    """In all."""
+    """Maximum number of stretches."""
     rounds: int = 3
-    """Of searching among what no stretch explains, and of refining all."""
+    """Rounds of searching among unexplained readings and refining all stretches."""
     first_band: float = 0.06
-    """[m] half width of the band about a peak's line, in which its readings are first looked for."""
+    """[m] Initial half width of the band about a peak's line whose readings are used for the fit."""
     fit_sigmas: float = 4.0
-    """Standard deviations within which a reading is explained, and moves a line."""
+    """Residual in standard deviations up to which a stretch explains a reading."""
     pass_margin: float = 0.01
-    """[m] besides `fit_sigmas`, by which a reading must be longer to have passed."""
-    max_pass_share: float = 0.25
-    """Readings that ended in a bin, over those that passed it, below which nothing stands there: 1 in 4."""
+    """[m] Distance, in addition to `fit_sigmas`, by which a reading must be longer to pass a stretch."""
+    min_hit_ratio: float = 0.25
+    """Minimum ratio of readings that end in a bin to readings that pass it, for the bin to be occupied."""
     max_gap: float = 0.6
-    """[m] along a line, that neither a reading nor a pass tells of, across which a stretch goes on."""
+    """[m] Maximum gap without readings or passes along a line that a stretch bridges."""
     turn_prior: float = 0.1
-    """[rad] standard deviation a priori of a line's turn in one step: keeps short stretches from spinning."""
+    """[rad] Prior standard deviation of a line's turn in one step; it keeps short stretches from rotating freely."""
     shift_prior: float = 0.05
-    """[m] of its shift, and of an end's."""
+    """[m] Prior standard deviation of a line's shift and of an end's shift."""
     end_search: float = 0.16
-    """[m] about an end, in which it is looked for; halved until `end_step`."""
+    """[m] Half width of the search for an end, halved until `end_step`."""
     end_step: float = 0.004
-    """[m]"""
+    """[m] Final step of the search for an end."""
     min_gain: float = 30.0
-    """[nats] that a stretch must be worth to stay."""
+    """[nats] Minimum gain in log likelihood of a stretch."""
     end_blur: float = 0.004
-    """[m] standard error of an end."""
+    """[m] Standard error of an end."""
     edge_blur: float = 0.01
-    """[rad] by which the edge of a cone is not sharp."""
+    """[rad] Standard error of the edge of a cone."""
     min_cosine: float = 0.05
-    """Of the incidence at the edge of a cone, below which a line is out of sight."""
+    """Cosine of the incidence at the edge of a cone below which a line is invisible."""
     max_candidates: int = 16
-    """Stretches in one cone, of which one may stop it."""
+    """Maximum number of stretches considered in one cone."""
 
 
 CONES = ConeSettings()
-"""The settings of faces that are fitted to cones."""
+"""The settings that the modules use."""
 
 
 def measures_cones(sensor: RangeSensor) -> bool:
-    """Tell whether a sensor measures the nearest surface in cones too wide to be taken for thin rays."""
+    """Return whether a sensor measures the nearest surface in cones that are too wide for the model of thin rays."""
     return bool(sensor.cones.max(initial=0.0) > CONES.narrow)
