@@ -75,7 +75,7 @@ def follow(field: DistanceGrid, sigma: float, scans: ScanPoints, steps: ScanTrac
         step = compose(invert(steps.poses[k - 1]), steps.poses[k])
         poses[k] = compose(poses[k - 1], step)
         own = scans.of(k)
-        if own.stop - own.start >= s.least_points:
+        if own.stop - own.start >= s.min_points:
             way = float(np.hypot(step[0], step[1]))
             sd = np.asarray(s.prior_floor) + s.prior_per_metre * way + s.prior_per_turn * abs(step[2])
             poses[k] = _matched(field, sigma, scans.points[own], poses[k], information_at(poses[k], sd))

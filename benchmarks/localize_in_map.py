@@ -37,7 +37,7 @@ from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.map_tracking import MapTracker, least_fit_of
+from sensorgraph.localization.map_tracking import MapTracker, min_fit_of
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
@@ -96,7 +96,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
     covered = np.zeros(len(truth), dtype=np.bool_)
     for k in range(len(truth)):
         own = scans.of(k)
-        if np.isfinite(truth[k, 0]) and own.stop - own.start >= MAP_TRACKING.least_points:
+        if np.isfinite(truth[k, 0]) and own.stop - own.start >= MAP_TRACKING.min_points:
             found = match(scans.points[own], scans.normals[own], place.surfaces, truth[k])
             covered[k] = found.agreement >= COVERED
     return Halves(
@@ -141,7 +141,7 @@ def start(data: Halves, n_scans: int, n_places: int, rng: np.random.Generator) -
         back = np.searchsorted(driven, driven[k] - 0.4 * np.arange(n_scans - 1, 0, -1))
         chosen = np.unique(np.append(back, k)).astype(np.intp)
         found = find_places(local_view(scans, chosen, data.truth[chosen]), place)
-        if found.fit < least_fit_of(found):
+        if found.fit < min_fit_of(found):
             tally["no place"] += 1
         elif len(found.rivals):
             tally["ambiguous"] += 1

@@ -19,7 +19,7 @@ from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.map_tracking import least_fit_of
+from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
@@ -144,7 +144,7 @@ def test_run_without_odometry_is_located_by_its_scans() -> None:
     found = locate_in_map(run, WALLS)
     off = errors(found.poses, TRUTH)
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.02
-    assert found.wheels is None and "no odometry" in found.notes[0]
+    assert found.wheels is None and "no usable odometry" in found.notes[0]
 
 
 def test_run_is_located_in_a_graph_of_cells() -> None:
@@ -226,11 +226,11 @@ def test_place_that_fits_badly_is_believed_only_where_no_other_comes_near() -> N
     )
     among_others = replace(alone, hidden=np.array([0.15, 0.1]), agreements=np.array([0.8, 0.6]))
     assert alone.lead == pytest.approx(0.6) and among_others.lead == pytest.approx(0.1)
-    assert least_fit_of(alone) < alone.fit == among_others.fit < least_fit_of(among_others)
+    assert min_fit_of(alone) < alone.fit == among_others.fit < min_fit_of(among_others)
     half = replace(alone, hidden=np.array([0.15, 0.1]), agreements=np.array([0.85, 0.5]))
     assert half.lead == pytest.approx(0.25)
-    assert least_fit_of(half) == pytest.approx((least_fit_of(alone) + MAP_TRACKING.found_fit) / 2)
-    assert least_fit_of(replace(alone, agreements=np.array([0.65, 0.2]))) > 0.35  # no place fits so badly
+    assert min_fit_of(half) == pytest.approx((min_fit_of(alone) + MAP_TRACKING.found_fit) / 2)
+    assert min_fit_of(replace(alone, agreements=np.array([0.65, 0.2]))) > 0.35  # no place fits so badly
 
 
 def test_rays_along_a_wall_or_past_its_end_did_not_go_through_it() -> None:

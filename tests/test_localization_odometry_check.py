@@ -35,14 +35,14 @@ def test_ways_in_other_units_are_named_and_mended(factor: float, unit: str) -> N
 
 def test_turns_in_degrees_are_named_and_mended() -> None:
     run, notes = with_checked_odometry(replace(RUN, odometry=RUN.odometry * [1.0, 1.0, 180 / np.pi]))
-    assert "taken as degrees" in notes[0]
+    assert "read as degrees" in notes[0]
     assert np.ptp(run.odometry[:, 2]) == pytest.approx(np.ptp(RUN.odometry[:, 2]), rel=1e-6)
 
 
 def test_mirrored_laser_is_refused_in_one_line() -> None:
     mirrored = replace(RUN, ranges=np.roll(RUN.ranges[:, ::-1], 1, axis=1))
     with pytest.raises(
-        SensorgraphError, match="turn against each other: the laser counts its rays clockwise"
+        SensorgraphError, match="turn in opposite directions: the laser counts its rays clockwise"
     ):
         with_checked_odometry(mirrored)
 
@@ -52,7 +52,7 @@ def test_odometry_that_disagrees_with_the_scans_is_left_out_in_one_line() -> Non
     turned = RUN.odometry * [1.0, 1.0, 180 / np.pi]
     turned[:, 2] = (turned[:, 2] + np.pi) % (2 * np.pi) - np.pi
     run, notes = with_checked_odometry(replace(RUN, odometry=turned))
-    assert len(notes) == 1 and "disagree step by step: not used; check that it is in radians" in notes[0]
+    assert len(notes) == 1 and "disagree step by step: not used; check that they are in radians" in notes[0]
     assert len(run.odometry) == 0
 
 

@@ -71,7 +71,7 @@ def test_interlaced_sweeps_are_found_and_named(two_sweeps: TrackedRun) -> None:
         sensor.ray_delays - sensor.ray_delays.mean(), interlaced() - interlaced().mean(), atol=1e-9
     )
     (line,) = two_sweeps.notes
-    assert line.startswith("2 interlaced sweeps of 6.7 ms, +13.3 ms apart, make a scan, as of SICK LMS 2xx")
+    assert line.startswith("a scan is 2 interlaced sweeps of 6.7 ms, +13.3 ms apart, as in SICK LMS 2xx")
     assert " ± " in line and line.count(" ms") == 3
 
 
@@ -91,7 +91,7 @@ def test_with_its_times_the_scatter_is_the_noise_and_without_it_is_not(two_sweep
     [
         (-HALF * np.arange(N_RAYS) / N_RAYS, -HALF, "SICK LMS"),
         (3 * HALF * np.arange(N_RAYS) / N_RAYS, 3 * HALF, "SICK PLS"),
-        (15 * HALF * np.arange(N_RAYS) / N_RAYS, 15 * HALF, "turns once a scan"),
+        (15 * HALF * np.arange(N_RAYS) / N_RAYS, 15 * HALF, "turns once per scan"),
     ],
     ids=["LMS upside down", "PLS", "spinning"],
 )

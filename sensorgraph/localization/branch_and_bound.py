@@ -1,8 +1,12 @@
-"""Find where a scan fits a likelihood field best, and where else it fits, without a guess.
+"""Find the best pose of a scan in a likelihood field, and its rivals, without an initial pose.
 
-Branch and bound over x, y and heading (Olson 2009; Hess, Kohler, Rapp and Andor 2016): a pyramid of maxima over 2^h by
-2^h cells bounds the score of as many places at once. Nodes leave a queue in the order of their bounds, so that the
-first place to leave it is the best one, and the next that is not beside it is its first rival.
+The search maximises, over x, y and heading in a window,
+
+    score = mean_k field(pose ∘ points_k)
+
+by branch and bound (Olson 2009; Hess, Kohler, Rapp and Andor 2016). A pyramid of maxima over 2^h by 2^h cells
+bounds the score of as many positions at once. Nodes leave a queue in the order of their bounds. The first
+position to leave it is the best one; the next outside its neighbourhood is its first rival.
 """
 
 from __future__ import annotations
@@ -18,15 +22,15 @@ from sensorgraph.localization.likelihood_field import PEAK, LikelihoodField
 from sensorgraph.types import Floats
 
 MAX_LEVELS = 8
-"""Of a pyramid, the field itself not counted: the coarsest bounds 256 by 256 cells."""
+"""Maximum number of pyramid levels above the field; the coarsest bounds 256 by 256 cells."""
 FIRST_NODES = 1 << 14
-"""Room of the queue at the start; doubled whenever it is full."""
+"""Initial capacity of the queue; it doubles when full."""
 _Cells = NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchWindow:
-    """Which poses are tried: a box around one, all cells and headings whose offsets are within its half sides."""
+    """Window of the search: all cells and headings within half sides around a centre."""
 
     x: float = 0.0
     """[m] centre"""
@@ -39,7 +43,7 @@ class SearchWindow:
     half_y: float
     """[m]"""
     half_phi: float = np.pi
-    """[rad] π or more: all headings, of which the last neighbours the first."""
+    """[rad] π or more: all headings; the first and the last are then neighbours."""
 
     @classmethod
     def around(cls, pose: Floats, *, half_xy: float, half_phi: float) -> SearchWindow:
@@ -50,30 +54,31 @@ class SearchWindow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Modes:
-    """The places where a scan fits, the best first."""
+    """Poses at which a scan fits, the best first."""
 
     poses: Floats
-    """(n, 3) [m, m, rad] phi in (-π, π]."""
+    """(n, 3) [m, m, rad] Poses, phi in (-π, π]."""
     scores: Floats
-    """(n,) mean of the field at the points, 0 to 1, not increasing."""
+    """(n,) Mean of the field at the points, 0 to 1, in non-increasing order."""
 
     @property
     def rivalry(self) -> float:
-        """Score of the second place as a share of the first's; 0 without a second."""
+        """Score of the second pose relative to the first; 0 without a second."""
         return float(self.scores[1] / self.scores[0]) if len(self.scores) > 1 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaxPyramid:
-    """A likelihood field ready to be searched; made once, used for any number of scans and windows."""
+    """A likelihood field prepared for any number of searches."""
 
     field: LikelihoodField
 
     @cached_property
     def levels(self) -> NDArray[np.uint8]:
-        """(n_levels + 1, ny + pad, nx + pad) greatest value of the 2^h by 2^h cells right of and above each cell.
+        """(n_levels + 1, ny + pad, nx + pad) Maximum of the 2^h by 2^h cells right of and above each cell.
 
-        Cell (0, 0) of the field is at [pad, pad], pad = 2^n_levels, so that each block that touches the field is held.
+        Cell (0, 0) of the field is at [pad, pad], pad = 2^n_levels, so that each block that overlaps the
+        field is included.
         """
         values = self.field.values
         n_levels = min(MAX_LEVELS, max(int(np.ceil(np.log2(max(values.shape)))), 1))
@@ -99,25 +104,25 @@ class MaxPyramid:
         rival_ratio: float = 0.9,
         apart: tuple[float, float] = (0.5, float(np.radians(10.0))),
     ) -> Modes:
-        """Return the place in a window where points fit best, and its rivals.
+        """Return the best pose of points in a window, and its rivals.
 
-        A rival is the best place left outside a box of ±`apart` around each place that was returned before it.
+        A rival is the best remaining pose outside a box of ±`apart` around each pose returned before it.
 
         Parameters
         ----------
-        points : (n, 2) [m] returns of one scan, or of several, in the frame whose pose is sought
-        heading_step : [rad] between headings that are tried
-        min_score : a place below is none
-        rival_ratio : a rival has at least this share of the best score
-        apart : [m] along x or y, [rad]; a rival differs by more in at least one of the three
+        points : (n, 2) [m] Returns of one or several scans, in the frame whose pose is sought.
+        heading_step : [rad] Step between headings.
+        min_score : Minimum score of a pose.
+        rival_ratio : Minimum score of a rival relative to the best.
+        apart : [m] along x or y, [rad]: a rival differs by more in at least one of the three.
 
         Returns
         -------
-        Modes, without any where no place reaches `min_score`
+        Modes; empty if no pose reaches `min_score`.
 
         Raises
         ------
-        ValueError : there is no point
+        ValueError : There is no point.
         """
         if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
             raise ValueError(f"points has shape {points.shape}, expected (n, 2), n > 0")
@@ -141,7 +146,7 @@ class MaxPyramid:
 
 
 def _turns(half: float, step: float) -> tuple[Floats, bool]:
-    """Return the turns (n,) [rad] from the centre that are tried, and whether they make a full turn."""
+    """Return the turns (n,) [rad] from the centre, and whether they cover a full turn."""
     if half >= np.pi:
         n = int(np.ceil(2 * np.pi / step))
         return np.arange(-(n // 2), n - n // 2, dtype=np.float64) * (2 * np.pi / n), True
@@ -150,7 +155,7 @@ def _turns(half: float, step: float) -> tuple[Floats, bool]:
 
 
 def _cells(points: Floats, headings: Floats, window: SearchWindow, field: LikelihoodField) -> _Cells:
-    """Return the cells (n_headings, n_points, 2), x and y, of the points seen from the centre of the window."""
+    """Return the cells (n_headings, n_points, 2), x and y, of the points at the centre of the window."""
     cos, sin = np.cos(headings)[:, None], np.sin(headings)[:, None]
     x = window.x + cos * points[:, 0] - sin * points[:, 1]
     y = window.y + sin * points[:, 0] + cos * points[:, 1]
@@ -168,17 +173,17 @@ def _best_first(
     ratio: float,
     found: _Cells,
 ) -> int:
-    """Fill `found` (max_modes, 4) with sum, heading and offset of each place, the best first; return their count.
+    """Fill `found` (max_modes, 4) with sum, heading and offset of each pose, the best first; return their number.
 
-    Sums are whole numbers, and no child's is above its parent's, so the queue is one stack of nodes for each sum,
-    emptied from the greatest sum down.
+    Sums are integers, and the sum of a child is at most that of its parent. So the queue is one stack of
+    nodes per sum, emptied from the largest sum down.
     """
     top = 0
     while top + 1 < levels.shape[0] and (1 << (top + 1)) <= 2 * max(reach[0], reach[1]) + 1:
         top += 1
     n_headings = cells.shape[0]
     greatest = 255 * cells.shape[1]
-    stacks = np.full(greatest + 1, -1, dtype=np.int32)  # newest node of each sum
+    stacks = np.full(greatest + 1, -1, dtype=np.int32)  # top node of each sum
     nodes = np.empty((FIRST_NODES, 5), dtype=np.int32)  # next, level, heading, dx, dy
     used, free, n_found = 0, -1, 0
     side = 1 << top
@@ -200,7 +205,7 @@ def _best_first(
         stacks[now] = nodes[node, 0]
         level, heading, dx, dy = nodes[node, 1], nodes[node, 2], nodes[node, 3], nodes[node, 4]
         nodes[node, 0], free = free, node
-        if _is_beside(found, n_found, box, n_headings, is_full_turn, level, heading, dx, dy):
+        if _is_near_found(found, n_found, box, n_headings, is_full_turn, level, heading, dx, dy):
             continue
         if level == 0:
             _record(found, n_found, now, heading, dx, dy)
@@ -229,7 +234,7 @@ def _best_first(
 def _bound(
     levels: NDArray[np.uint8], cells: _Cells, level: int, heading: int, dx: int, dy: int, lowest: int
 ) -> int:
-    """Return the sum of the greatest values that the points meet at offsets from (dx, dy) on; below `lowest`, any."""
+    """Return an upper bound of the sum over the cells of a node at (dx, dy); 0 if it is below `lowest`."""
     pad = 1 << (levels.shape[0] - 1)
     ny, nx = levels.shape[1], levels.shape[2]
     total = 0
@@ -244,7 +249,7 @@ def _bound(
 
 
 @inner_kernel
-def _is_beside(
+def _is_near_found(
     found: _Cells,
     n_found: int,
     box: _Cells,
@@ -255,7 +260,7 @@ def _is_beside(
     dx: int,
     dy: int,
 ) -> bool:
-    """Tell whether all places of a node lie within the box around one that was found."""
+    """Tell whether all positions of a node lie within the box around a pose already found."""
     last = (1 << level) - 1
     for i in range(n_found):
         turn = abs(heading - found[i, 1])
@@ -279,7 +284,7 @@ def _record(found: _Cells, at: int, total: int, heading: int, dx: int, dy: int) 
 
 @kernel
 def _with_room(nodes: _Cells, used: int) -> _Cells:
-    """Return the nodes, or twice as many with the same ones first where all are used."""
+    """Return the nodes, copied to twice the capacity if all are used."""
     if used < nodes.shape[0]:
         return nodes
     more = np.empty((2 * nodes.shape[0], nodes.shape[1]), dtype=np.int32)

@@ -1,11 +1,18 @@
-"""How well the poses of a map are known: a bootstrap of its own residuals.
+"""Covariances of the key-frame poses of a map, from a bootstrap of the residuals.
 
-The residuals of one key frame on one patch share their errors (a wall is no line, ranges are rounded), those of different
-pairs do not. So the sum of each pair's scores gets a random sign, and the normal equations are solved again: the wild
-cluster bootstrap (Cameron, Gelbach and Miller 2008), in which the noise need not be known. Scores are divided by √(1 - h),
-h being the leverage, since fitting makes residuals small (MacKinnon and White 1985, HC2).
+Bootstrap sample m solves the reduced normal equations H x_m = g_m again, with
 
-Poses are relative to the mean of all (inner constraints, Baarda 1973): the map may lie anywhere.
+    g_m = sum_c e_cm scores_c / √(1 - h_c) + noise of the wheel edges.
+
+The sum runs over clusters c, with random signs e_cm = ±1. The covariance is the mean of x_m x_mᵀ.
+
+A cluster holds the residuals of one key frame on one patch. These share errors, since walls are not straight
+and ranges are rounded; different clusters are independent. This is the wild cluster bootstrap (Cameron,
+Gelbach and Miller 2008); the noise need not be known. The leverage h_c corrects for residuals made small by
+the fit (MacKinnon and White 1985, HC2).
+
+Poses are relative to the mean of all (inner constraints, Baarda 1973), since the frame of the map is
+arbitrary.
 """
 
 from __future__ import annotations
@@ -17,13 +24,13 @@ from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
 from sensorgraph.types import Floats
 
 MAX_LEVERAGE = 0.8
-"""Of a cluster; above it, the formula would divide by nearly 0."""
+"""Upper bound of the leverage of a cluster; near 1 the correction diverges."""
 
 
 def key_frame_covariances(
     refined: Refined, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
 ) -> tuple[Floats, Floats]:
-    """Return covariances (n_key, 3, 3) of x, y, phi in map, and the part of them that all but the frame itself makes."""
+    """Return covariances (n_key, 3, 3) of x, y, phi in map, and their part that is not the frame's own noise."""
     system = refined.system
     n = system.n_frames
     draws = bootstrap_scores(system, rng, settings.samples)
@@ -39,7 +46,7 @@ def key_frame_covariances(
 
 
 def _diagonal(system: ReducedSystem) -> Floats:
-    """Return the wheels' blocks (n_frames, 3, 3) on the diagonal."""
+    """Return the diagonal blocks (n_frames, 3, 3) of the wheel information."""
     n = system.n_frames
     diagonals = np.zeros((n, 3, 3))
     for offset in range(-2, 3):
@@ -52,7 +59,7 @@ def _diagonal(system: ReducedSystem) -> Floats:
 
 
 def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples: int) -> Floats:
-    """Return right hand sides (3 n_frames, n_samples) as other noise of the same size would have made them."""
+    """Return right-hand sides (3 n_frames, n_samples) drawn with resampled noise."""
     n, m = system.n_frames, len(system.inverse) // 2
     frames, patches = system.cluster_frame, system.cluster_patch
     leverage = (
@@ -76,7 +83,7 @@ def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples:
 
 
 def without_rigid_motion(deviations: Floats, poses: Floats) -> Floats:
-    """Take the rigid motion that fits them best out of deviations (n, 3, m) of poses (n, 3)."""
+    """Remove the best-fitting rigid motion from deviations (n, 3, m) of poses (n, 3)."""
     offset = poses[:, :2] - poses[:, :2].mean(axis=0)
     inertia = float((offset**2).sum())
     shift = deviations[:, :2].mean(axis=0)

@@ -1,4 +1,4 @@
-"""Find a robot in a known place without a guess: branch and bound, fine matches, and the beam model to judge them."""
+"""Global search for a robot in a known place: branch and bound, fine matches, and evaluation by the beam model."""
 
 from __future__ import annotations
 
@@ -17,64 +17,65 @@ from sensorgraph.types import Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocalView:
-    """Returns of one scan or several, seen from one of them."""
+    """Returns of one or several scans, in the frame of one of them."""
 
     points: Floats
-    """(n, 2) [m] in base_link of that scan."""
+    """(n, 2) [m] Returns in base_link of that scan."""
     normals: Floats
-    """(n, 2) unit normals, or 0, 0."""
+    """(n, 2) Unit normals, or 0, 0."""
     starts: Floats
-    """(n, 2) [m] where the rays begin."""
+    """(n, 2) [m] Origins of the rays."""
     last: LocalView | None = None
-    """The last scan alone, with more of its points; None: there is no other."""
+    """View of the last scan alone, with more of its points; None for a single scan."""
 
     @property
     def last_scan(self) -> LocalView:
-        """The view of the last scan alone: what all see together reaches farther into what a map lacks."""
+        """View of the last scan alone. Several scans together extend farther beyond an incomplete map."""
         return self if self.last is None else self.last
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlobalPlaces:
-    """Where a view may have been taken, the most probable place first."""
+    """Possible places of a view, the most probable first."""
 
     poses: Floats
     """(n, 3) [m, m, rad] base_link in map."""
     probabilities: Floats
-    """(n,) that sum to 1."""
+    """(n,) Probabilities; the sum is 1."""
     agreements: Floats
-    """(n,) share of the points that lie on surfaces of the map."""
+    """(n,) Share of the points on surfaces of the map."""
     hidden: Floats
-    """(n,) share of the points that walls of the map should have hidden."""
+    """(n,) Share of the points that walls of the map should have hidden."""
     unseen: Floats
-    """(n,) share of the points of which the map says nothing."""
-    least_seen: float = GLOBAL_SEARCH.least_seen
-    """Of `fits`."""
+    """(n,) Share of the points in unobserved space."""
+    min_seen: float = GLOBAL_SEARCH.min_seen
+    """Parameter of `fits`."""
     last_fit: float = 0.0
-    """The best `fit_of` the last scan alone at the first place and its rivals; 0: it does not fit, or was not asked."""
+    """Best `fit_of` the last scan alone at the first place and its rivals; 0 if it does not fit or was not
+    evaluated."""
 
     @property
     def fits(self) -> Floats:
         """(n,) `fit_of` each place."""
-        return _fits(self.agreements, self.hidden, self.unseen, self.least_seen)
+        return _fits(self.agreements, self.hidden, self.unseen, self.min_seen)
 
     @property
     def fit(self) -> float:
-        """The best of `fits` and `last_fit`; 0 without any place."""
+        """Best of `fits` and `last_fit`; 0 without any place."""
         return max(float(self.fits.max()), self.last_fit) if len(self.poses) else 0.0
 
     @property
     def lead(self) -> float:
-        """By how much the first place fits better than any other; infinite without another."""
+        """Difference between the fit of the first place and that of the next best; infinite for a single place."""
         fits = self.fits
         return float(fits[0] - fits[1:].max()) if len(fits) > 1 else np.inf
 
     @property
     def rivals(self) -> Floats:
-        """(n, 3) other places that cannot be ruled out; none if the first is the place.
+        """(n, 3) Other places that cannot be ruled out; empty if the first place is unique.
 
-        A place that fits as well as the first is a rival though its rays are less likely: rays that all go through one
-        opened door, or beyond the map, are one surprise, not many.
+        A place that fits as well as the first is a rival even if its rays are less likely. Rays that all pass
+        one opened door, or leave the map, are one deviation, not many.
         """
         fits = self.fits
         can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (
@@ -83,34 +84,37 @@ class GlobalPlaces:
         return self.poses[1:][can_be[1:]]
 
 
-def fit_of(
-    agreement: float, hidden: float, unseen: float, least_seen: float = GLOBAL_SEARCH.least_seen
-) -> float:
-    """Return the share of the returns on surfaces, less `hidden_weight` times those through walls.
+def fit_of(agreement: float, hidden: float, unseen: float, min_seen: float = GLOBAL_SEARCH.min_seen) -> float:
+    """Return the fit of a view at a place: (agreement - hidden_weight · hidden) / max(1 - unseen, min_seen).
 
-    Shares are of the returns of which the map says something; of `least_seen` of all where those are fewer.
+    Parameters
+    ----------
+    agreement : Share of the returns on surfaces.
+    hidden : Share of the returns that walls should have hidden.
+    unseen : Share of the returns in unobserved space.
+    min_seen : Lower limit of the observed share.
     """
     on_surfaces = agreement - GLOBAL_SEARCH.hidden_weight * hidden
-    return float(on_surfaces / max(1.0 - float(unseen), least_seen))
+    return float(on_surfaces / max(1.0 - float(unseen), min_seen))
 
 
-def _fits(agreements: Floats, hidden: Floats, unseen: Floats, least_seen: float) -> Floats:
+def _fits(agreements: Floats, hidden: Floats, unseen: Floats, min_seen: float) -> Floats:
     shares = zip(agreements, hidden, unseen, strict=True)
-    return np.array([fit_of(*of_place, least_seen) for of_place in shares])
+    return np.array([fit_of(*of_place, min_seen) for of_place in shares])
 
 
 def local_view(
     scans: ScanPoints, chosen: Ints, poses: Floats, settings: GlobalSearchSettings = GLOBAL_SEARCH
 ) -> LocalView:
-    """Join scans into a view from the last one, and thin it.
+    """Join scans into a view in the frame of the last one, and thin it.
 
     Parameters
     ----------
-    chosen : (n,) scans
-    poses : (n, 3) of these in one frame, right from one to the next
+    chosen : (n,) Scans.
+    poses : (n, 3) Their poses in one frame, accurate relative to each other.
     """
     last = None if len(chosen) == 1 else local_view(scans, chosen[-1:], poses[-1:], settings)
-    most = max(settings.points // len(chosen), settings.least_points)
+    most = max(settings.points // len(chosen), settings.min_points)
     parts: tuple[list[Floats], list[Floats], list[Floats]] = ([], [], [])
     for scan, (x, y, phi) in zip(chosen, compose(invert(poses[-1]), poses), strict=True):
         own = np.arange(scans.first[scan], scans.first[scan + 1])
@@ -124,7 +128,7 @@ def local_view(
 
 
 def _evenly(n: int, most: int) -> Ints:
-    """Return at most `most` of the numbers 0 to n - 1, evenly spread."""
+    """Return at most `most` of the numbers 0 to n - 1, evenly spaced."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 
@@ -135,19 +139,19 @@ def find_places(
     window: SearchWindow | None = None,
     settings: GlobalSearchSettings = GLOBAL_SEARCH,
 ) -> GlobalPlaces:
-    """Return where in a window (None: all of the map) a view may have been taken; nothing where it fits nowhere.
+    """Return the possible places of a view in a window (None: the whole map); empty if it fits nowhere.
 
-    The last scan is sought first, and all scans together judge the places found. As the map may lack what the others saw,
-    it is enough that the last scan alone fits the place that all together say is the most probable. Where neither fits,
-    all are sought together.
+    The search uses the last scan first, and all scans together evaluate the places found. Since the map may
+    lack what the other scans observed, it suffices that the last scan alone fits the most probable place. If
+    neither fits, the search uses all scans together.
     """
     s = settings
-    last, seen = view.last_scan, s.least_seen_anywhere if window is None else s.least_seen
+    last, seen = view.last_scan, s.min_seen_anywhere if window is None else s.min_seen
     found = _judged(_modes(last.points, place, window, s), view, place, seen, s)
-    if found.fit >= s.enough_fit or view.last is None:
+    if found.fit >= s.accept_fit or view.last is None:
         return found
     found = _with_last_fit(found, last, place, s)
-    if found.fit >= s.enough_fit:
+    if found.fit >= s.accept_fit:
         return found
     other = _judged(_modes(view.points, place, window, s), view, place, seen, s)
     other = _with_last_fit(other, last, place, s)
@@ -157,16 +161,16 @@ def find_places(
 def _with_last_fit(
     found: GlobalPlaces, last: LocalView, place: KnownMap, settings: GlobalSearchSettings
 ) -> GlobalPlaces:
-    """Ask the last scan alone whether it fits a place that all scans neither rule out nor speak against."""
+    """Add the fit of the last scan alone, at places that all scans together neither rule out nor contradict."""
     possible = np.vstack([found.poses[:1], found.rivals])
-    if len(possible) == 0 or found.fit < settings.least_joint_fit:
+    if len(possible) == 0 or found.fit < settings.min_joint_fit:
         return found
     own = [match(last.points, last.normals, place.surfaces, pose) for pose in possible]
     judged = place.judge(np.array([one.pose for one in own]), last.points, last.starts)
     agreements = np.array([one.agreement for one in own])
-    fits = _fits(agreements, judged.hidden, judged.unseen, found.least_seen)
+    fits = _fits(agreements, judged.hidden, judged.unseen, found.min_seen)
     best = float(fits.max())
-    return found if best < settings.enough_fit else replace(found, last_fit=best)
+    return found if best < settings.accept_fit else replace(found, last_fit=best)
 
 
 def _modes(
@@ -174,7 +178,7 @@ def _modes(
 ) -> Floats:
     """Return poses (n, 3) from which points (m, 2) fit the field."""
     s = settings
-    if len(points) < s.least_points:
+    if len(points) < s.min_points:
         return np.zeros((0, 3))
     return place.pyramid.search(
         points,
@@ -188,9 +192,9 @@ def _modes(
 
 
 def _judged(
-    modes: Floats, view: LocalView, place: KnownMap, least_seen: float, settings: GlobalSearchSettings
+    modes: Floats, view: LocalView, place: KnownMap, min_seen: float, settings: GlobalSearchSettings
 ) -> GlobalPlaces:
-    """Return places near modes (n, 3), by all rays of a view."""
+    """Return places near modes (n, 3), evaluated with all rays of a view."""
     s = settings
     if len(modes) == 0:
         empty = np.zeros(0)
@@ -200,8 +204,11 @@ def _judged(
     found = [match(view.points, view.normals, place.surfaces, pose) for pose in starts]
     poses = np.array([one.pose for one in found])
     judged = place.judge(poses, view.points, view.starts)
-    first = poses[np.argsort(-judged.likelihoods, kind="stable")[: s.max_nudged]]
-    found += [match(view.points, view.normals, place.surfaces, pose) for pose in _beside(first, s.nudge)]
+    first = poses[np.argsort(-judged.likelihoods, kind="stable")[: s.max_restarts]]
+    found += [
+        match(view.points, view.normals, place.surfaces, pose)
+        for pose in _neighbours(first, s.restart_offset)
+    ]
     poses = np.array([one.pose for one in found])
     judged = place.judge(poses, view.points, view.starts)
     scores = judged.likelihoods / s.correlation
@@ -213,25 +220,25 @@ def _judged(
         agreements=np.array([found[k].agreement for k in order]),
         hidden=judged.hidden[order],
         unseen=judged.unseen[order],
-        least_seen=least_seen,
+        min_seen=min_seen,
     )
 
 
-def _beside(poses: Floats, way: float) -> Floats:
-    """Return the eight poses around each of poses (n, 3): (8 n, 3)."""
+def _neighbours(poses: Floats, way: float) -> Floats:
+    """Return the eight neighbours of each of poses (n, 3): (8 n, 3)."""
     steps = np.array([(x, y, 0.0) for x in (-way, 0.0, way) for y in (-way, 0.0, way) if x or y])
     around: Floats = (poses[:, None] + steps).reshape(-1, 3)
     return around
 
 
 def _distinct(poses: Floats, scores: Floats, settings: GlobalSearchSettings) -> Ints:
-    """Return the places, the best first, that are not beside a better one."""
+    """Return the indices of distinct places, in order of decreasing score."""
     kept: list[int] = []
     for k in np.argsort(-scores, kind="stable"):
         way = poses[kept] - poses[k]
-        is_beside = (np.hypot(way[:, 0], way[:, 1]) < settings.apart) & (
+        is_near = (np.hypot(way[:, 0], way[:, 1]) < settings.apart) & (
             np.abs(wrap(way[:, 2])) < settings.apart_turn
         )
-        if not is_beside.any():
+        if not is_near.any():
             kept.append(int(k))
     return np.array(kept, dtype=np.intp)

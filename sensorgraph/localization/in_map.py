@@ -1,4 +1,4 @@
-"""Locate a run in a known place: laser odometry, tracking in the map, and all poses smoothed together."""
+"""Locate a run in a known place: laser odometry, tracking in the map, and smoothing of all poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSetti
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.ray_times import track_run
-from sensorgraph.localization.result import Localization, Status, stretch_notes
+from sensorgraph.localization.result import Localization, Status, interval_notes
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth, steps_of
@@ -34,21 +34,21 @@ def locate_in_map(
     progress: ProgressBars = no_progress,
     settings: MapTrackingSettings = MAP_TRACKING,
 ) -> Localization:
-    """Find all poses of a run in a place that is known, without a guess.
+    """Estimate all poses of a run in a known place, without an initial pose.
 
     Parameters
     ----------
-    walls : (n, 2, 2) [m, map] both ends of each wall
-    seen : where the map says what is there; None: everywhere
-    normals : (n, 2) unit, from each wall to where it was seen from; None, or 0, 0: it has one line for both sides
-    name : of the map, for messages
+    walls : (n, 2, 2) [m, map] Both ends of each wall.
+    seen : Observed space of the map; None: everywhere.
+    normals : (n, 2) Unit normals from each wall to its observed side; None, or 0, 0: both sides match.
+    name : Name of the map in messages.
 
     Raises
     ------
-    SensorgraphError : the scans fit nowhere in the map, or there is none
+    SensorgraphError : The scans fit nowhere in the map, or the map has no wall.
     """
     if run.n_scans == 0:
-        raise SensorgraphError("the run has no scan to locate; record /scan")
+        raise SensorgraphError("the run has no scan; expected messages on /scan")
     place = known_map(walls, seen, normals)
     with progress("following the scans", "scans") as tick:
         followed = track_run(run, tick)
@@ -67,7 +67,7 @@ def locate_in_map(
     poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information, settings)
     covariances = covariances + _map_error(matches, steps.noise, settings)
     status = _status(run.stamps, matches.information, found, settings)
-    notes = () if odometry is not None else ("no odometry that moves: located by the scans alone",)
+    notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     return Localization(
         t=run.stamps,
         poses=poses,
@@ -75,7 +75,7 @@ def locate_in_map(
         status=status,
         wheels=WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames]),
         rivals=found.rivals,
-        notes=(*notes, *followed.notes, *stretch_notes(run.stamps, status, "lost", "ambiguous")),
+        notes=(*notes, *followed.notes, *interval_notes(run.stamps, status, "lost", "ambiguous")),
         sensor=followed.run.sensor,
     )
 
@@ -90,7 +90,9 @@ def _smoothed(
 ) -> tuple[Floats, Floats]:
     """Return poses and covariances of the whole run."""
     relative, step_information = steps_of(steps, breaks)
-    values, vectors = np.linalg.eigh(information)  # a match may know less than nothing along a wall
+    values, vectors = np.linalg.eigh(
+        information
+    )  # along a wall the information can have a negative eigenvalue
     weighted = (
         (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / settings.correlation
     )
@@ -99,15 +101,21 @@ def _smoothed(
 
 
 def _map_error(matches: MapMatches, own_noise: Floats, settings: MapTrackingSettings) -> Floats:
-    """Return the covariances (n, 3, 3) that a map's own errors add: walls that are off scatter the returns.
+    """Return the covariances (n, 3, 3) added by errors of the map.
 
-    How far returns scatter without them is told by the run itself: `own_noise` (n,) [m] is their scatter around the
-    surfaces of the scans just before, which are not perfect either, so that the usual scatter in the map is taken where it
-    is less. Neighbouring scans meet the same walls, so that smoothing does not make the map's errors smaller. Where the
-    returns of a scan scatter more than usual, the map is worse there; where they do not, it is as wrong as it usually is.
-    Walls that are displaced as a whole scatter nothing: a share of the noise stands for them. The fewer of the returns
-    lie on walls, the less is left that the others would set right: the deviation is divided by their share. A scan that
-    was not matched is as its neighbours are.
+    Displaced walls scatter the returns. The position deviation `off` follows from
+
+        off² = (map_share² · excess + (map_share_of_noise · own)²) / agreement²,
+        excess = max(max(noise, usual)² - own², 0).
+
+    The scatter of a scan's returns around the map is `noise`, and its median is `usual`. The share of returns
+    on walls is `agreement`. `own` is the median of `own_noise` (n,) [m], the scatter around the surfaces of
+    the preceding scans, but at most `usual`.
+
+    Smoothing does not reduce the map's errors, since neighbouring scans meet the same walls. Where a scan
+    scatters more than usual, the map is worse there. Walls displaced as a whole cause no scatter; the term
+    with `own` accounts for them. The fewer returns lie on walls, the less the others correct, hence the
+    division by `agreement`. An unmatched scan takes interpolated values of its neighbours.
     """
     s, noise, known = settings, matches.noise, np.isfinite(matches.noise)
     usual = float(np.median(noise[known])) if known.any() else 0.0
@@ -122,7 +130,7 @@ def _map_error(matches: MapMatches, own_noise: Floats, settings: MapTrackingSett
 
 
 def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
-    """Return poses (n, 3) for all scans: those not known as the way from the nearest known one says."""
+    """Return poses (n, 3) for all scans; unknown ones follow by laser odometry from the nearest known one."""
     poses = found.poses.copy()
     if np.isnan(poses[:, 0]).all():
         first = min(found.rivals)
@@ -140,7 +148,7 @@ def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
 def _status(
     stamps: Floats, information: Floats, found: MapTrack, settings: MapTrackingSettings
 ) -> tuple[Status, ...]:
-    """Return for each scan whether it fits the map, or is near enough to one that does."""
+    """Return the status of each scan: ok if it fits the map or is close in time to one that does."""
     good = np.flatnonzero(information.any(axis=(1, 2)))
     is_ok = np.zeros(len(stamps), dtype=np.bool_)
     if len(good):
@@ -154,7 +162,7 @@ def _status(
 
 
 def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
-    """Tell in which stretches without a place a search had several answers."""
+    """Tell which scans are in an interval without a pose in which a search had several answers."""
     starts = np.flatnonzero(np.diff(np.concatenate([[True], is_ok])) & ~is_ok)
     out = np.zeros(len(is_ok), dtype=np.bool_)
     for start in starts:
@@ -170,15 +178,15 @@ def _rivals_fit(
     rivals: Mapping[int, Floats],
     settings: MapTrackingSettings,
 ) -> float:
-    """Return how well the drive around a search fits the best place that answered it.
+    """Return the best fit of the drive around a search at the places that the search found.
 
-    Single scans fit many places of a map that is another's; what the robot saw on metres of its way does not.
+    A single scan fits many places of a wrong map; scans along several metres do not.
     """
     fits = [0.0]
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(steps.poses[:, :2], axis=0).T))])
-    piece = np.cumsum(~steps.goes_on)
+    piece = np.cumsum(~steps.is_continuous)
     for k, poses in rivals.items():
-        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.rival_way))
+        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.rival_distance))
         some = near[np.linspace(0, len(near) - 1, min(settings.rival_scans, len(near))).astype(np.intp)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
@@ -197,7 +205,7 @@ def _no_fit(
     name: str,
     settings: MapTrackingSettings,
 ) -> str:
-    """Say that the scans fit nowhere, and whether they would as seen in a mirror."""
+    """Return the message that the scans fit nowhere, or only when mirrored."""
     flip = np.array([1.0, -1.0])
     for k in steps.key_frames[: settings.view_scans]:
         view = local_view(scans, np.array([k]), steps.poses[[k]])
@@ -206,11 +214,11 @@ def _no_fit(
         )
         if find_places(mirrored, place).fit > max(fit + 0.2, settings.found_fit):
             return (
-                f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; give a robot.yaml "
-                "or a transform that says so"
+                f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
+                "robot.yaml or in the transform"
             )
     return (
-        f"the scans fit nowhere in {name}: at the best place the returns on its walls, less twice those through walls, are "
-        f"{max(fit, 0):.0%} of all, expected {settings.found_fit:.0%}: it is of another place, or of another scale; give the "
-        "map of the place where the run was recorded, in metres, or none"
+        f"the scans fit nowhere in {name}: the best fit (share of returns on walls, minus twice the share through walls) is "
+        f"{max(fit, 0):.0%}, expected {settings.found_fit:.0%}. The map is of another place, or of another scale; give the "
+        "map of the recorded place in metres, or no map"
     )

@@ -1,4 +1,4 @@
-"""Locate a file once and keep the result beside it, for as long as the file and the settings stay the same."""
+"""Locate a file once and keep the result next to it, as long as the file and the settings are unchanged."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sensorgraph.version import __version__
 
 logger = logging.getLogger(__name__)
 KEY = "located_as"
-"""Entry of a located run's meta: what it was located from, and how."""
+"""Metadata key of a located run with the digest of its source and settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +38,19 @@ class KeptRun:
 
     run: Run
     path: Path | None
-    """None: nothing could be written beside the run."""
+    """None: the file could not be written."""
     lines: tuple[str, ...]
-    """What was found, where it was located now; empty: the kept one was taken."""
+    """Summary of a new localization; empty if a kept run was used."""
 
 
 def needs_locating(run: Run, n_scans: int, poses: str | None) -> bool:
-    """Tell whether a run is to be located.
+    """Tell whether a run must be located.
 
     Parameters
     ----------
-    run : or its first scans
-    n_scans : of the whole run
-    poses : `log`: never, `locate`: always, None: where a laser's run has no reference
+    run : The run, or its first scans.
+    n_scans : Number of scans of the whole run.
+    poses : `log`: never; `locate`: always; None: a laser run without a reference.
     """
     if poses is not None:
         return poses == "locate"
@@ -58,7 +58,7 @@ def needs_locating(run: Run, n_scans: int, poses: str | None) -> bool:
 
 
 def kept_beside(path: Path) -> Path:
-    """Return where the located run of a file is kept."""
+    """Return the path of the located run of a file."""
     return path.with_name(f"{path.name}.located.mcap")
 
 
@@ -71,53 +71,53 @@ def located(
     options: Mapping[str, object] | None = None,
     progress: ProgressBars = no_progress,
 ) -> KeptRun:
-    """Return the located run of a file: the one kept beside it, or a new one, which is then kept.
+    """Return the located run of a file: the kept one, or a new one, which is then kept.
 
     Parameters
     ----------
-    path : of the run
-    run : as it was read
-    place : where it is to be located; None: in a place of its own
-    name : of the place; it is part of what a kept run is known by
-    options : with which the run was read
+    path : Path of the run.
+    run : The run as read.
+    place : Place in which it is located; None: its own map.
+    name : Name of the place; part of the digest of a kept run.
+    options : Options with which the run was read.
 
     Raises
     ------
-    SensorgraphError : the run cannot be located
+    SensorgraphError : The run cannot be located.
     """
-    key, beside = _key(path, place, name, options or {}), kept_beside(path)
-    kept = _kept(beside, key)
+    key, kept_path = _key(path, place, name, options or {}), kept_beside(path)
+    kept = _kept(kept_path, key)
     if kept is not None:
-        return KeptRun(run=kept, path=beside, lines=())
+        return KeptRun(run=kept, path=kept_path, lines=())
     found: Localization = locate(run, place, name=name or "the map", progress=progress)
     new = located_run(run, found)
     new = replace(new, meta={**new.meta, KEY: key})
     lines = tuple(summary_lines(found))
     try:
-        logs.write(new, beside)
+        logs.write(new, kept_path)
     except OSError as exc:
-        logger.warning("the located run cannot be kept beside %s (%s)", path, exc.strerror)
+        logger.warning("cannot keep the located run next to %s (%s)", path, exc.strerror)
         return KeptRun(run=new, path=None, lines=lines)
-    return KeptRun(run=logs.read(beside), path=beside, lines=lines)
+    return KeptRun(run=logs.read(kept_path), path=kept_path, lines=lines)
 
 
 def kept_own(path: Path, options: Mapping[str, object] | None = None) -> Run | None:
-    """Return the run that is kept beside a file as located in a place of its own; None: there is none."""
+    """Return the kept run of a file, located in its own map, or None."""
     return _kept(kept_beside(path), _key(path, None, "", options or {}))
 
 
-def _kept(beside: Path, key: str) -> Run | None:
-    if not beside.is_file():
+def _kept(kept_path: Path, key: str) -> Run | None:
+    if not kept_path.is_file():
         return None
     try:
-        run = logs.read(beside)
+        run = logs.read(kept_path)
     except LogError:
         return None
     return run if run.meta.get(KEY) == key else None
 
 
 def _key(path: Path, place: Arena | Sensorgraph | None, name: str, options: Mapping[str, object]) -> str:
-    """Return a digest of the file, the place, and all settings."""
+    """Return a digest of the file, the place and all settings."""
     digest = hashlib.sha256()
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     for file in files:
@@ -133,6 +133,10 @@ def _key(path: Path, place: Arena | Sensorgraph | None, name: str, options: Mapp
         for label, value in vars(module).items()
         if hasattr(value, "__dataclass_fields__") and not isinstance(value, type)
     }
-    said = {"version": __version__, "options": {k: str(v) for k, v in options.items()}, "settings": tuned}
-    digest.update(json.dumps(said, sort_keys=True, default=str).encode())
+    described = {
+        "version": __version__,
+        "options": {k: str(v) for k, v in options.items()},
+        "settings": tuned,
+    }
+    digest.update(json.dumps(described, sort_keys=True, default=str).encode())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""The surfaces of a known place as localisation takes them: lines to match, a field to search, walls to look through."""
+"""A known map prepared for localization: lines for matching, fields for search and evaluation, ray tests."""
 
 from __future__ import annotations
 
@@ -22,53 +22,65 @@ from sensorgraph.localization.seen_space import SeenSpace, is_ray_seen
 from sensorgraph.types import Floats
 
 WALL = 225.0
-"""Value of the fine field from which on a cell is a wall."""
+"""Value of the fine field above which a cell is a wall."""
 
 
 EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.uint8), origin=np.zeros(2), resolution=1.0)
-"""Stands for a map that says of every place what is there."""
+"""Observed space of a map that is complete everywhere."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayVerdicts:
-    """What a map says of the rays of a view at some poses."""
+    """Evaluation of the rays of a view at several poses."""
 
     likelihoods: Floats
-    """(n_poses,) logarithm of the likelihood of all rays."""
+    """(n_poses,) Log likelihood of all rays."""
     hidden: Floats
-    """(n_poses,) share of the returns that walls of the map should have hidden."""
+    """(n_poses,) Share of the returns that walls of the map should have hidden."""
     unseen: Floats
-    """(n_poses,) share of the rays on which the map does not say what is there."""
+    """(n_poses,) Share of the rays in unobserved space."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownMap:
-    """A place in which a robot is to be found."""
+    """A place in which a robot is to be located."""
 
     surfaces: LineMap
     pyramid: MaxPyramid
-    """Of a coarse field, for the search without a guess."""
+    """Pyramid of a coarse field, for the global search."""
     field: LikelihoodField
-    """Fine, for the likelihood of rays."""
+    """Fine field, for the likelihood of rays."""
     window: SearchWindow
-    """All places where the robot may be."""
+    """All possible positions of the robot."""
     seen: SeenSpace = EVERYWHERE
-    """Where the map says what is there."""
+    """Observed space."""
 
     def judge(
         self, poses: Floats, points: Floats, starts: Floats, settings: KnownMapSettings = KNOWN_MAP
     ) -> RayVerdicts:
-        """Judge a view at some poses by the beam model of Thrun, Burgard and Fox (2005), ch. 6.3.
+        """Evaluate a view at several poses by the beam model (Thrun, Burgard and Fox 2005, ch. 6.3).
 
-        A return on a surface is a hit; in free space it is of something that the map lacks; one that a wall should have
-        hidden is very unlikely. A ray that leaves what the map's own rays have seen, and meets no wall, says nothing:
-        any length is as likely.
+        The log likelihood of a pose is the sum of log p over the returns. For a return in free space or on a
+        surface:
+
+            p = hit · N(d) + unmapped / ray_length.
+
+        For a return behind a wall of the map:
+
+            p = 0.1 · hit · N(d) + through_wall / ray_length.
+
+        For a ray that leaves the observed space and meets no wall:
+
+            p = 1 / ray_length.
+
+        Here d is the distance of the return to the nearest surface. N is the normal density with standard
+        deviation `ray_sigma`, cut off at three standard deviations.
 
         Parameters
         ----------
-        poses : (n_poses, 3) base_link in map
-        points : (n, 2) [m] returns in base_link
-        starts : (n, 2) [m] where their rays begin in base_link
+        poses : (n_poses, 3) base_link in map.
+        points : (n, 2) [m] Returns in base_link.
+        starts : (n, 2) [m] Origins of their rays in base_link.
         """
         out = np.zeros((len(poses), 3))
         s = settings
@@ -98,21 +110,21 @@ def known_map(
     normals: Floats | None = None,
     settings: KnownMapSettings = KNOWN_MAP,
 ) -> KnownMap:
-    """Prepare a place.
+    """Prepare a known map.
 
     Parameters
     ----------
-    walls : (n, 2, 2) [m, map] both ends of each wall
-    seen : where the map says what is there; None: everywhere
-    normals : (n, 2) unit, from each wall to where it was seen from: no return from behind is matched to it; None, or
-        0, 0: both sides are the same line
+    walls : (n, 2, 2) [m, map] Both ends of each wall.
+    seen : Observed space; None: everywhere.
+    normals : (n, 2) Unit normals from each wall to its observed side; returns from behind are not matched to
+        it. None, or 0, 0: both sides match.
 
     Raises
     ------
-    SensorgraphError : there is no wall
+    SensorgraphError : There is no wall.
     """
     if len(walls) == 0:
-        raise SensorgraphError("the map has no wall to find a robot by; give one with walls")
+        raise SensorgraphError("the map has no wall; expected a map with walls")
     points, owner = points_with_owners(walls, settings.spacing)
     fine = field_of_points(
         points_on(walls, settings.resolution / 2),
@@ -168,7 +180,7 @@ def _judge(
                 hidden += 1.0
                 total += np.log(numbers[2] + 0.1 * hit)
                 continue
-            says_nothing = (
+            is_unobserved = (
                 value == 0.0
                 and seen.shape[0] > 0
                 and not is_ray_seen(
@@ -179,7 +191,7 @@ def _judge(
                     (y1 - seen_origin[1]) / seen_resolution,
                 )
             )
-            if says_nothing:
+            if is_unobserved:
                 unseen += 1.0
                 total += np.log(numbers[3])
             else:
@@ -199,9 +211,9 @@ def _value(values: NDArray[np.uint8], x: float, y: float) -> float:
 def _is_hidden(
     values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float, before: float, aside: float
 ) -> bool:
-    """Tell whether a ray, all in cells, went through a wall, wherever within `aside` to its left and right it was.
+    """Tell whether a ray, in cell units, crossed a wall, also when displaced by `aside` to its left and right.
 
-    A ray along a wall, or past its end, meets it by an error of a few centimetres of the pose or of the map.
+    A ray along a wall, or past its end, can meet it through a pose or map error of a few centimetres.
     """
     if not _meets_wall(values, x0, y0, x1, y1, before):
         return False
@@ -215,7 +227,7 @@ def _is_hidden(
 
 @inner_kernel
 def _meets_wall(values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float, before: float) -> bool:
-    """Tell whether a ray, all in cells, meets a wall more than `before` before its end."""
+    """Tell whether a ray, in cell units, meets a wall more than `before` ahead of its end."""
     dx, dy = x1 - x0, y1 - y0
     length = np.sqrt(dx * dx + dy * dy)
     n = int(length - before)

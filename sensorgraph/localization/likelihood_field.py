@@ -1,4 +1,7 @@
-"""LikelihoodField: how well a return fits surfaces, on a grid (Thrun, Burgard and Fox 2005, ch. 6.4)."""
+"""LikelihoodField: likelihood of a return on a grid (Thrun, Burgard and Fox 2005, ch. 6.4).
+
+The value of a cell is exp(-d² / (2 sigma²)), where d is the distance from its centre to the nearest surface.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +14,23 @@ from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats, Ints
 
 MAX_CELLS = 1 << 26
-"""Of a grid, 64 MiB; where surfaces lie farther apart, its cells are made larger until it fits."""
+"""Maximum number of cells of a grid (64 MiB); the cells of larger maps are enlarged until the grid fits."""
 REACH = 3.0
-"""[sigma] from a surface, beyond which a return scores 0."""
+"""[sigma] Distance to a surface beyond which a return scores 0."""
 PEAK = 255
-"""The value of a cell whose centre lies on a surface."""
+"""Value of a cell whose centre lies on a surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LikelihoodField:
-    """exp(-d²/2σ²) at the centre of each cell, d being the distance to the nearest surface."""
+    """exp(-d² / (2 sigma²)) at the centre of each cell, with distance d to the nearest surface."""
 
     values: NDArray[np.uint8]
-    """(ny, nx) from 0, far from any surface, to `PEAK`, on one; row 0 is the lowest y."""
+    """(ny, nx) Values from 0, far from all surfaces, to `PEAK`, on a surface; row 0 has the lowest y."""
     origin: Floats
-    """(2,) [m, map] lower left corner of cell (0, 0)."""
+    """(2,) [m, map] Lower left corner of cell (0, 0)."""
     resolution: float
-    """[m] side of a cell."""
+    """[m] Side of a cell."""
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint8 or self.origin.shape != (2,):
@@ -46,17 +49,17 @@ class LikelihoodField:
 
 
 def field_of_points(points: Floats, *, resolution: float = 0.05, sigma: float = 0.07) -> LikelihoodField:
-    """Make the field of points on surfaces.
+    """Build the field of points on surfaces.
 
     Parameters
     ----------
-    points : (n, 2) [m, map] finite
-    resolution : [m] side of a cell, doubled until the grid has at most `MAX_CELLS`
-    sigma : [m] how far returns scatter around a surface, the error of its place included; at least a cell is taken
+    points : (n, 2) [m, map] Finite points.
+    resolution : [m] Side of a cell, doubled until the grid has at most `MAX_CELLS`.
+    sigma : [m] Scatter of returns around a surface, including the error of its position; at least one cell.
 
     Raises
     ------
-    ValueError : there is no point, or one is not finite
+    ValueError : There is no point, or a point is not finite.
     """
     if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
         raise ValueError(f"points has shape {points.shape}, expected (n, 2), n > 0, all finite")
@@ -76,7 +79,7 @@ def field_of_points(points: Floats, *, resolution: float = 0.05, sigma: float = 
 
 
 def field_of_segments(segments: Floats, *, resolution: float = 0.05, sigma: float = 0.07) -> LikelihoodField:
-    """Make the field of straight surfaces (n, 2, 2) [m, map], both ends of each; the rest as `field_of_points`."""
+    """Build the field of straight surfaces (n, 2, 2) [m, map]; parameters as in `field_of_points`."""
     return field_of_points(points_on(segments, 0.5 * resolution), resolution=resolution, sigma=sigma)
 
 
@@ -86,7 +89,7 @@ def points_on(segments: Floats, spacing: float) -> Floats:
 
 
 def points_with_owners(segments: Floats, spacing: float) -> tuple[Floats, Ints]:
-    """Return `points_on` segments, and for each point (n,) the segment on which it lies."""
+    """Return `points_on` segments, and the segment of each point (n,)."""
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     counts = np.ceil(lengths / spacing).astype(np.intp) + 1
     owner = np.repeat(np.arange(len(segments)), counts)
@@ -98,7 +101,7 @@ def points_with_owners(segments: Floats, spacing: float) -> tuple[Floats, Ints]:
 
 @kernel
 def _nearest(squares: Floats, points: Floats, resolution: float, reach: int) -> None:
-    """Lower `squares` (ny, nx) [m²] to the distance of each cell's centre to the nearest of points (n, 2) [cells]."""
+    """Lower `squares` (ny, nx) to the squared distance [m²] of each cell centre to the nearest point (n, 2) [cells]."""
     for i in range(len(points)):
         _lower_around(squares, points[i, 0], points[i, 1], resolution, reach)
 

@@ -1,7 +1,10 @@
-"""Points of surfaces in buckets, and the line that fits them around any place.
+"""Points on surfaces in hash buckets, and the line fitted to the points around a position.
 
-A line is the weighted principal axis of the points within a radius that lie on the same side of a surface (weights
-(1 - d²/r²)², Cleveland 1979).
+The line is the weighted principal axis of the points that lie on the same side of a surface, with weights
+
+    u_k = (1 - d_k² / radius²)².
+
+The distance of point k from the position is d_k < radius (Cleveland 1979).
 """
 
 from __future__ import annotations
@@ -11,33 +14,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.localization.settings import LINES, MATCH, UNSURE
+from sensorgraph.localization.settings import LINES, MATCH, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Floats, Ints
 
 FACING = 0.25
-"""Cosine between the direction to the laser and a normal, above which the laser looks at that side, not along it."""
+"""Cosine between the direction to the laser and a normal above which the laser observes that side, not along
+it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineMap:
-    """Points in the buckets of a hash table; made by `line_map`."""
+    """Points in the buckets of a hash table; built by `line_map`."""
 
     side: float
-    """[m] of a bucket; lines are fitted within this radius at most."""
+    """[m] Side of a bucket, and maximum radius of a fitted line."""
     keys: Ints
-    """(n_slots,) packed bucket of each slot, -1: empty; n_slots is a power of 2."""
+    """(n_slots,) Packed bucket of each slot; -1: empty. n_slots is a power of 2."""
     first: Ints
-    """(n_slots,) first point of the bucket."""
+    """(n_slots,) First point of the bucket."""
     counts: Ints
-    """(n_slots,) points in the bucket."""
+    """(n_slots,) Number of points in the bucket."""
     points: Floats
-    """(n_points, 2) [m] in map, sorted by bucket."""
+    """(n_points, 2) [m] Points in map, sorted by bucket."""
     normals: Floats
-    """(n_points, 2) unit normals towards where the point was seen from; 0, 0: not known."""
+    """(n_points, 2) Unit normals towards the observed side; 0, 0: unknown."""
     order: Ints
-    """(n_points,) where each point stood in what the map was made of."""
+    """(n_points,) Index of each point in the input."""
     facing: float
-    """Cosine between a normal and the direction to the laser, above which the laser looks at that side."""
+    """Cosine between a normal and the direction to the laser above which the laser observes that side."""
 
 
 def line_map(
@@ -47,14 +51,14 @@ def line_map(
     side: float = MATCH.first_radius,
     facing: float = FACING,
 ) -> LineMap:
-    """Put points into buckets.
+    """Sort points into buckets.
 
     Parameters
     ----------
-    points : (n, 2) [m] in map
-    normals : (n, 2) towards where each point was seen from; None, or 0, 0: not known
-    side : [m] of a bucket
-    facing : cosine as in `LineMap`; 0 where normals are right to a degree
+    points : (n, 2) [m] Points in map.
+    normals : (n, 2) Directions towards the observed side; None, or 0, 0: unknown.
+    side : [m] Side of a bucket.
+    facing : Cosine as in `LineMap`; 0 where normals are accurate to a degree.
     """
     n = len(points)
     normals = np.zeros((n, 2)) if normals is None else normals
@@ -76,7 +80,7 @@ def line_map(
 
 
 def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple[Floats, Floats]:
-    """Return the means (m, 2) of points and normals that share a square cell and an eighth of all directions."""
+    """Return the means (m, 2) of points and normals that share a square cell and an octant of directions."""
     n = len(points)
     keys = np.full(1 << max(4, int(2 * n).bit_length()), -1, dtype=np.intp)
     sums = np.zeros((n, 6))
@@ -90,7 +94,7 @@ def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple
     )
     means = sums[:m, :4] / sums[:m, 4:5]
     lengths = np.hypot(means[:, 2], means[:, 3])
-    wanted = np.where(sums[:m, 5] > 0, 1.0, np.minimum(lengths, UNSURE))
+    wanted = np.where(sums[:m, 5] > 0, 1.0, np.minimum(lengths, UNKNOWN_NORMAL_LENGTH))
     means[:, 2:] *= (wanted / np.where(lengths > 0, lengths, 1.0))[:, None]
     return means[:, :2], means[:, 2:]
 
@@ -121,13 +125,13 @@ def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints
 
 @inner_kernel
 def bucket_key(x: int, y: int) -> int:
-    """Pack a bucket's two numbers into one that is not negative."""
+    """Pack the two numbers of a bucket into one non-negative number."""
     return ((x + 1073741824) << 31) | (y + 1073741824)
 
 
 @inner_kernel
 def find_slot(keys: Ints, key: int) -> int:
-    """Return the slot of a bucket, or the empty one where it would go."""
+    """Return the slot of a bucket, or the empty slot for its insertion."""
     mask = len(keys) - 1
     slot = (key * 0x9E3779B97F4A7C1 ^ (key >> 29)) & mask
     while keys[slot] != -1 and keys[slot] != key:
@@ -160,7 +164,8 @@ def _fill(points: Floats, side: float, keys: Ints, first: Ints, counts: Ints, or
 def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float, facing: float) -> bool:
     """Tell whether two points may lie on one side of one surface, by their normals.
 
-    Vectors of unit length are normals; shorter ones only say from where a point was seen; (0, 0) says nothing.
+    Vectors of unit length are normals, shorter ones are directions to the laser, and (0, 0) carries no
+    information.
     """
     dot = ax * bx + ay * by
     a, b = ax * ax + ay * ay, bx * bx + by * by
@@ -185,11 +190,12 @@ def fit_line(
     normals: Floats,
     facing: float,
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Fit a line to the points around (x, y) whose normals agree with (nx, ny), where both are known.
+    """Fit a line to the points around (x, y) with normals similar to (nx, ny), where both are known.
 
     Returns
     -------
-    weight of the points (0: none), x and y of their mean [m], unit normal x and y, variances across and along [m²]
+    Sum of weights (0: no point), x and y of the mean [m], unit normal x and y, variances across and along
+    [m²].
     """
     w, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     bx, by = int(np.floor(x / side)), int(np.floor(y / side))

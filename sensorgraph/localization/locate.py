@@ -1,4 +1,4 @@
-"""`locate`: poses of a run in a known place or a new one, and the run that carries them."""
+"""`locate`: estimate the poses of a run in a known place or in a new one, and return the run with these poses."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from sensorgraph.types import Floats, ProgressBars, no_progress
 POSE_SOURCE = "locate"
 """`pose_source` of a located run."""
 ATTACHMENT = "localization.json"
-"""What a located run keeps of how it was located."""
+"""Attachment of a located run with the localization summary."""
 MIN_SCANS = 10
-"""Fewer make no drive."""
+"""Minimum number of scans of a drive."""
 COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status")
 
 
@@ -40,16 +40,17 @@ def locate(
     name: str = "the map",
     progress: ProgressBars = no_progress,
 ) -> Localization:
-    """Find the pose of every scan of a run, from its scans and its odometry.
+    """Estimate the pose of every scan of a run, from its scans and its odometry.
 
     Parameters
     ----------
-    place : an arena or a sensorgraph in which the robot was; None: a place that nobody has mapped
-    name : of the place, for messages
+    place : Arena or sensorgraph in which the run was recorded; None: a place without a map.
+    name : Name of the place in messages.
 
     Raises
     ------
-    SensorgraphError : too few scans, rays that are wide cones, or scans that fit nowhere in the place
+    SensorgraphError : There are too few scans, the rays are wide cones, or the scans fit nowhere in the
+        place.
     """
     if run.n_scans < MIN_SCANS:
         raise SensorgraphError(
@@ -59,14 +60,14 @@ def locate(
     check_rays(run.sensor, "the run", takes="locate takes", remedy="give the run of a laser", one_place=False)
     if not np.isfinite(run.ranges).any():
         raise SensorgraphError(
-            "no ray of the run ever returned; check the topic of the scans (sensorgraph inspect)"
+            "no ray of the run ever returned; check the topic of the scans with `sensorgraph inspect`"
         )
     given, run = run, with_spread_stamps(run)
     is_spread = run is not given
     run, notes = with_checked_odometry(run)
     if is_spread:
         n = int((np.diff(given.stamps) == 0).sum())
-        notes = (f"{n} scans have the stamp of the one before: spread evenly up to the next", *notes)
+        notes = (f"{n} scans repeat the previous stamp: spread evenly up to the next stamp", *notes)
     if place is None:
         found = map_run(run, progress=progress)
     else:
@@ -76,32 +77,32 @@ def locate(
 
 
 def place_of(place: Arena | Sensorgraph) -> tuple[Floats, Floats | None, SeenSpace | None]:
-    """Return walls, their normals, and where it is known what is there, as `locate_in_map` takes them."""
+    """Return the walls, their normals and the observed space of a place, as `locate_in_map` expects them."""
     if isinstance(place, Sensorgraph):
         return *walls_of_graph(place), seen_by_graph(place)
     return place.walls, None, None
 
 
 def has_reference(run: Run) -> bool:
-    """Tell whether the poses of a run are more than its odometry."""
+    """Tell whether the run has reference poses other than its odometry."""
     source = run.meta.get("pose_source", "")
     return len(run.pose_stamps) > 0 and not source.startswith("odometry")
 
 
 def is_located(run: Run) -> bool:
-    """Tell whether the poses of a run were found from its own scans and wheels."""
+    """Tell whether the poses of a run were estimated from its own scans and wheels."""
     return run.meta.get("pose_source", "") == POSE_SOURCE
 
 
 def located_run(run: Run, found: Localization) -> Run:
-    """Return the run with the poses of the scans that were located, and everything else as it was.
+    """Return the run with the poses of the located scans as its reference; all else is unchanged.
 
-    Its sensor has the times of the rays, where these were found.
+    If ray times were identified, its sensor has these.
     """
     ok = np.array(found.status) == "ok"
     if not ok.any():
         raise SensorgraphError(
-            f"no scan could be located for sure: {'; '.join(found.notes) or 'all are ' + found.status[0]}"
+            f"no scan was located: {'; '.join(found.notes) or 'all are ' + found.status[0]}"
         )
     return replace(
         run,
@@ -117,14 +118,14 @@ def located_run(run: Run, found: Localization) -> Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LocatedRun(Localization):
-    """What `sg.locate` gives: poses, covariances and status of all scans, and the run that carries them."""
+    """Result of `sg.locate`: poses, covariances and status of all scans, and the run with these poses."""
 
     run: Run
-    """With the poses of the scans that were located as its reference; all else as it was."""
+    """The run with the poses of the located scans as its reference; all else is unchanged."""
 
     @classmethod
     def of(cls, run: Run, found: Localization) -> LocatedRun:
-        """Join a run and where it was located."""
+        """Combine a run and its localization."""
         values = {one.name: getattr(found, one.name) for one in fields(Localization)}
         none = replace(
             run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_covariances=np.zeros((0, 3, 3))
@@ -135,7 +136,7 @@ class LocatedRun(Localization):
         return "\n".join(summary_lines(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return counts, stretches, wheels and loop closures as plain data."""
+        """Return counts, time intervals, wheels and loop closures as plain data."""
         return summary(self)
 
 
@@ -145,7 +146,7 @@ def deviations(found: Localization) -> Floats:
 
 
 def poses_csv(found: Localization) -> str:
-    """Return one row a scan, in the order of the log: t,x,y,phi,sigma_x,sigma_y,sigma_phi,status."""
+    """Return one row per scan, in the order of the log: t,x,y,phi,sigma_x,sigma_y,sigma_phi,status."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -157,7 +158,7 @@ def poses_csv(found: Localization) -> str:
 
 
 def summary(found: Localization) -> dict[str, Any]:
-    """Return what was found, as plain data for JSON."""
+    """Return the localization as plain data for JSON."""
     states = np.array(found.status)
     ok = states == "ok"
     sigma = deviations(found)
@@ -183,7 +184,7 @@ def summary(found: Localization) -> dict[str, Any]:
 
 
 def stretches(found: Localization) -> list[dict[str, Any]]:
-    """Return from when to when the robot was ok, lost or ambiguous."""
+    """Return the time intervals in which the robot was ok, lost or ambiguous."""
     out: list[dict[str, Any]] = []
     start, n = 0, len(found.status)
     for k in range(1, n + 1):
@@ -207,7 +208,7 @@ def _closure(one: Closure) -> dict[str, Any]:
 
 
 def summary_lines(found: Localization) -> list[str]:
-    """Say in a few lines what was found."""
+    """Return a summary of a few lines."""
     states = np.array(found.status)
     n, ok = len(states), states == "ok"
     counts = ", ".join(
@@ -217,16 +218,16 @@ def summary_lines(found: Localization) -> list[str]:
     if ok.any():
         sigma = np.median(deviations(found)[ok], axis=0)
         place = 100 * float(np.hypot(sigma[0], sigma[1]) / np.sqrt(2))
-        lines.append(f"standard deviation: {place:.1f} cm, {np.degrees(sigma[2]):.2f}° (median)")
+        lines.append(f"median standard deviation: {place:.1f} cm, {np.degrees(sigma[2]):.2f}°")
     if found.wheels is not None:
         lines.append(f"wheels: {found.wheels}")
     if found.kept or found.refused:
-        lines.append(f"loop closures: {len(found.kept)} kept, {len(found.refused)} refused")
-    lines += found.notes[:MOST_NOTES]
-    if len(found.notes) > MOST_NOTES:
-        lines.append(f"... and {len(found.notes) - MOST_NOTES} more (--json FILE lists all)")
+        lines.append(f"loop closures: {len(found.kept)} kept, {len(found.refused)} rejected")
+    lines += found.notes[:MAX_NOTES]
+    if len(found.notes) > MAX_NOTES:
+        lines.append(f"... and {len(found.notes) - MAX_NOTES} more (--json FILE lists all)")
     return lines
 
 
-MOST_NOTES = 6
-"""Lines of notes in the summary."""
+MAX_NOTES = 6
+"""Maximum number of notes in the summary."""

@@ -1,8 +1,11 @@
-"""Places that the robot came back to: found by branch and bound, tested, and taken into the pose graph as it grows.
+"""Loop closures: find revisited places by branch and bound, validate them, and add them to the pose graph.
 
-A closure is kept only if no other place fits as well, if enough points lie on the older surfaces, if no ray of either
-visit went through a wall of the other, and if it agrees with the other closures. In a corridor the direction along it
-says nothing, and is left out (Olson 2009; Hess et al. 2016; traps of the study).
+A closure is kept only if it passes all tests. No other place fits equally well. Enough points lie on the
+older surfaces. No ray of either visit crosses a surface of the other. The closure agrees with the other
+closures.
+
+In a corridor the direction along it is unconstrained, and the closure carries no information about it (Olson
+2009; Hess et al. 2016).
 """
 
 from __future__ import annotations
@@ -27,18 +30,18 @@ from sensorgraph.types import Floats, Progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedTrack:
-    """Key frames after the loops were closed."""
+    """Key frames after loop closing."""
 
     poses: Floats
     """(n_key, 3) [m, m, rad]"""
     kept: tuple[Closure, ...]
     refused: tuple[Closure, ...]
     steps: PoseEdges
-    """Between neighbours of the track."""
+    """Edges between neighbours of the track."""
     closures: PoseEdges
-    """Those that are kept."""
+    """Edges of the kept closures."""
     rivals: tuple[RivalPlaces, ...] = ()
-    """Where a place was seen again that no closure tells from others like it."""
+    """Places that no closure distinguishes from similar ones."""
 
 
 def steps_of(track: ScanTrack) -> PoseEdges:
@@ -54,7 +57,7 @@ def steps_of(track: ScanTrack) -> PoseEdges:
 
 
 class LoopCloser:
-    """Search for closures along a track."""
+    """Search for the loop closures of a track."""
 
     def __init__(self, scans: ScanPoints, track: ScanTrack, settings: ClosureSettings = CLOSURES) -> None:
         self.settings, self.track = settings, track
@@ -69,10 +72,10 @@ class LoopCloser:
         self.refused: list[Closure] = []
         self.rivals: list[RivalPlaces] = []
         self._tried: set[tuple[int, int]] = set()
-        self._searched: dict[int, None] = {}  # submaps with a likelihood field, the one used last at the end
+        self._searched: dict[int, None] = {}  # submaps with a likelihood field, by last use
 
     def run(self, progress: Progress) -> ClosedTrack:
-        """Search twice: along the way, with windows that grow with it, and again where all is nearly right."""
+        """Search along the track with growing windows, then again with small windows around the closed track."""
         s = self.settings
         n = len(self.submaps)
         self._first_pass(progress)
@@ -81,7 +84,7 @@ class LoopCloser:
             for b in range(n):
                 for a in self._candidates(b, s.reach):
                     if (a, b) not in self._tried:
-                        self._keep(b, self._found(a, b, s.second_window, s.second_turn), 0.0)
+                        self._keep(b, self._search_pair(a, b, s.second_window, s.second_turn), 0.0)
                 progress(n + b, 2 * n)
         closures = PoseEdges.of(self.found)
         if self.found:
@@ -98,7 +101,7 @@ class LoopCloser:
             refused=tuple(self.refused),
             steps=self.steps,
             closures=PoseEdges.of(rows),
-            rivals=self._undecided(rows),
+            rivals=self._unresolved_rivals(rows),
         )
 
     def _first_pass(self, progress: Progress) -> None:
@@ -114,7 +117,7 @@ class LoopCloser:
             else:
                 window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
                 near = self._candidates(b, s.reach + window)
-                found = [one for a in near for one in self._found(a, b, window, turn)]
+                found = [one for a in near for one in self._search_pair(a, b, window, turn)]
                 hits = self._keep(b, found, s.drift_per_metre * way)
             if hits:
                 last_way, last_piece = float(self.way[submap.middle]), int(self.track.piece[submap.middle])
@@ -125,19 +128,21 @@ class LoopCloser:
             progress(b, 2 * n)
 
     def _search_everywhere(self, b: int) -> int:
-        """Look for a submap after a break of the track in all older pieces; return how many closures were kept."""
+        """Search all older track segments for a submap after a break; return the number of closures that were kept."""
         s, piece = self.settings, self.track.piece
         older = [a for a in range(b) if piece[self.submaps[a].middle] != piece[self.submaps[b].middle]]
         step = max(len(older) // s.broken_candidates, 1)
         found = [
             one
             for a in older[::step]
-            for one in self._found(a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score)
+            for one in self._search_pair(
+                a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score
+            )
         ]
         return self._keep(b, found, np.inf, is_anywhere=True)
 
     def _candidates(self, b: int, reach: float) -> Iterator[int]:
-        """Yield older submaps near a submap, the nearest of each visit, the nearest first."""
+        """Yield the nearest older submap of each visit near a submap, in order of distance."""
         s = self.settings
         middles = np.array([submap.middle for submap in self.submaps[:b]], dtype=np.intp)
         newer = self.submaps[b]
@@ -154,7 +159,7 @@ class LoopCloser:
             if len(taken) == s.candidates:
                 return
 
-    def _found(
+    def _search_pair(
         self,
         a: int,
         b: int,
@@ -164,7 +169,13 @@ class LoopCloser:
         guess: Floats | None = None,
         score: float | None = None,
     ) -> list[ClosureCandidate]:
-        """Look for submap b in submap a, around a guess (None: where the graph has it); none: nothing fits."""
+        """Search submap a for submap b around a guess; return at most one candidate.
+
+        Parameters
+        ----------
+        guess : (3,) [m, m, rad] Pose of b in a; None: the pose in the graph.
+        score : Minimum likelihood-field score; None: `settings.score`.
+        """
         s, older, newer = self.settings, self.submaps[a], self.submaps[b]
         self._tried.add((a, b))
         poses = self.graph.poses
@@ -183,7 +194,7 @@ class LoopCloser:
             rival_ratio=s.rivalry,
             apart=(s.rival_apart, np.radians(10.0)),
         )
-        self._forget_pyramids_but(a, b)
+        self._free_old_pyramids(a, b)
         if not len(modes.scores):
             return []
         found = match(*newer.core_points, older.surfaces, modes.poses[0], settings=older.matching)
@@ -203,8 +214,8 @@ class LoopCloser:
         )
         return [candidate]
 
-    def _forget_pyramids_but(self, *used: int) -> None:
-        """Free the likelihood fields that were not used for longest."""
+    def _free_old_pyramids(self, *used: int) -> None:
+        """Free the least recently used likelihood fields."""
         for k in used:
             self._searched.pop(k, None)
             self._searched[k] = None
@@ -214,59 +225,60 @@ class LoopCloser:
             self.submaps[oldest].forget_pyramid()
 
     def _keep(self, b: int, found: list[ClosureCandidate], drift: float, *, is_anywhere: bool = False) -> int:
-        """Keep the closures of submap b against which nothing speaks; return how many.
+        """Keep the valid closures of submap b; return their number.
 
         Parameters
         ----------
-        drift : [m] that the track may be off; places farther from where it has the submap are no rivals
-        is_anywhere : nobody knows where the submap is, so that one candidate does not rule out another's places
+        drift : [m] Expected drift of the track; places farther from the tracked pose are no rivals.
+        is_anywhere : The pose of the submap is unknown, so that a valid candidate does not exclude the places
+            of another.
         """
         newer = self.submaps[b].middle
         good = [one for one in found if not one.closure.reason]
-        asked = found if is_anywhere or not good else good
-        rivals = rival_places(newer, asked, self.graph.poses, drift, self.settings)
+        considered = found if is_anywhere or not good else good
+        rivals = rival_places(newer, considered, self.graph.poses, drift, self.settings)
         if rivals is not None:
             self.rivals.append(rivals)
         for one in found:
             if one.closure.reason:
                 self.refused.append(one.closure)
             elif rivals is not None:
-                self._refuse(one.closure, "a place elsewhere fits as well")
+                self._refuse(one.closure, "another place fits equally well")
             else:
                 self.kept.append(one.closure)
                 self.found.append((one.older, newer, one.closure.relative, one.information))
         return 0 if rivals is not None else len(good)
 
-    def _undecided(self, kept: list[tuple[int, int, Floats, Floats]]) -> tuple[RivalPlaces, ...]:
-        """Return the rivals of submaps that no closure holds."""
+    def _unresolved_rivals(self, kept: list[tuple[int, int, Floats, Floats]]) -> tuple[RivalPlaces, ...]:
+        """Return the rivals of submaps without a closure."""
         held = {key for row in kept for key in row[:2]}
         return tuple(one for one in self.rivals if one.newer not in held)
 
     def objection(
         self, older: Submap, newer: Submap, found: Match, guess: Floats, window: float, rivalry: float
     ) -> str:
-        """Return why a match is no closure, or nothing."""
+        """Return the reason to reject a match, or an empty string."""
         s = self.settings
         if rivalry > 0:
-            return f"another place fits {rivalry:.0%} as well"
+            return f"another place has {rivalry:.0%} of its score"
         if found.overlap < s.overlap:
-            return f"only {found.overlap:.0%} of the points have a surface near"
+            return f"only {found.overlap:.0%} of the points have a surface near them"
         if found.inliers < s.inliers:
             return f"only {found.inliers:.0%} of the points lie on surfaces"
         if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
-            return "the match left the window"
+            return "the match left the search window"
         if float(np.linalg.inv(self._information(found))[2, 2]) > s.weak_turn**2:
-            return "the surfaces in view do not tell the heading"
+            return "the visible surfaces do not determine the heading"
         through = max(
             newer.sees_through(older, invert(found.pose), s.margin),
             older.sees_through(newer, found.pose, s.margin),
         )
         if through > s.see_through:
-            return f"rays would go through {through:.0%} of the surfaces in view"
+            return f"rays would cross {through:.0%} of the visible surfaces"
         return ""
 
     def _information(self, found: Match) -> Floats:
-        """Return the information (3, 3) in the older submap's frame; along a corridor it has none."""
+        """Return the information (3, 3) in the older submap's frame; none along a corridor."""
         s = self.settings
         information = found.information / s.correlation
         lowest = float(np.linalg.eigvalsh(information)[0])
@@ -287,14 +299,15 @@ class LoopCloser:
 def close_loops(
     scans: ScanPoints, track: ScanTrack, progress: Progress, settings: ClosureSettings = CLOSURES
 ) -> ClosedTrack:
-    """Find the loop closures of a track, and the poses of its key frames with them."""
+    """Find the loop closures of a track; return the poses of its key frames with them."""
     return LoopCloser(scans, track, settings).run(progress)
 
 
 def spread(track: ScanTrack, poses: Floats) -> Floats:
-    """Return poses (n_scans, 3) of all scans from those of the key frames (n_key, 3).
+    """Return the poses (n_scans, 3) of all scans, given those of the key frames (n_key, 3).
 
-    Between two key frames the track's own motion holds; what is missing at the second is spread evenly over the scans.
+    Between two key frames the motion of the track applies; its error at the second is distributed evenly over
+    the scans.
     """
     keys = track.key_frames
     n = len(track.poses)
@@ -307,7 +320,7 @@ def spread(track: ScanTrack, poses: Floats) -> Floats:
     miss[:, 2] = wrap(miss[:, 2])
     width = np.maximum(keys[right] - keys[left], 1)
     share = np.clip((index - keys[left]) / width, 0.0, 1.0) * (right > left)
-    # a piece of track that begins is not bent towards the one before it
+    # the motion between two track segments is unknown: nothing to distribute
     share = share * (track.piece[left] == track.piece[right])
     out: Floats = moved + share[:, None] * miss
     out[:, 2] = wrap(out[:, 2])

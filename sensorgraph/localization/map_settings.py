@@ -1,4 +1,4 @@
-"""Every tuned number of localisation in a known place, with unit and meaning; set by `benchmarks/localize_in_map.py`."""
+"""Tuning parameters of localization in a known place, set by `benchmarks/localize_in_map.py`."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class KnownMapSettings:
-    """A known place, and how likely a ray is in it."""
+    """A known map, and the likelihood of a ray in it."""
 
     spacing: float = 0.04
-    """[m] between the points on the walls to which scans are matched."""
+    """[m] Spacing of the points on the walls to which scans are matched."""
     resolution: float = 0.05
-    """[m] of the field that judges rays."""
+    """[m] Cell size of the field in which rays are evaluated."""
     search_resolution: float = 0.1
-    """[m] of the field that is searched without a guess."""
+    """[m] Cell size of the field of the global search."""
     search_sigma: float = 0.12
-    """[m] scatter of returns around the surfaces of that field."""
+    """[m] Scatter of returns around the surfaces of that field."""
     ray_sigma: float = 0.07
-    """[m] scatter of a return around its surface, with the error of a pose after a fine match."""
+    """[m] Scatter of a return around its surface, including the pose error after a fine match."""
     hit: float = 0.7
-    """Share of the returns that are of surfaces of the map."""
+    """Share of the returns from surfaces of the map."""
     unmapped: float = 0.25
-    """Share of the returns that are of what the map lacks: people, furniture."""
+    """Share of the returns from objects that are missing from the map: people, furniture."""
     through_wall: float = 0.05
     """Share of the returns from behind a wall of the map: moved walls, glass, opened doors."""
     ray_length: float = 10.0
-    """[m] over which returns without a surface are spread."""
+    """[m] Length over which returns without a surface are distributed uniformly."""
     before_wall: float = 0.35
-    """[m] before its end a ray that meets a wall went through it."""
+    """[m] Minimum distance between a wall and the end of a ray that counts as having crossed the wall."""
 
 
 KNOWN_MAP = KnownMapSettings()
@@ -36,49 +36,48 @@ KNOWN_MAP = KnownMapSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalSearchSettings:
-    """Finding a robot without a guess."""
+    """Global search for a robot, without a prior pose."""
 
     points: int = 160
-    """Of a view, at most."""
-    least_points: int = 25
-    """Of a view; also of each of its scans, if it has them."""
+    """Maximum number of points of a view."""
+    min_points: int = 25
+    """Minimum number of points of a view, and lower limit of the number taken from each of its scans."""
     heading_step: float = 0.0175
-    """[rad] between headings that are tried."""
+    """[rad] Step between headings."""
     min_score: float = 0.25
-    """Mean of the field at the points, below which a place is none."""
+    """Minimum mean of the field at the points."""
     rival_ratio: float = 0.6
-    """Of the best score of the field, down to which places are judged by the beam model."""
+    """Share of the best field score down to which places are evaluated with the beam model."""
     max_modes: int = 120
-    """Places that are judged, at most."""
+    """Maximum number of places that are evaluated."""
     max_matches: int = 40
-    """The best of them, that are matched and judged again."""
-    max_nudged: int = 5
-    """The best of these, around which matches start once more: the field knows one place within `apart`, where walls that
-    are close to each other hold a match in several."""
-    nudge: float = 0.25
-    """[m] along x and y, from these to the other starts."""
-    enough_fit: float = 0.6
-    """`GlobalPlaces.fit` of the first place, from which on no other scans are sought."""
-    least_joint_fit: float = 0.25
-    """The same by all scans of a place that the last scan alone fits: the map may lack what the others saw, but they do
-    not speak against it."""
+    """Number of the best places that are matched and evaluated again."""
+    max_restarts: int = 5
+    """Number of the best matches around which matches start again. The field has one place within `apart`,
+    but close walls can hold a match at several poses."""
+    restart_offset: float = 0.25
+    """[m] Offset of these starts along x and y."""
+    accept_fit: float = 0.6
+    """`GlobalPlaces.fit` of the first place at which the search stops."""
+    min_joint_fit: float = 0.25
+    """Minimum fit of all scans at a place that the last scan alone fits: the map may lack what the other
+    scans observed, but they must not contradict the place."""
     apart: float = 0.5
-    """[m] places nearer than this, and than `apart_turn`, are one."""
+    """[m] Distance below which two places are the same, if their headings differ by less than `apart_turn`."""
     apart_turn: float = 0.26
-    """[rad]"""
+    """[rad] Heading difference below which two places are the same."""
     correlation: float = 4.0
-    """Times the likelihood of a view says too much, as its rays meet the same surfaces."""
+    """Factor by which the log likelihood of a view is divided, since its rays meet the same surfaces."""
     hidden_weight: float = 2.0
-    """Points that walls of the map should have hidden, in points that lie on surfaces: one speaks against a place as
-    two speak for it."""
-    least_seen: float = 0.5
-    """Share of the points of which the map must say something; what is missing counts against a place."""
-    least_seen_anywhere: float = 0.8
-    """The same where nobody knows where the robot is: some place at the edge of a map fits by chance."""
+    """Weight of a point that a wall of the map should have hidden, relative to a point on a surface."""
+    min_seen: float = 0.5
+    """Minimum share of the points in observed space; a smaller share lowers the fit of a place."""
+    min_seen_anywhere: float = 0.8
+    """The same in a search of the whole map, where a place at its edge can fit by chance."""
     rival_probability: float = 0.02
-    """A less probable place is ruled out, if it fits worse than the best by `rival_margin`."""
+    """Probability below which a place is ruled out, if it also fits worse than the best by `rival_margin`."""
     rival_margin: float = 0.05
-    """Standard error of a fit: of a share of .85 of `points` / `correlation`."""
+    """Standard error of a fit: for a share of 0.85 of `points` / `correlation` points."""
 
 
 GLOBAL_SEARCH = GlobalSearchSettings()
@@ -86,102 +85,105 @@ GLOBAL_SEARCH = GlobalSearchSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class MapTrackingSettings:
-    """Following a robot through a known place."""
+    """Tracking a robot in a known place."""
 
-    least_points: int = 25
-    """Of a scan, below which it is not matched."""
+    min_points: int = 25
+    """Minimum number of points of a scan to be matched."""
     prior_floor: tuple[float, float, float] = (0.01, 0.01, 0.005)
-    """[m, m, rad] standard deviations of the way from scan to scan, however short."""
+    """[m, m, rad] Standard deviations of the motion from scan to scan, of any length."""
     prior_per_metre: float = 0.03
-    """[m/m, rad/m] the same per way."""
+    """[m/m, rad/m] Additional standard deviation per distance driven."""
     prior_per_turn: float = 0.03
-    """[m/rad, rad/rad] the same per turn."""
-    most_off: float = 0.3
-    """[m] from where a scan was expected; a match farther off is of another wall."""
-    most_turned: float = 0.17
-    """[rad] the same of its heading."""
+    """[m/rad, rad/rad] Additional standard deviation per turn."""
+    max_offset: float = 0.3
+    """[m] Maximum distance between a match and its prediction; a larger one indicates another wall."""
+    max_turn_offset: float = 0.17
+    """[rad] Maximum heading difference between a match and its prediction."""
     inliers: float = 0.5
-    """Share of the points near a surface that lie on it, in a match that is believed."""
+    """Minimum share of inliers among the points near a surface."""
     agreement: float = 0.3
-    """Share of all points that lie on surfaces, in a match that is believed."""
+    """Minimum share of inliers among all points."""
     patience: float = 2.0
-    """[s] without such a match, or `patience_way`, after which the robot is lost."""
-    patience_way: float = 2.0
-    """[m]"""
-    back_patience: float = 1.0
-    """[s] the same on the way back from where it was found."""
+    """[s] Time without an accepted match after which the robot is lost; so it is after `patience_distance`."""
+    patience_distance: float = 2.0
+    """[m] Distance driven without an accepted match after which the robot is lost."""
+    backward_patience: float = 1.0
+    """[s] The same time when tracking backwards from where the robot was found."""
     found_fit: float = 0.6
-    """`GlobalPlaces.fit` from which on a place without rivals is believed."""
-    alone_fit: float = 0.4
-    """The same of a place that fits better than any other by `alone_lead`, and in proportion between: an opened door or
-    a moved cupboard lets the true place fit badly, but what fits by chance has its like elsewhere."""
-    alone_lead: float = 0.5
-    """Of places by chance that fit by `alone_fit`, 0.21 at most at 160 places of three logs that the map lacks
-    (`localize_in_map --swap`)."""
+    """Minimum `GlobalPlaces.fit` of a place without rivals."""
+    unrivalled_fit: float = 0.4
+    """Minimum fit of a place that leads all others by `unrivalled_lead`; between, the limit is interpolated. An
+    opened door or a moved cupboard lowers the fit of the true place, but a place that fits by chance has
+    rivals with a similar fit."""
+    unrivalled_lead: float = 0.5
+    """Lead at which `unrivalled_fit` applies. Places that fit by chance with `unrivalled_fit` lead by at most 0.21, at
+    160 places of three logs outside the map (`localize_in_map --swap`)."""
     near_fit: float = 0.4
-    """The same of a place where the robot must be by its odometry since it was lost."""
+    """Minimum fit of a place that agrees with the odometry since the robot was lost."""
     expected_fit: float = 0.3
-    """The same of a place within `expected_way` and `expected_turn` of where the odometry has it, if no place of the map
-    fits better: that the best one lies just there is hardly chance."""
-    expected_way: float = 0.1
-    """[m]"""
+    """Minimum fit of a place within `expected_distance` and `expected_turn` of the odometry pose, if no place of
+    the map fits better. Such a coincidence is unlikely."""
+    expected_distance: float = 0.1
+    """[m] Maximum distance from the odometry pose."""
     expected_turn: float = 0.05
-    """[rad]"""
+    """[rad] Maximum heading difference from the odometry pose."""
     far_fit: float = 0.75
-    """The same of a place where it cannot be by its odometry."""
+    """Minimum fit of a place that contradicts the odometry."""
     drift_floor: float = 0.5
-    """[m] that the odometry may be off since the robot was lost."""
+    """[m] Drift of the odometry since the robot was lost, at any distance."""
     drift_per_metre: float = 0.05
-    """[m/m] the same per way."""
+    """[m/m] Additional drift per distance driven."""
     turn_drift_floor: float = 0.1
-    """[rad] the same of its heading."""
+    """[rad] Heading drift since the robot was lost, at any distance."""
     turn_drift_per_metre: float = 0.02
-    """[rad/m] the same per way."""
+    """[rad/m] Additional heading drift per distance driven."""
     fit_memory: float = 1.0
-    """[s] over which the fit is averaged while the robot is followed."""
-    proof_way: float = 5.0
-    """[m] after it was found, within which the averaged fit must stay above `near_fit`."""
-    least_fit: float = 0.2
+    """[s] Time constant of the averaged fit."""
+    probation_distance: float = 5.0
+    """[m] Distance after the robot was found within which the averaged fit must stay above `near_fit`."""
+    min_fit: float = 0.2
     """Averaged fit below which the robot is lost."""
-    usual_way: float = 5.0
-    """[m] over which the usual fit is averaged: it falls slowly where a map ends."""
-    sudden_share: float = 0.5
-    """Of the usual fit, below which the averaged fit says that the robot is elsewhere."""
-    sure_fit: float = 0.4
-    """Fit that a scan last had where the robot was surely right; what follows is lost with it."""
-    sure_share: float = 0.75
-    """Of the usual fit, that such a scan has at least."""
-    search_way: float = 0.3
-    """[m] between searches while it is lost, doubled after each that fails."""
+    usual_distance: float = 5.0
+    """[m] Distance over which the usual fit is averaged; it falls slowly where a map ends."""
+    loss_share: float = 0.5
+    """Share of the usual fit below which the averaged fit indicates that the robot is elsewhere."""
+    confirmed_fit: float = 0.4
+    """Minimum fit of a scan with a confirmed pose. When the robot is lost, all poses after the last such scan
+    are discarded."""
+    confirmed_share: float = 0.75
+    """Minimum share of the usual fit for such a scan."""
+    search_distance: float = 0.3
+    """[m] Distance between searches while the robot is lost; it doubles after each failed search."""
     search_turn: float = 0.35
-    """[rad] the same of turns."""
-    most_search_way: float = 2.4
-    """[m] between searches at most."""
+    """[rad] Turn between searches; it doubles likewise."""
+    max_search_distance: float = 2.4
+    """[m] Maximum distance between searches."""
     every_nth_everywhere: int = 3
-    """Searches after which one is made in all of the map, though the odometry says where the robot is."""
+    """Every n-th search covers the whole map, even if the odometry limits where the robot can be."""
     view_scans: int = 5
-    """Searched together, at most."""
-    rival_way: float = 5.0
-    """[m] around a search that several places answered, of which all scans must fit one of these by `found_fit`."""
+    """Maximum number of scans that are searched together."""
+    rival_distance: float = 5.0
+    """[m] Distance around a search with several answers within which scans must fit one of these by
+    `found_fit`."""
     rival_scans: int = 12
-    """Of these, at most."""
+    """Maximum number of these scans."""
     rematch_deviations: tuple[float, float, float] = (0.05, 0.05, 0.02)
-    """[m, m, rad] of the smoothed track, as the prior of the last matches."""
+    """[m, m, rad] Standard deviations of the smoothed track, as prior of the last matches."""
     correlation: float = 2.0
-    """Times a match with a map knows less than its residuals say: surfaces are shared by neighbouring scans."""
+    """Factor by which the information of a match is reduced, since neighbouring scans share surfaces."""
     place_floor: tuple[float, float, float] = (0.0007, 0.0007, 0.0002)
-    """[m, m, rad] least standard deviations of a pose in a map."""
+    """[m, m, rad] Minimum standard deviations of a pose in a map."""
     map_share: float = 0.8
-    """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than around
-    the surfaces of the scans just before, there or usually, whichever is more: so far the walls are off. Divided by the
-    share of the returns that lie on walls."""
+    """Ratio of a pose's standard deviation to the excess scatter of the returns around the walls of the map.
+    The excess is relative to the scatter around the surfaces of the preceding scans. The larger of local and
+    usual scatter counts, and the result is divided by the share of the returns on walls."""
     map_share_of_noise: float = 0.2
-    """The same as a share of how far returns scatter around the scans just before: walls of a few returns each are off
-    as a whole."""
+    """Ratio of a pose's standard deviation to the scatter of returns around the preceding scans: walls made
+    of a few returns each are displaced as a whole."""
     map_turn: float = 0.3
-    """[rad/m] the standard deviation of the heading, per that of the place."""
+    """[rad/m] Standard deviation of the heading per standard deviation of the position."""
     ok_within: float = 2.0
-    """[s] from a scan that fits the map; a scan farther from any is lost."""
+    """[s] Maximum time to a scan that fits the map; a scan farther away is lost."""
 
 
 MAP_TRACKING = MapTrackingSettings()

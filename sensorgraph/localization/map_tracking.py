@@ -1,7 +1,7 @@
-"""Follow a robot through a known place: searched without a guess at first and whenever it is lost, matched otherwise.
+"""Track a robot in a known place: a global search at the start and after each loss, scan matching otherwise.
 
-The way from scan to scan comes from the laser's own odometry (`front_end`); wheels alone are too poor a prior where
-they drift. What lies before a place was found is followed backwards from there.
+The motion between scans comes from the laser odometry (`front_end`), since drifting wheels are a poor prior.
+Scans before the first search result are tracked backwards from there.
 """
 
 from __future__ import annotations
@@ -23,62 +23,62 @@ from sensorgraph.types import Bools, Floats, Progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapTrack:
-    """Where the scans are in a known place."""
+    """Poses of scans in a known place."""
 
     poses: Floats
-    """(n_scans, 3) [m, m, rad] base_link in map; nan where it is not known."""
+    """(n_scans, 3) [m, m, rad] base_link in map; nan where unknown."""
     information: Floats
-    """(n_scans, 3, 3) of x, y, phi in map as the scan alone tells; zeros where it was not matched."""
+    """(n_scans, 3, 3) Information of x, y, phi in map from the scan alone; zeros where not matched."""
     breaks: Bools
-    """(n_scans,) the way from the scan before is not known."""
+    """(n_scans,) The motion from the previous scan is not known."""
     rivals: dict[int, Floats]
-    """Scan -> (n, 3) the places where it may have been, the best first, at searches that several places answered."""
+    """Scan -> (n, 3) possible places, the best first, of searches with several answers."""
     best_fit: float
-    """Of all searches: share of the returns on walls of the map, less twice those through walls."""
+    """Best `GlobalPlaces.fit` of all searches."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapMatches:
-    """Scans matched to a known place."""
+    """Matches of scans to a known map."""
 
     poses: Floats
     """(n, 3) [m, m, rad] base_link in map."""
     information: Floats
-    """(n, 3, 3) of x, y, phi in map as the scan alone tells; zeros where it was not matched."""
+    """(n, 3, 3) Information of x, y, phi in map from the scan alone; zeros where not matched."""
     noise: Floats
-    """(n,) [m] scatter of the returns around the walls; nan where it was not matched."""
+    """(n,) [m] Scatter of the returns around the walls; nan where not matched."""
     agreement: Floats
-    """(n,) share of the returns that lie on walls; nan where it was not matched."""
+    """(n,) Share of the returns on walls; nan where not matched."""
 
 
 @dataclass
 class _State:
-    """What is known while scan after scan is taken."""
+    """State of the tracker."""
 
     last_good: int = -1
-    """The last scan that fits the map; -1: the robot is not found, or lost."""
-    last_sure: int = -1
-    """The last scan with a good averaged fit; -1: none since the way is known."""
+    """Last scan that fits the map; -1: the robot is not found, or lost."""
+    last_confirmed: int = -1
+    """Last scan with a confirmed pose; -1: none since the motion is known."""
     found_at: int = -1
-    """Scan at which it was found last."""
-    sure_before: int = -1
-    """`last_sure` then; -1: the way from there is not known."""
-    proof_fit: float = 0.0
-    """Averaged fit that it must have until the place is proven."""
+    """Scan of the last successful search."""
+    confirmed_before: int = -1
+    """`last_confirmed` at that time; -1: the motion since then is not known."""
+    probation_fit: float = 0.0
+    """Minimum averaged fit until the place is confirmed."""
     fit: float = 0.0
-    """Averaged over the last second."""
+    """Fit, averaged over the last second."""
     usual_fit: float = 0.0
-    """Averaged over the last metres."""
+    """Fit, averaged over the last metres."""
     last_search: int = -1
-    """Scan; -1: none since it was lost."""
+    """Scan of the last search; -1: none since the loss."""
     n_searches: int = 0
-    """Since it was lost."""
+    """Number of searches since the loss."""
     view: list[int] = field(default_factory=list)
-    """Scans of the searches since it was lost."""
+    """Scans of the searches since the loss."""
 
 
 class MapTracker:
-    """Place one scan after the other in a known map."""
+    """Tracks scans one after the other in a known map."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class MapTracker:
     ) -> None:
         n = scans.n_scans
         self.scans, self.stamps, self.track, self.place, self.settings = scans, stamps, track, place, settings
-        self.breaks = ~track.goes_on
+        self.breaks = ~track.is_continuous
         self.is_new_piece = np.zeros(n, dtype=np.bool_)
         self.is_new_piece[track.key_frames[1:][np.diff(track.piece) != 0]] = True
         self.poses = np.full((n, 3), np.nan)
@@ -101,20 +101,20 @@ class MapTracker:
         self.state = _State()
 
     def run(self, progress: Progress) -> MapTrack:
-        """Place all scans, forwards and then backwards."""
+        """Track all scans, forwards and then backwards."""
         n = self.scans.n_scans
         for k in range(n):
-            if self.state.last_good < 0:  # nothing is believed that one scan could make doubtful
+            if self.state.last_good < 0:  # the robot is lost: a discontinuity invalidates nothing
                 self.breaks[k] = self.is_new_piece[k]
             if self.breaks[k]:
                 self.state = _State()
             if self.state.last_good >= 0:
-                self._go_on(k)
+                self._track_next(k)
             if self.state.last_good < 0:
                 self._search(k)
             if k % 50 == 0:
                 progress(k, n)
-        self._follow_back()
+        self._track_backwards()
         progress(n, n)
         return MapTrack(
             poses=self.poses,
@@ -124,51 +124,51 @@ class MapTracker:
             best_fit=self.best_fit,
         )
 
-    def _follow_back(self) -> None:
-        """Follow the robot backwards from where it was found, over single scans that do not fit."""
+    def _track_backwards(self) -> None:
+        """Track backwards from where the robot was found, across single scans that do not fit."""
         s, last_good = self.settings, len(self.poses) - 1
         for k in range(len(self.poses) - 2, -1, -1):
             if not np.isnan(self.poses[k, 0]) or np.isnan(self.poses[k + 1, 0]) or self.breaks[k + 1]:
-                self.poses[k + 1 : last_good] = np.nan  # the scans at the end of the way back that do not fit
+                self.poses[k + 1 : last_good] = np.nan  # unmatched scans at the end of backward tracking
                 last_good = k
                 continue
-            fit = self._follow(k, k + 1)
-            if fit is not None and fit >= s.sure_fit:
+            fit = self._track_from(k, k + 1)
+            if fit is not None and fit >= s.confirmed_fit:
                 last_good = k
                 continue
             self.information[k] = 0.0
-            if self.stamps[last_good] - self.stamps[k] > s.back_patience:
+            if self.stamps[last_good] - self.stamps[k] > s.backward_patience:
                 self.poses[k:last_good] = np.nan
 
-    def _go_on(self, k: int) -> None:
-        """Follow the robot to scan k, or lose it."""
+    def _track_next(self, k: int) -> None:
+        """Track scan k; update the averaged fit, or declare the robot lost."""
         s, state = self.settings, self.state
-        fit = self._follow(k, k - 1)
+        fit = self._track_from(k, k - 1)
         if fit is not None:
             state.last_good = k
             state.fit += (fit - state.fit) * min(
                 float(self.stamps[k] - self.stamps[k - 1]) / s.fit_memory, 1.0
             )
             step = self.driven[k] - self.driven[k - 1]
-            state.usual_fit += (fit - state.usual_fit) * min(float(step) / s.usual_way, 1.0)
-            if fit >= max(s.sure_fit, s.sure_share * state.usual_fit):
-                state.last_sure = k
-        is_proven = self.driven[k] - self.driven[state.found_at] > s.proof_way
-        least = max(s.least_fit if is_proven else state.proof_fit, s.sudden_share * state.usual_fit)
-        if state.fit >= least and not self._is_blind(k):
+            state.usual_fit += (fit - state.usual_fit) * min(float(step) / s.usual_distance, 1.0)
+            if fit >= max(s.confirmed_fit, s.confirmed_share * state.usual_fit):
+                state.last_confirmed = k
+        is_proven = self.driven[k] - self.driven[state.found_at] > s.probation_distance
+        least = max(s.min_fit if is_proven else state.probation_fit, s.loss_share * state.usual_fit)
+        if state.fit >= least and not self._is_overdue(k):
             return
-        last = state.last_sure if is_proven else state.found_at - 1
+        last = state.last_confirmed if is_proven else state.found_at - 1
         self.poses[last + 1 : k + 1], self.information[last + 1 : k + 1] = np.nan, 0.0
-        self.state = _State(last_sure=last if is_proven else state.sure_before)
+        self.state = _State(last_confirmed=last if is_proven else state.confirmed_before)
 
-    def _follow(self, k: int, beside: int) -> float | None:
-        """Place scan k by the one beside it and a match; return its fit, None where it is not matched."""
+    def _track_from(self, k: int, neighbour: int) -> float | None:
+        """Place scan k by a neighbouring scan and a match; return its fit, or None without an accepted match."""
         s = self.settings
-        step = compose(invert(self.track.poses[beside]), self.track.poses[k])
-        predicted = compose(self.poses[beside], step)
+        step = compose(invert(self.track.poses[neighbour]), self.track.poses[k])
+        predicted = compose(self.poses[neighbour], step)
         self.poses[k] = predicted
         own = self.scans.of(k)
-        if own.stop - own.start < s.least_points:
+        if own.stop - own.start < s.min_points:
             return None
         way = float(np.hypot(step[0], step[1]))
         deviations = np.asarray(s.prior_floor) + s.prior_per_metre * way + s.prior_per_turn * abs(step[2])
@@ -177,23 +177,23 @@ class MapTracker:
             prior_information=information_at(predicted, deviations),
         )  # fmt: skip
         off = found.pose - predicted
-        is_near = np.hypot(off[0], off[1]) < s.most_off and abs(wrap(off[2])) < s.most_turned
+        is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(wrap(off[2])) < s.max_turn_offset
         if not (is_near and found.inliers >= s.inliers and found.agreement >= s.agreement):
             return None
         self.poses[k], self.information[k] = found.pose, found.information
         judged = self.place.judge(found.pose[None], self.scans.points[own], self.scans.starts[own])
         return fit_of(found.agreement, judged.hidden[0], judged.unseen[0])
 
-    def _is_blind(self, k: int) -> bool:
-        """Tell whether the last scan that fits is too long ago."""
+    def _is_overdue(self, k: int) -> bool:
+        """Tell whether the last scan that fits is too far back in time or distance."""
         last = self.state.last_good
         waited = self.stamps[k] - self.stamps[last] > self.settings.patience
-        return bool(waited or self.driven[k] - self.driven[last] > self.settings.patience_way)
+        return bool(waited or self.driven[k] - self.driven[last] > self.settings.patience_distance)
 
     def _search(self, k: int) -> None:
-        """Look for the robot where it can be, and from time to time everywhere; not where it has not moved."""
+        """Search where the odometry allows, and periodically the whole map; skip if the robot has not moved."""
         s, state = self.settings, self.state
-        if self.scans.first[k + 1] - self.scans.first[k] < s.least_points or not self._is_due(k):
+        if self.scans.first[k + 1] - self.scans.first[k] < s.min_points or not self._is_due(k):
             return
         chosen = np.array([*state.view[-(s.view_scans - 1) :], k], dtype=np.intp)
         view = local_view(self.scans, chosen, self.track.poses[chosen])
@@ -203,37 +203,37 @@ class MapTracker:
         window = self._window(k)
         if window is None:
             found = find_places(view, self.place)
-            if self._take(k, found, least_fit_of(found, s)) and found.fit < s.found_fit:
-                state.proof_fit = s.least_fit
+            if self._accept(k, found, min_fit_of(found, s)) and found.fit < s.found_fit:
+                state.probation_fit = s.min_fit
             return
         found = find_places(view, self.place, window=window)
-        if self._take(k, found, s.near_fit):
+        if self._accept(k, found, s.near_fit):
             return
-        is_expected = found.fit >= s.expected_fit and _is_beside(found.poses[0], window, s)
+        is_expected = found.fit >= s.expected_fit and _is_expected(found.poses[0], window, s)
         if not is_expected and state.n_searches % s.every_nth_everywhere != 0:
             return
         anywhere = find_places(view, self.place)
         if is_expected and anywhere.fit <= found.fit:
-            if self._take(k, found, s.expected_fit):
-                state.proof_fit = s.least_fit
+            if self._accept(k, found, s.expected_fit):
+                state.probation_fit = s.min_fit
             return
-        last = state.last_sure
-        if self._take(k, anywhere, s.far_fit) and not _is_within(self.poses[k], window):
-            self.breaks[last + 1] = True  # it was carried there
-            state.last_sure = state.sure_before = -1
+        last = state.last_confirmed
+        if self._accept(k, anywhere, s.far_fit) and not _is_within(self.poses[k], window):
+            self.breaks[last + 1] = True  # the robot was carried there
+            state.last_confirmed = state.confirmed_before = -1
 
     def _is_due(self, k: int) -> bool:
         s, state = self.settings, self.state
         if state.last_search < 0:
             return True
-        share = min(2.0 ** (state.n_searches - 1), s.most_search_way / s.search_way)
+        share = min(2.0 ** (state.n_searches - 1), s.max_search_distance / s.search_distance)
         turn = abs(wrap(self.track.poses[k, 2] - self.track.poses[state.last_search, 2]))
         way = self.driven[k] - self.driven[state.last_search]
-        return bool(way > share * s.search_way or turn > min(share * s.search_turn, np.pi / 2))
+        return bool(way > share * s.search_distance or turn > min(share * s.search_turn, np.pi / 2))
 
     def _window(self, k: int) -> SearchWindow | None:
-        """Return where the robot can be by its odometry since it was lost; None: nobody knows."""
-        s, last = self.settings, self.state.last_sure
+        """Return the window that the odometry allows since the loss; None without a last confirmed pose."""
+        s, last = self.settings, self.state.last_confirmed
         if last < 0:
             return None
         way = self.driven[k] - self.driven[last]
@@ -244,10 +244,10 @@ class MapTracker:
             half_phi=s.turn_drift_floor + s.turn_drift_per_metre * way,
         )
 
-    def _take(self, k: int, found: GlobalPlaces, least_fit: float) -> bool:
-        """Go on from the place that was found, if it is good enough and the only one."""
+    def _accept(self, k: int, found: GlobalPlaces, min_fit: float) -> bool:
+        """Accept a place if its fit suffices and it has no rivals; record rivals."""
         self.best_fit = max(self.best_fit, found.fit)
-        if found.fit < least_fit:
+        if found.fit < min_fit:
             return False
         if len(found.rivals):
             self.rivals[k] = np.vstack([found.poses[:1], found.rivals])
@@ -258,23 +258,23 @@ class MapTracker:
             self.scans.points[own], self.scans.normals[own], self.place.surfaces, self.poses[k]
         ).information
         state.last_good = state.found_at = k
-        state.sure_before, state.proof_fit = state.last_sure, self.settings.near_fit
+        state.confirmed_before, state.probation_fit = state.last_confirmed, self.settings.near_fit
         state.fit = state.usual_fit = float(found.fits[0])
         return True
 
 
-def least_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING) -> float:
-    """Return the fit that a place found without a guess must have to be believed: the less, the more it leads."""
+def min_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING) -> float:
+    """Return the minimum fit of a globally found place; it decreases with the place's lead."""
     s = settings
-    share = np.clip(found.lead / s.alone_lead, 0.0, 1.0) if len(found.poses) else 0.0
-    return float(s.found_fit + share * (s.alone_fit - s.found_fit))
+    share = np.clip(found.lead / s.unrivalled_lead, 0.0, 1.0) if len(found.poses) else 0.0
+    return float(s.found_fit + share * (s.unrivalled_fit - s.found_fit))
 
 
-def _is_beside(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
-    """Tell whether a pose is where the odometry has it, the middle of the window, and not just somewhere within."""
+def _is_expected(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
+    """Tell whether a pose is at the odometry pose, the centre of the window."""
     turn = abs(wrap(pose[2] - window.phi))
     way = np.hypot(pose[0] - window.x, pose[1] - window.y)
-    return bool(way < settings.expected_way and turn < settings.expected_turn)
+    return bool(way < settings.expected_distance and turn < settings.expected_turn)
 
 
 def _is_within(pose: Floats, window: SearchWindow) -> bool:
@@ -290,17 +290,19 @@ def rematch(
     progress: Progress,
     settings: MapTrackingSettings = MAP_TRACKING,
 ) -> MapMatches:
-    """Match scans once more; with the usual radii for a laser of few rays, too, as the walls of a map are dense.
+    """Match scans again, starting from known poses.
+
+    The radii are the default ones for any laser, since the walls of a map are dense.
 
     Parameters
     ----------
-    poses : (n, 3) [m, m, rad] to start from; nan: not matched
+    poses : (n, 3) [m, m, rad] Initial poses; nan: not matched.
     """
     places, information = poses.copy(), np.zeros((len(poses), 3, 3))
     noise, agreement = np.full((2, len(poses)), np.nan)
     for k in np.flatnonzero(np.isfinite(poses).all(axis=1)):
         own = scans.of(int(k))
-        if own.stop - own.start < settings.least_points:
+        if own.stop - own.start < settings.min_points:
             continue
         prior = information_at(poses[k], np.asarray(settings.rematch_deviations))
         found = match(

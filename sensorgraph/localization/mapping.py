@@ -1,4 +1,4 @@
-"""`map_run`: poses of all scans of a run in a place that nobody has mapped."""
+"""`map_run`: estimate the poses of all scans of a run in a place without a map."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from sensorgraph.localization.matching import match
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
-from sensorgraph.localization.result import Localization, Status, stretch_notes
+from sensorgraph.localization.result import Localization, Status, interval_notes
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
-LEAST = 1e-8
-"""[m², rad²] added to the own variances of scans: those of key frames are 0."""
+MIN_VARIANCE = 1e-8
+"""[m², rad²] Added to the independent variances of scans, since those of key frames are 0."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
-    """Find where each scan of a run was taken, by its scans and its odometry alone.
+    """Estimate the pose of each scan of a run, from its scans and its odometry alone.
 
-    Any reference poses of the run are left aside. The first scan gets the odometry's pose, 0 without odometry.
+    Reference poses of the run are ignored. The first scan has the pose of the odometry, or 0 without
+    odometry.
 
     Parameters
     ----------
-    seed : of the bootstrap of the covariances
-    progress : opens a bar for each stage
+    seed : Seed of the bootstrap of the covariances.
+    progress : Opens a progress bar for each stage.
 
     Raises
     ------
-    ValueError : the run has no scan
+    ValueError : The run has no scan.
     """
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
@@ -45,7 +46,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         followed = track_run(run, bar)
     odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
-        return _nowhere(run, tracked)
+        return _without_returns(run, tracked)
     with progress("closing loops", "submaps") as bar:
         closed = close_loops(scans, tracked, bar)
     frames = FramePoints.of(scans, tracked.key_frames)
@@ -57,7 +58,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
             scans, tracked, refined, np.random.default_rng(seed), bar
         )
     poses = smooth(
-        poses, *steps_of(tracked), poses, np.linalg.inv(own + LEAST * np.eye(3)).astype(np.float64)
+        poses, *steps_of(tracked), poses, np.linalg.inv(own + MIN_VARIANCE * np.eye(3)).astype(np.float64)
     ).poses
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(poses, covariances, origin)
@@ -81,7 +82,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         notes=(
             *_notes(run, tracked, joined, odometry is None),
             *followed.notes,
-            *stretch_notes(run.stamps, status, "ambiguous"),
+            *interval_notes(run.stamps, status, "ambiguous"),
         ),
         sensor=followed.run.sensor,
     )
@@ -90,10 +91,10 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
 def _place_all(
     scans: ScanPoints, tracked: ScanTrack, refined: Refined, rng: np.random.Generator, progress: Progress
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return poses, covariances, the part of these that is each scan's own, and whether they fit the map, of all scans.
+    """Return poses, covariances, independent covariances, and whether each scan fits the map, for all scans.
 
-    What scans share with their neighbours, as the map's own errors, is no reason to move one against another; key frames
-    were placed together with the odometry already and have no part of their own.
+    Errors that neighbouring scans share, such as those of the map, do not move one against another. Key
+    frames were already placed together with the odometry, so that their independent covariance is 0.
     """
     keys, n = tracked.key_frames, scans.n_scans
     key_covariances, shared = key_frame_covariances(refined, rng)
@@ -121,7 +122,7 @@ def _place_all(
 def _place(
     scans: ScanPoints, k: int, surfaces: LineMap, prior: Floats, matching: LineMatchSettings
 ) -> tuple[Floats, Floats, bool]:
-    """Return pose, covariance by the scan and the wheels alone, and whether it fits, of one scan between key frames."""
+    """Return pose, covariance from scan and wheels alone, and whether it fits, of one scan between key frames."""
     own, settings = scans.of(k), FINAL
     information = information_at(prior, np.array([settings.place_sd, settings.place_sd, settings.turn_sd]))
     found = match(
@@ -141,7 +142,7 @@ def _place(
 
 
 def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Floats, Floats]:
-    """Move all so that the first pose is the origin (3,)."""
+    """Move all poses so that the first is at the origin (3,)."""
     move = compose(origin, invert(poses[0]))
     cos, sin = np.cos(move[2]), np.sin(move[2])
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -151,13 +152,13 @@ def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Float
 
 
 def _joined(tracked: ScanTrack, closed: ClosedTrack) -> Bools:
-    """Tell which pieces of track hang together with the longest, by closures that were kept: one alone can be false."""
+    """Return which track segments are connected to the longest by kept closures; a single closure can be false."""
     n_pieces = int(tracked.piece[-1]) + 1
     label = np.arange(n_pieces)
     between = np.zeros((n_pieces, n_pieces), dtype=np.intp)
     np.add.at(between, (tracked.piece[closed.closures.first], tracked.piece[closed.closures.second]), 1)
     between += between.T
-    for a, b in zip(*np.nonzero(between >= FINAL.joining), strict=True):
+    for a, b in zip(*np.nonzero(between >= FINAL.min_joining_closures), strict=True):
         label[label == label[b]] = label[a]
     weight = np.bincount(label[tracked.piece], minlength=n_pieces)
     return np.asarray(label == int(weight.argmax()))
@@ -166,10 +167,10 @@ def _joined(tracked: ScanTrack, closed: ClosedTrack) -> Bools:
 def _rivals(
     tracked: ScanTrack, closed: ClosedTrack, poses: Floats, joined: Bools, piece: Ints
 ) -> tuple[dict[int, Floats], Bools]:
-    """Return the places (n, 3) in map where some scans may have been as well, and which scans (n_scans,) hang on these.
+    """Return the other places (n, 3) in map of some scans, and which scans (n_scans,) they make ambiguous.
 
-    A piece of track that did not join the map hangs on its rivals as a whole; the last piece of the map from there on,
-    unless a later closure holds it.
+    A track segment that did not join the map is ambiguous as a whole. In a joined segment, all scans after
+    the submap are ambiguous, unless a later closure in the segment resolves them.
     """
     keys, scans = tracked.key_frames, np.arange(len(poses))
     held = np.concatenate([closed.closures.first, closed.closures.second, [-1]])
@@ -180,23 +181,23 @@ def _rivals(
         is_known = joined[tracked.piece[one.older]]
         if is_known.sum() < 2:
             continue
-        hangs = piece == own
+        depends = piece == own
         if joined[own]:
             if held[tracked.piece[held] == own].max(initial=-1) > one.newer:
                 continue
-            hangs &= scans >= keys[one.newer]
+            depends &= scans >= keys[one.newer]
         rivals[int(keys[one.newer])] = compose(poses[keys[one.older]], one.relative)[is_known]
-        is_ambiguous |= hangs
+        is_ambiguous |= depends
     return rivals, is_ambiguous
 
 
 def _notes(run: Run, tracked: ScanTrack, joined: Bools, without_odometry: bool) -> tuple[str, ...]:
     notes = []
     if without_odometry:
-        notes.append("no odometry that can be used: by scan matching alone")
+        notes.append("no usable odometry: located by scan matching alone")
     n_same = int((np.diff(run.stamps) == 0).sum())
     if n_same:
-        notes.append(f"{n_same} scans have the stamp of the one before: taken in the order of the log")
+        notes.append(f"{n_same} scans repeat the previous stamp: used in the order of the log")
     if tracked.jumps:
         first = run.stamps[tracked.jumps[0]]
         notes.append(f"the odometry jumps {len(tracked.jumps)} times, first at {first:.1f} s: not used there")
@@ -205,14 +206,16 @@ def _notes(run: Run, tracked: ScanTrack, joined: Bools, without_odometry: bool) 
         ends = [int(tracked.key_frames[np.flatnonzero(tracked.piece == k)[0]]) for k in range(1, n_pieces)]
         times = ", ".join(f"{run.stamps[k]:.1f} s" for k in ends[:5])
         found = (
-            "all found again by loop closures" if joined.all() else f"{int((~joined).sum())} not found again"
+            "loop closures join all segments"
+            if joined.all()
+            else f"{int((~joined).sum())} segments remain unconnected"
         )
-        notes.append(f"the track broke {n_pieces - 1} times (at {times}): {found}")
+        notes.append(f"tracking was interrupted {n_pieces - 1} times (at {times}): {found}")
     return tuple(notes)
 
 
-def _nowhere(run: Run, tracked: ScanTrack) -> Localization:
-    """Return what is known without a single return."""
+def _without_returns(run: Run, tracked: ScanTrack) -> Localization:
+    """Return a localization without any return: all scans are lost."""
     n = run.n_scans
     status: tuple[Status, ...] = tuple("lost" for _ in range(n))
     return Localization(
@@ -220,5 +223,5 @@ def _nowhere(run: Run, tracked: ScanTrack) -> Localization:
         poses=tracked.poses,
         covariances=np.broadcast_to(np.eye(3) * 1e6, (n, 3, 3)).copy(),
         status=status,
-        notes=("no scan has a return within the limits of the sensor: no pose can be told",),
+        notes=("no scan has a return within the range limits of the sensor: no pose can be estimated",),
     )

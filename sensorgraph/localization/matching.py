@@ -1,7 +1,13 @@
-"""One scan against a line map: robust point-to-line match with a prior.
+"""Match one scan to a line map: robust point-to-line registration with a prior.
 
-Each point's residual is its distance from the line that fits the map around it (`line_map`), with Cauchy weights;
-where the map is a spot rather than a line, the distance along counts, too (Censi 2008; POSES of the study).
+Gauss-Newton minimises, over the pose x = (x, y, phi),
+
+    sum_k rho(r_k² / v_k)  +  sum_spots rho(t_k² / w_k)  +  |x - prior|²_prior_information.
+
+Here r_k is the distance of point k from the line fitted to the map around it (`line_map`). Its variance is
+v_k = sigma² + the variance across the line, and rho is Cauchy's function. Some points lie at a spot of the
+map rather than a line. For these the distance t_k along the line counts too, with variance w_k = sigma² + the
+variance along it (Censi 2008).
 """
 
 from __future__ import annotations
@@ -16,24 +22,24 @@ from sensorgraph.localization.settings import MATCH, LineMatchSettings
 from sensorgraph.types import Floats, Ints
 
 _Line = tuple[float, float, float, float, float, float, float]
-"""As `fit_line` returns it: weight, middle x and y, normal x and y, variances across and along."""
+"""Result of `fit_line`: weight, middle x and y, normal x and y, variances across and along."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Match:
-    """Where a scan lies in a line map."""
+    """Pose of a scan in a line map."""
 
     pose: Floats
     """(3,) [m, m, rad] base_link in map."""
     information: Floats
-    """(3, 3) of x, y, phi in map from the scan alone, without the prior; by the scatter of its residuals, as if those
-    were independent."""
+    """(3, 3) Information of x, y, phi in map from the scan alone, without the prior. It is scaled by the
+    scatter of the residuals, as if these were independent."""
     overlap: float
-    """Share of the points that have surfaces of the map near them."""
+    """Share of the points with a surface of the map near them."""
     inliers: float
     """Share of these that lie on the surfaces."""
     noise: float
-    """[m] standard deviation of the inliers' distances from their lines."""
+    """[m] Standard deviation of the distances of the inliers from their lines."""
 
     @property
     def agreement(self) -> float:
@@ -42,7 +48,7 @@ class Match:
 
     @property
     def weak_direction(self) -> tuple[Floats, float]:
-        """Return the direction (2,) in map in which the place is known worst, and its standard deviation [m]."""
+        """Direction (2,) in map with the largest position uncertainty, and its standard deviation [m]."""
         place = self.information[:2, :2] - np.outer(self.information[:2, 2], self.information[2, :2]) / max(
             float(self.information[2, 2]), 1e-12
         )
@@ -64,11 +70,11 @@ def match(
 
     Parameters
     ----------
-    points, normals : (n, 2) of the scan in base_link, as in `ScanPoints`
-    surfaces : of the map, with buckets of `settings.first_radius` at least
-    start : (3,) [m, m, rad] base_link in map from which to search
-    prior : (3,) [m, m, rad] base_link in map as expected; None: the start
-    prior_information : (3, 3) of x, y, phi in map; None: no prior
+    points, normals : (n, 2) Points of the scan in base_link, as in `ScanPoints`.
+    surfaces : Line map with buckets of at least `settings.first_radius`.
+    start : (3,) [m, m, rad] Initial base_link in map.
+    prior : (3,) [m, m, rad] Expected base_link in map; None: the start.
+    prior_information : (3, 3) Information of x, y, phi in map; None: no prior.
     """
     out = np.zeros(16)
     _match(
@@ -131,8 +137,8 @@ def _match(
 ) -> None:
     """Run Gauss-Newton.
 
-    `out` takes the pose (3), the sum of weighted JᵀJ (9), the points with a line, the inliers, the weighted sum of
-    squares and the weights.
+    `out` receives the pose (3), the sum of weighted JᵀJ (9), the number of points with a line, the number of
+    inliers, the weighted sum of squares and the sum of weights.
     """
     first_radius, last_radius = numbers[0], numbers[1]
     n_iterations, tolerance = int(numbers[3]), numbers[4]
@@ -180,9 +186,9 @@ def _line_at(
     points: Floats,
     normals: Floats,
 ) -> _Line:
-    """Fit a line around (x, y) as `fit_line` does; far away, where the rays lie apart, within a bucket's side.
+    """Fit a line around (x, y) as `fit_line` does; if too few points are near, within the side of a bucket.
 
-    Its weight is 0 where the points in there are of other surfaces, too.
+    The weight is 0 if the points in the larger radius also belong to other surfaces.
     """
     variance, min_points, same_side, facing = numbers[2] * numbers[2], numbers[6], numbers[7], numbers[9]
     line = fit_line(x, y, nx, ny, radius, same_side, side, keys, first, counts, points, normals, facing)
@@ -198,10 +204,11 @@ def _line_at(
 def _add_point(
     sums: Floats, rx: float, ry: float, dx: float, dy: float, line: _Line, numbers: Floats
 ) -> None:
-    """Add a point (rx, ry) from the robot that is (dx, dy) from the middle of its line, all in the map's directions.
+    """Add point (rx, ry) relative to the robot, at (dx, dy) from the middle of its line, all in map directions.
 
-    `sums` holds upper triangles of the information alone (6) and of the normal equations (6), their right side (3),
-    the points, the inliers, the weighted sum of squares and the weights.
+    `sums` holds the upper triangles of the information (6) and of the normal equations (6), then their
+    right-hand side (3). The numbers of points and of inliers, the weighted sum of squares and the sum of
+    weights follow.
     """
     w, _, _, nx, ny, across, along = line
     variance, roundness, inlier = numbers[2] * numbers[2], numbers[5], numbers[8]
@@ -213,7 +220,7 @@ def _add_point(
     jt = tx * -ry + ty * rx
     tilt = min(
         across / (w * along + 1e-12), 1.0
-    )  # variance [rad²] of the line's direction: the share of JᵀJ that it makes along the line is no information
+    )  # variance [rad²] of the line's direction; its tangential part of JᵀJ is subtracted from the information
     sums[0] += soft * (nx * nx - tilt * tx * tx)
     sums[1] += soft * (nx * ny - tilt * tx * ty)
     sums[2] += soft * (nx * j - tilt * tx * jt)
@@ -251,7 +258,7 @@ def _add_residual(sums: Floats, r: float, weight: float, jx: float, jy: float, j
 def _step(
     sums: Floats, x: float, y: float, phi: float, prior: Floats, information: Floats
 ) -> tuple[float, float, float]:
-    """Return the Gauss-Newton step by the points and the prior."""
+    """Return the Gauss-Newton step from points and prior."""
     ex, ey = x - prior[0], y - prior[1]
     ephi = np.arctan2(np.sin(phi - prior[2]), np.cos(phi - prior[2]))
     return _solve(
@@ -271,7 +278,7 @@ def _step(
 def _solve(
     h00: float, h01: float, h02: float, h11: float, h12: float, h22: float, g0: float, g1: float, g2: float
 ) -> tuple[float, float, float]:
-    """Solve three normal equations by Cholesky; directions without information stay where they are."""
+    """Solve the 3 × 3 normal equations by Cholesky; unconstrained directions do not move."""
     l00 = np.sqrt(h00 + 1e-6)
     l10, l20 = h01 / l00, h02 / l00
     l11 = np.sqrt(max(h11 + 1e-6 - l10 * l10, 1e-6))

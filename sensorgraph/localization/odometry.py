@@ -1,4 +1,4 @@
-"""What the wheels say at the stamps of the scans, or that they say nothing."""
+"""Wheel odometry at the stamps of the scans, or none if it never moves."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.types import Floats
 
-STANDS_STILL = 1e-6
-"""[m, rad] odometry that moves less in all of a run is a dummy."""
+MIN_MOTION = 1e-6
+"""[m, rad] Odometry with less motion in the whole run is a dummy."""
 
 
 def odometry_of(run: Run) -> Motion | None:
-    """Return the odometry of a run, the one in the scans' own lines first; None: there is none, or it never moves.
+    """Return the odometry of a run, preferably from the scan lines; None if it is missing or never moves.
 
-    Poses that are not finite are left out.
+    Poses with non-finite values are dropped.
     """
     for stamps, poses in _sources(run):
         known = np.isfinite(poses).all(axis=1)
         stamps, poses = stamps[known], poses[known]
-        if len(stamps) > 1 and (np.ptp(poses, axis=0) > STANDS_STILL).any():
+        if len(stamps) > 1 and (np.ptp(poses, axis=0) > MIN_MOTION).any():
             return Motion(stamps=stamps, poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
     return None
 
 
 def _sources(run: Run) -> list[tuple[Floats, Floats]]:
     sources = [(run.odom_stamps, run.odometry)]
-    if run.meta.get("pose_source") == "odometry":  # CARMEN: each scan's line has its own
+    if run.meta.get("pose_source") == "odometry":  # CARMEN: each scan line contains a pose
         poses = run.poses
         if run.pose_frame == "laser":
             poses = compose(poses, invert(run.sensor.mount))
@@ -39,9 +39,9 @@ def _sources(run: Run) -> list[tuple[Floats, Floats]]:
 
 
 def odometry_at_scans(run: Run, motion: Motion) -> Floats:
-    """Return the odometry (n_scans, 3) [m, m, rad] at the scans' stamps, phi unwrapped.
+    """Return the odometry (n_scans, 3) [m, m, rad] at the stamps of the scans, with phi unwrapped.
 
-    Scans that share their stamps with as many odometry poses take these in their order.
+    If scans and odometry poses have the same number and stamps, they are paired in order.
     """
     if _has_own_poses(run, motion):
         return motion.poses
@@ -49,14 +49,14 @@ def odometry_at_scans(run: Run, motion: Motion) -> Floats:
 
 
 def with_spread_stamps(run: Run) -> Run:
-    """Return the run with scans that share a stamp spread evenly up to the next stamp: its clock was too coarse.
+    """Return the run with repeated scan stamps distributed evenly up to the next stamp (coarse clock).
 
-    A run whose scans have each their own odometry pose is left as it is.
+    A run with an odometry pose for each scan is returned unchanged.
     """
     motion, n = odometry_of(run), run.n_scans
     if (np.diff(run.stamps) > 0).all() or (motion is not None and _has_own_poses(run, motion)):
         return run
-    first = np.flatnonzero(np.concatenate([[True], np.diff(run.stamps) > 0]))  # of each group
+    first = np.flatnonzero(np.concatenate([[True], np.diff(run.stamps) > 0]))  # first scan of each group
     counts = np.diff(np.append(first, n))
     lengths = np.append(np.diff(run.stamps[first]), counts[-1] / run.sensor.rate)
     group = np.repeat(np.arange(len(first)), counts)

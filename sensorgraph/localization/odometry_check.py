@@ -1,6 +1,7 @@
-"""Whether scans and odometry speak of the same drive: units, and the side on which the laser counts its rays.
+"""Check that scans and odometry describe the same drive: units of the odometry, and ray order of the laser.
 
-The stretches with most turning and with most way are followed by the scans alone, and compared with the odometry.
+The segments with the most turning and with the longest distance are tracked by the scans alone, and compared
+with the odometry.
 """
 
 from __future__ import annotations
@@ -21,49 +22,49 @@ from sensorgraph.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryCheckSettings:
-    """How sure a fault must be."""
+    """Thresholds of the check."""
 
     n_scans: int = 120
-    """Of the stretch that is followed by the scans alone."""
-    least_turn: float = 0.7
-    """[rad] by the scans, below which turns are not compared."""
-    least_way: float = 1.0
-    """[m] by the scans, below which ways are not compared."""
+    """Number of scans of the segment that is tracked by the scans alone."""
+    min_turn: float = 0.7
+    """[rad] Minimum turn by the scans for a comparison of turns."""
+    min_distance: float = 1.0
+    """[m] Minimum distance by the scans for a comparison of distances."""
     every: int = 4
-    """Scans from one end of a step to the next: the noise of a match is no way."""
-    least_matched: float = 0.9
-    """Share of the scans that must be matched."""
+    """Number of scans of a step, so that the noise of a match is small against its motion."""
+    min_matched: float = 0.9
+    """Minimum share of matched scans."""
     tolerance: float = 0.35
-    """Of a factor, in its logarithm, to the one that is named."""
+    """Maximum deviation from the factor of a unit, in the logarithm."""
     opposite: float = -0.6
-    """Correlation of the turns, below which one of the two is mirrored."""
+    """Correlation of the turns below which one of the two is mirrored."""
     moving_turn: float = 0.05
-    """[rad] of a step by the scans, from which on it is compared by itself."""
-    moving_way: float = 0.05
-    """[m] the same of ways."""
-    most_apart: float = 3.0
-    """Times that the odometry of such a step may be too large or too small."""
-    least_agreeing: float = 0.5
-    """Share of such steps that agree within this, below which the odometry is not used."""
-    least_moving: int = 5
-    """Such steps, below which nothing is said."""
+    """[rad] Minimum turn of a step by the scans for a step-by-step comparison."""
+    moving_distance: float = 0.05
+    """[m] Minimum distance of a step by the scans for a step-by-step comparison."""
+    max_ratio: float = 3.0
+    """Maximum ratio of such a step between odometry and scans, and its inverse."""
+    min_agreeing: float = 0.5
+    """Minimum share of such steps within this ratio; below, the odometry is not used."""
+    min_moving: int = 5
+    """Minimum number of such steps for a step-by-step comparison."""
 
 
 CHECK = OdometryCheckSettings()
-MOST_RADIANS = 7.0
-"""[rad] a heading beyond this is in degrees, or was never wrapped."""
-WAY_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}
+MAX_RADIANS = 7.0
+"""[rad] A heading beyond this is in degrees, or was never wrapped."""
+DISTANCE_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}
 TURN_UNITS = {float(np.pi / 180): "degrees"}
 
 
 def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> tuple[Run, tuple[str, ...]]:
-    """Return the run with its odometry in metres and radians, and what was changed.
+    """Return the run with its odometry in metres and radians, and notes about the changes.
 
-    Odometry that disagrees with the scans, in all units, is left out.
+    Odometry that disagrees with the scans in all units is removed.
 
     Raises
     ------
-    SensorgraphError : scans and odometry turn against each other: the laser is mirrored
+    SensorgraphError : Scans and odometry turn in opposite directions: the laser is mirrored.
     """
     motion = _as_logged(run)
     if motion is None or run.n_scans < 3:
@@ -72,58 +73,63 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     notes: list[str] = []
     way_factor = turn_factor = 1.0
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
-    if turns is not None and np.abs(turns[0][:, 2]).sum() > s.least_turn:
+    if turns is not None and np.abs(turns[0][:, 2]).sum() > s.min_turn:
         seen, driven = turns[0][:, 2], turns[1][:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
             raise SensorgraphError(
-                "scans and odometry turn against each other: the laser counts its rays clockwise, as in a mirror; give a "
-                "robot.yaml or a transform that says so"
+                "scans and odometry turn in opposite directions: the laser counts its rays clockwise, as in a mirror; state "
+                "this in robot.yaml or in the transform"
             )
         if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
     ways = _compared(run, odometry, np.hypot(*np.diff(odometry[:, :2], axis=0).T), s)
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
-        if seen.sum() > s.least_way:
-            way_factor = _factor(_ratio(seen, driven, s.moving_way, s), "ways", WAY_UNITS, notes, s)
-        if not _agrees(seen, way_factor * driven, s.moving_way, s):
-            return _without_odometry(run), (_disagreement(seen, driven, "ways", "metres"),)
+        if seen.sum() > s.min_distance:
+            way_factor = _factor(
+                _ratio(seen, driven, s.moving_distance, s), "distances", DISTANCE_UNITS, notes, s
+            )
+        if not _agrees(seen, way_factor * driven, s.moving_distance, s):
+            return _without_odometry(run), (_disagreement(seen, driven, "distances", "metres"),)
     return (_scaled(run, motion, way_factor, turn_factor), tuple(notes)) if notes else (run, ())
 
 
 def _compared(
     run: Run, odometry: Floats, moved: Floats, settings: OdometryCheckSettings
 ) -> tuple[Floats, Floats] | None:
-    """Return steps (n, 3) by the scans alone and by the odometry, where `moved` (n_scans - 1,) is greatest; None: not sure."""
+    """Return the steps (n, 3) by the scans alone and by the odometry, where `moved` (n_scans - 1,) is largest.
+
+    None if the scans alone cannot be tracked there.
+    """
     s = settings
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
     stretch = slice(first, first + s.n_scans)
     part = replace(run, stamps=run.stamps[stretch], ranges=run.ranges[stretch])
     found = track(scan_points(part), part.stamps, None, lambda done, total: None)
-    if found.matched.mean() < s.least_matched or (np.diff(found.piece) != 0).any():
+    if found.matched.mean() < s.min_matched or (np.diff(found.piece) != 0).any():
         return None
     unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
     return _steps(unwrapped[:: s.every]), _steps(odometry[stretch][:: s.every])
 
 
 def _as_logged(run: Run) -> Motion | None:
-    """Return the odometry with its heading made continuous, as an angle in radians or in degrees."""
+    """Return the odometry with an unwrapped heading, from an angle in radians or in degrees."""
     motion = odometry_of(run)
     if motion is None:
         return None
     logged = run.odometry if len(run.odometry) == len(motion.poses) else run.poses
     if len(logged) != len(motion.poses):
         return motion
-    period = 360.0 if np.abs(logged[:, 2]).max() > MOST_RADIANS else 2 * np.pi
+    period = 360.0 if np.abs(logged[:, 2]).max() > MAX_RADIANS else 2 * np.pi
     phi = np.unwrap(logged[:, 2], period=period)
     return Motion(stamps=motion.stamps, poses=np.column_stack([motion.poses[:, :2], phi]))
 
 
 def _steps(poses: Floats) -> Floats:
-    """Return way ahead and left (n - 1, 2), by the headings as they are, and turn (n - 1,), in one array."""
+    """Return the steps (n - 1, 3): motion ahead and left in the frame of each pose, and turn."""
     return np.column_stack([compose(invert(poses[:-1]), poses[1:])[:, :2], np.diff(poses[:, 2])])
 
 
@@ -132,28 +138,28 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 
 def _agrees(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> bool:
-    """Tell whether enough steps of the odometry are about as large as the scans say: a few may be jumps, or slip."""
+    """Tell whether enough steps of the odometry are about as large as those of the scans; a few may be jumps or slip."""
     is_moving = np.abs(seen) > moving
-    if is_moving.sum() < settings.least_moving:
+    if is_moving.sum() < settings.min_moving:
         return True
     ratio = driven[is_moving] / seen[is_moving]
-    within = (ratio > 1 / settings.most_apart) & (ratio < settings.most_apart)
-    return bool(within.mean() >= settings.least_agreeing)
+    within = (ratio > 1 / settings.max_ratio) & (ratio < settings.max_ratio)
+    return bool(within.mean() >= settings.min_agreeing)
 
 
 def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
     factor = np.abs(driven).sum() / np.abs(seen).sum()
     return (
-        f"the odometry's {what} are {factor:.3g} times those of the scans, and disagree step by step: not used; check that "
-        f"it is in {unit}"
+        f"the odometry's {what} are {factor:.3g} times those of the scans and disagree step by step: not used; check that "
+        f"they are in {unit}"
     )
 
 
 def _ratio(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> float:
-    """Return how many times less the scans say than the odometry: of a usual step, as one jump is more than all others."""
+    """Return the ratio of the scans' motion to the odometry's: the median over steps, which resists single jumps."""
     seen, driven = np.abs(seen), np.abs(driven)
     is_moving = seen > moving
-    if is_moving.sum() < settings.least_moving:
+    if is_moving.sum() < settings.min_moving:
         return float(seen.sum() / max(driven.sum(), 1e-9))
     return float(1.0 / max(np.median(driven[is_moving] / seen[is_moving]), 1e-9))
 
@@ -161,16 +167,16 @@ def _ratio(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckS
 def _factor(
     measured: float, what: str, units: dict[float, str], notes: list[str], settings: OdometryCheckSettings
 ) -> float:
-    """Return what ways or turns must be multiplied by, and note it; 1 where they are in none of the units."""
+    """Return the unit factor of distances or turns, and add a note; 1 if no unit matches."""
     for factor, name in units.items():
         if abs(np.log(measured / factor)) < settings.tolerance:
-            notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: taken as {name}")
+            notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: read as {name}")
             return factor
     return 1.0
 
 
 def _scaled(run: Run, motion: Motion, way: float, turn: float) -> Run:
-    """Return the run with its odometry in other units, as the only odometry."""
+    """Return the run with its odometry rescaled, as its only odometry."""
     poses = motion.poses * [way, way, turn]
     return replace(
         _without_odometry(run),

@@ -1,4 +1,4 @@
-"""Surfaces cut into short straight patches, and which point lies on which."""
+"""Cut surfaces into short straight patches, and assign points to them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Patches:
     middles: Floats
     """(n, 2) [m] in map."""
     normals: Floats
-    """(n, 2) unit normals of the lines, to either side."""
+    """(n, 2) Unit normals of the lines, with arbitrary sign."""
     towards: Floats
-    """(n, 2) unit normals towards where the patch was seen from; 0, 0: not known."""
+    """(n, 2) Unit normals towards the side from which the patch was observed; 0, 0 where unknown."""
     side: float
-    """[m] between neighbours."""
+    """[m] Distance between neighbours."""
 
 
 def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) -> Patches:
@@ -40,8 +40,8 @@ def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) 
 
     Parameters
     ----------
-    points, normals : (n, 2) of all returns in map
-    roundness : ratio of the variances across and along, above which there is no patch
+    points, normals : (n, 2) All returns in map.
+    roundness : Ratio of the variances across and along above which points form no patch.
     """
     fine = line_map(*thinned(points, normals), side=max(side, 0.1))
     sure = (normals**2).sum(axis=1) > 0.25
@@ -54,7 +54,7 @@ def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) 
     kept = np.zeros(len(middles), dtype=np.bool_)
     _suppress(
         rough.keys, rough.first, rough.counts, rough.points, rough.normals, side, 0.6 * side, kept
-    )  # in the order of the buckets
+    )  # indices are in bucket order
     order = rough.order[kept]
     return Patches(middles=middles[order], normals=directions[order], towards=towards[order], side=side)
 
@@ -126,7 +126,7 @@ def _suppress(
     apart: float,
     kept: Bools,
 ) -> None:
-    """Keep each point that is not near one of the same side that was kept before it."""
+    """Keep each point without a kept point of the same side within `apart` [m]."""
     for slot in range(len(keys)):
         for k in range(first[slot], first[slot] + counts[slot]):
             bx, by = int(np.floor(points[k, 0] / side)), int(np.floor(points[k, 1] / side))
@@ -146,7 +146,7 @@ def _suppress(
 
 
 def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> Ints:
-    """Return the patch (n,) of each point (n, 2), the nearest whose line is within `gate` [m]; -1: none."""
+    """Return the patch (n,) of each point (n, 2): the nearest with its line within `gate` [m], or -1."""
     nearest = np.full(len(points), -1, dtype=np.intp)
     if len(patches.middles) == 0:
         return nearest

@@ -1,4 +1,8 @@
-"""What the returns of key frames say of poses and surfaces: each point on a patch of surface, linearised."""
+"""Linearised residuals of points on surface patches, with respect to poses and lines.
+
+With patch p of point k, the residual is r_k = n_p · (T(pose) point_k - centre_p). `by_pose` and `by_line`
+hold its derivatives.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +18,14 @@ from sensorgraph.types import Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FramePoints:
-    """The points of the key frames, one after the other."""
+    """Points of all key frames, in order."""
 
     frame: Ints
-    """(n,) number of the key frame."""
+    """(n,) Number of the key frame."""
     points: Floats
     """(n, 2) [m] in base_link."""
     normals: Floats
-    """(n, 2) in base_link."""
+    """(n, 2) Normals in base_link."""
 
     @staticmethod
     def of(scans: ScanPoints, key_frames: Ints) -> FramePoints:
@@ -47,10 +51,10 @@ class FramePoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointRows:
-    """The points that lie on patches, with what each says of its frame's pose and of its patch's line."""
+    """Points on patches, with the derivatives of their residuals with respect to pose and line."""
 
     index: Ints
-    """(n,) of the points of all frames."""
+    """(n,) Index among the points of all frames."""
     frame: Ints
     """(n,)"""
     patch: Ints
@@ -59,19 +63,19 @@ class PointRows:
     points: Floats
     """(n, 2) [m] in map."""
     normals: Floats
-    """(n, 2) of the patches' lines."""
+    """(n, 2) Normals of the lines of the patches."""
     weight: Floats
     """(n,) [1/m²]"""
     residual: Floats
-    """(n,) [m] from the line."""
+    """(n,) [m] Distance from the line."""
     by_pose: Floats
-    """(n, 3) derivative of the residual by the pose."""
+    """(n, 3) Derivative of the residual with respect to the pose."""
     by_line: Floats
-    """(n, 2) the same by offset and direction of the line."""
+    """(n, 2) Derivative with respect to offset and direction of the line."""
     noise: float
-    """[m] of a point around its patch."""
+    """[m] Scatter of a point around its patch."""
     surface: Floats
-    """(n_points, 2) [m] all points in map, moved onto the line of their patch where they have one."""
+    """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
 
 
 def point_rows(
@@ -117,11 +121,15 @@ def point_rows(
 def _fit_patches(
     points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float, settings: RefinementSettings
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
-    """Fit each patch's line to its points, robustly.
+    """Fit the line of each patch to its points by iteratively reweighted least squares.
+
+    The weight of a point is 1 / (1 + r² / (4 max(scale, sigma²))); the variance `scale` of a patch shrinks
+    towards that of all patches.
 
     Returns
     -------
-    weights (n,) [1/m²], residuals (n,) [m], place along the patch (n,) [m], normals (n, 2), and the noise [m] of all
+    Weights (n,) [1/m²], residuals (n,) [m], positions along the patch (n,) [m], normals (n, 2), and the
+    overall noise [m].
     """
     m = len(normals)
     soft = np.ones(len(points))
@@ -150,11 +158,11 @@ def _fit_patches(
         count = np.bincount(patch, minlength=m)
         scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
         soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
-    # a patch with one frame says nothing of poses; a round one, nothing of where it is
+    # a patch of one frame does not constrain poses, a round one has no direction
     pairs = np.unique(frame * m + patch)
     n_frames = np.bincount(pairs % m, minlength=m)
     good = (n_frames > 1) & (across < settings.roundness * length) & (count >= settings.min_points)
-    # centred by the last weights, so that offset and direction of a line are independent
+    # centred with the last weights: offset and direction of a line become independent
     total = np.bincount(patch, soft, m) + 1e-12
     along = along - (np.bincount(patch, soft * along, m) / total)[patch]
     residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
@@ -163,5 +171,5 @@ def _fit_patches(
 
 
 def sums_by(index: Ints, values: Floats, n: int) -> Floats:
-    """Add up values (k,) by index; (n,)."""
+    """Return the sums (n,) of values (k,) by index."""
     return np.asarray(np.bincount(index, values, n), dtype=np.float64)

@@ -1,7 +1,12 @@
-"""Poses that agree best with steps between neighbours and with loop closures, some of which may be false.
+"""Pose graph: poses that best fit steps between neighbours and loop closures, some of which may be false.
 
-GTSAM solves it: Levenberg-Marquardt with Cauchy's function on the closures while the map is made, graduated non-convexity
-at the end (Yang, Antonante, Tzoumas and Carlone 2020), which tells the false closures from the true ones.
+The estimate minimises, over all poses x_k = (x, y, phi),
+
+    sum_steps |inv(x_a) ∘ x_b - relative|²_I  +  sum_closures rho(|inv(x_a) ∘ x_b - relative|²_I).
+
+I is the information of an edge, and the first pose is fixed. GTSAM solves it. During mapping rho is Cauchy's
+function and the solver is Levenberg-Marquardt. At the end graduated non-convexity separates true closures
+from false ones (Yang, Antonante, Tzoumas and Carlone 2020).
 """
 
 from __future__ import annotations
@@ -18,23 +23,23 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseEdges:
-    """What is measured between pairs of poses."""
+    """Measured relative poses between pairs of poses."""
 
     first: Ints
-    """(n,) index of the pose in whose frame it is measured."""
+    """(n,) Index of the pose in whose frame the other is measured."""
     second: Ints
-    """(n,) index of the pose that is measured."""
+    """(n,) Index of the measured pose."""
     relative: Floats
-    """(n, 3) [m, m, rad] the second in the first."""
+    """(n, 3) [m, m, rad] Second pose in the frame of the first."""
     information: Floats
-    """(n, 3, 3) of x, y, phi in the first's frame."""
+    """(n, 3, 3) Information of x, y, phi in the frame of the first."""
 
     def __len__(self) -> int:
         return len(self.first)
 
     @staticmethod
     def of(rows: list[tuple[int, int, Floats, Floats]]) -> PoseEdges:
-        """Put edges (first, second, relative, information) together."""
+        """Build edges from rows (first, second, relative, information)."""
         return PoseEdges(
             first=np.array([row[0] for row in rows], dtype=np.intp),
             second=np.array([row[1] for row in rows], dtype=np.intp),
@@ -44,10 +49,10 @@ class PoseEdges:
 
 
 class PoseGraph:
-    """Steps of the track, to which closures can be added; solved as often as wanted."""
+    """Steps of a track with changing loop closures; it can be solved repeatedly."""
 
     def __init__(self, poses: Floats, steps: PoseEdges, settings: GraphSettings = GRAPH) -> None:
-        """Take poses (n, 3) to start from, and steps that are true whatever the closures say."""
+        """Take initial poses (n, 3) and the steps, which count as inliers."""
         self.settings = settings
         self.poses = poses.copy()
         self._steps = [_factor(row, None) for row in _rows(steps)]
@@ -56,7 +61,7 @@ class PoseGraph:
         )
 
     def solve(self, closures: PoseEdges) -> Floats:
-        """Return poses (n, 3) with Cauchy's function on the closures, and remember them."""
+        """Return the poses (n, 3) with Cauchy's function on the closures, and keep them as the next start."""
         graph = self._graph()
         cauchy = gtsam.noiseModel.mEstimator.Cauchy(self.settings.cauchy)
         for row in _rows(closures):
@@ -68,7 +73,7 @@ class PoseGraph:
         return self.poses
 
     def solve_robustly(self, closures: PoseEdges) -> tuple[Floats, Bools]:
-        """Return poses (n, 3) and which closures (n_closures,) are true, by graduated non-convexity."""
+        """Return the poses (n, 3), and which closures (n_closures,) are inliers of graduated non-convexity."""
         if not len(closures):
             return self.solve(closures), np.zeros(0, dtype=np.bool_)
         graph = self._graph()
@@ -110,7 +115,7 @@ def _rows(edges: PoseEdges) -> list[tuple[int, int, Floats, Floats]]:
 
 
 def _factor(row: tuple[int, int, Floats, Floats], robust: Any) -> Any:
-    """Make a factor; gtsam wants the information in the second pose's frame."""
+    """Make a factor; GTSAM expects the information in the frame of the second pose."""
     first, second, relative, information = row
     cos, sin = np.cos(relative[2]), np.sin(relative[2])
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -1,8 +1,12 @@
-"""When each ray of a scan was taken, found from the run itself where the log does not say.
+"""Identify the time of each ray within a scan from the run itself, where the log does not contain it.
 
-A robot that turns smears its scans by what the mirror needs for a sweep, and tears them into a comb where several sweeps are
-interlaced. In short pieces of track with many turns, poses, surfaces and these times are fitted together; what comes out is
-compared with what mirrors there are. The mean of all times cannot be told from the poses, and need not be.
+On a turning robot a sweep smears the scan, and interlaced sweeps split it into a comb. In short track pieces
+with many turns, Gauss-Newton minimises the weighted squares of point-to-line residuals,
+
+    sum_i w_i (r_i(pose, line) + J_i · values)².
+
+The unknowns are the poses, the lines of the surface patches and the four `values` of the ray times. The
+result is compared with the known mirrors. The mean of all times is not observable, since the poses absorb it.
 """
 
 from __future__ import annotations
@@ -30,27 +34,27 @@ from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 
 CLASSES = 4
-"""A ray's number modulo this is its class: up to so many sweeps may be interlaced."""
+"""Number of ray classes, by ray number modulo this: the maximum number of interlaced sweeps."""
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
-"""Laser whose driver says nothing of it -> [s] that a turn of its mirror takes (SICK AG, technical descriptions)."""
+"""Laser without ray times in its driver -> [s] mirror period (SICK AG, technical descriptions)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackedRun:
-    """A run whose scans were followed from one to the next."""
+    """A run with tracked scans."""
 
     run: Run
-    """Its sensor has the times of its rays."""
+    """The run; its sensor has the identified ray times."""
     odometry: Floats | None
-    """(n_scans, 3) [m, m, rad] at the scans; None: no use."""
+    """(n_scans, 3) [m, m, rad] Odometry at the scans; None: unusable."""
     scans: ScanPoints
     track: ScanTrack
     notes: tuple[str, ...] = ()
-    """What was found about the times."""
+    """Notes about the ray times."""
 
 
 def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIMES) -> TrackedRun:
-    """Follow all scans; where the log does not say when rays were taken and the run shows it, once more with that."""
+    """Track all scans; if ray times are missing from the log and the run shows them, track again with these."""
     motion = odometry_of(run)
     odometry = None if motion is None else odometry_at_scans(run, motion)
     scans = scan_points(run, motion)
@@ -67,41 +71,44 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayTimes:
-    """A hypothesis that the run bears out, and what the run says by itself."""
+    """A laser hypothesis that the run confirms, and the estimate from the run."""
 
     name: str
-    """Of the laser."""
+    """Name of the laser."""
     sensor: RangeSensor
     values: Floats
-    """(4,) [s] as estimated: time of a sweep, and from the first class of rays to each other."""
+    """(4,) [s] Estimated sweep time, and delays of ray classes 1 to 3 relative to class 0."""
     standard_errors: Floats
     """(4,) [s]"""
 
     @property
     def line(self) -> str:
-        """Say it."""
+        """One line for the user: the ray times, the laser and the estimate."""
         sensor, k = self.sensor, self.sensor.interlaced_sweeps
         way = " clockwise" if sensor.is_clockwise else ""
-        what = f"a scan sweeps{way} for {1e3 * abs(sensor.sweep_time):.1f} ms"
+        what = f"a scan is one{way} sweep of {1e3 * abs(sensor.sweep_time):.1f} ms"
         if k > 1:
             what = (
-                f"{k} interlaced sweeps{way} of {1e3 * abs(sensor.sweep_time):.1f} ms, {1e3 * sensor.sweep_period:+.1f} ms "
-                "apart, make a scan"
+                f"a scan is {k} interlaced{way} sweeps of {1e3 * abs(sensor.sweep_time):.1f} ms, "
+                f"{1e3 * sensor.sweep_period:+.1f} ms apart"
             )
         both = [
             f"{1e3 * abs(v):.1f} ± {1e3 * sd:.1f}"
             for v, sd in zip(self.values, self.standard_errors, strict=True)
         ]
         shown = f"{both[0]} and {both[1]} ms" if k > 1 else f"{both[0]} ms"
-        return f"{what}, as of {self.name} (found from the run, which shows {shown}; sensor.sweep_time overrules it)"
+        return (
+            f"{what}, as in {self.name}; identified from the run, which shows {shown} "
+            "(`sensor.sweep_time` in robot.yaml overrides it)"
+        )
 
 
 def hypotheses(sensor: RangeSensor) -> list[tuple[str, RangeSensor]]:
-    """Return the name of each laser that may have taken the scans, and the sensor with its times."""
+    """Return the name of each candidate laser, and the sensor with its ray times."""
     n = sensor.n_rays
     share = (n / (n - 1) if n > 1 else 1.0) * float(np.ptp(sensor.bearings)) / (2 * np.pi)
     out = []
-    for name, turn in (*MIRRORS.items(), ("a laser that turns once a scan", 1.0 / sensor.rate)):
+    for name, turn in (*MIRRORS.items(), ("a laser that turns once per scan", 1.0 / sensor.rate)):
         counts = (1, 2, 4) if name in MIRRORS else (1,)
         for way in (1.0, -1.0):
             sweep = replace(sensor, sweep_time=way * share * turn)
@@ -119,7 +126,7 @@ def hypotheses(sensor: RangeSensor) -> list[tuple[str, RangeSensor]]:
 
 
 def _values(sensor: RangeSensor) -> Floats:
-    """Return time of a sweep and delays of classes (4,) [s] of a sensor."""
+    """Return the sweep time and the class delays (4,) [s] of a sensor."""
     classes = np.arange(1, CLASSES) % sensor.interlaced_sweeps
     return np.array([sensor.sweep_time, *(sensor.sweep_period * classes)])
 
@@ -127,12 +134,12 @@ def _values(sensor: RangeSensor) -> Floats:
 def identify_ray_times(
     run: Run, motion: Motion, odometry: Floats, tracked: ScanTrack, settings: RayTimeSettings = RAY_TIMES
 ) -> RayTimes | None:
-    """Estimate time of a sweep and delays of classes, and name the laser that has them; None: none is borne out.
+    """Estimate sweep time and class delays; return the laser that matches them, or None without a match.
 
     Parameters
     ----------
-    motion, odometry : of the run, and at its scans
-    tracked : with all rays of a scan at its stamp
+    motion, odometry : Odometry of the run, and the same at its scans.
+    tracked : Track with all rays of a scan at its stamp.
     """
     pieces = _Pieces.of(run, odometry, tracked, settings)
     if pieces is None:
@@ -143,7 +150,7 @@ def identify_ray_times(
         delays = values[0] * ray / len(ray) + np.append(0.0, values[1:])[ray % CLASSES]
         change, covariance = pieces.estimate(delays, motion)
         values = values + change
-        if step == 0 and change @ np.linalg.solve(covariance, change) < settings.least_gain:
+        if step == 0 and change @ np.linalg.solve(covariance, change) < settings.min_gain:
             return None
     return _judge(run.sensor, values, covariance, settings)
 
@@ -151,9 +158,9 @@ def identify_ray_times(
 def _judge(
     sensor: RangeSensor, values: Floats, covariance: Floats, settings: RayTimeSettings
 ) -> RayTimes | None:
-    """Return the hypothesis that the estimate bears out, if it is the only one.
+    """Return the hypothesis that the estimate confirms, if it is the only one.
 
-    A scan's stamp is then the mean of its rays' times: the poses of scans stay where they are without these times.
+    The confirmed sensor has the mean ray time at the stamp of the scan, so that the poses do not change.
     """
 
     def distance(expected: Floats) -> float:
@@ -166,7 +173,7 @@ def _judge(
     )
     (best, name, found), second = judged[0], judged[1]
     without = distance(np.zeros(CLASSES))
-    if best > settings.most_distance or min(without, second[0]) - best < settings.least_gain:
+    if best > settings.max_distance or min(without, second[0]) - best < settings.min_gain:
         return None
     found = replace(found, first_ray_delay=-float(found.ray_delays.mean()))
     return RayTimes(name=name, sensor=found, values=values, standard_errors=np.sqrt(np.diag(covariance)))
@@ -174,10 +181,10 @@ def _judge(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pieces:
-    """Short pieces of track with many turns, laid out far from each other so that each has a map of its own."""
+    """Short track pieces with many turns, placed far apart so that each has its own map."""
 
     run: Run
-    """Its key frames alone."""
+    """The run, reduced to the key frames of the pieces."""
     piece: Ints
     """(n_frames,)"""
     poses: Floats
@@ -187,20 +194,20 @@ class _Pieces:
 
     @staticmethod
     def of(run: Run, odometry: Floats, tracked: ScanTrack, settings: RayTimeSettings) -> _Pieces | None:
-        """Choose the pieces in which the robot turned fastest; None: it hardly turned."""
+        """Choose the pieces with the fastest turns; None if the robot hardly turned."""
         keys, m = tracked.key_frames, settings.frames
         rate = np.abs(np.gradient(odometry[:, 2], np.arange(len(odometry))))[keys] * run.sensor.rate
         starts = [k for k in range(0, len(keys) - m + 1, m) if tracked.piece[k] == tracked.piece[k + m - 1]]
-        turning = np.array([(np.minimum(rate[k : k + m], settings.fast) ** 2).mean() for k in starts])
+        turning = np.array([(np.minimum(rate[k : k + m], settings.max_rate) ** 2).mean() for k in starts])
         chosen = np.sort(np.argsort(-turning)[: settings.pieces])
-        if len(chosen) < settings.least_pieces or np.sqrt(np.median(turning[chosen])) < settings.least_rate:
+        if len(chosen) < settings.min_pieces or np.sqrt(np.median(turning[chosen])) < settings.min_rate:
             return None
         index = np.array([starts[k] for k in chosen])[:, None] + np.arange(m)
         frames, piece = index.ravel(), np.repeat(np.arange(len(chosen)), m)
         poses = tracked.poses[keys[frames]].copy()
         origin = poses[::m][piece]
         poses[:, :2] -= origin[:, :2]
-        poses[:, 0] += settings.apart * piece
+        poses[:, 0] += settings.piece_offset * piece
         inner = np.flatnonzero(np.diff(piece) == 0)
         relative = compose(invert(poses[inner]), poses[inner + 1])
         return _Pieces(
@@ -225,7 +232,10 @@ class _Pieces:
         )
 
     def estimate(self, delays: Floats, motion: Motion) -> tuple[Floats, Floats]:
-        """Return what is missing from the delays (n_rays,) [s], as sweep and classes (4,), and its covariance."""
+        """Return the change of the delays (n_rays,) [s] as sweep time and class delays (4,), with its covariance.
+
+        The covariance is cluster-robust over the pieces.
+        """
         s = REFINEMENT
         scans = scan_points(self.run, motion, delays=delays)
         keys = np.arange(scans.n_scans)
@@ -235,7 +245,7 @@ class _Pieces:
         poses = refined.poses
         rows = point_rows(frames, poses, s.last_side, s.last_gate, s.last_sigma)
         system = reduced_system(rows, poses, self.wheels.at(poses))
-        by = self._by_times(rows, poses, scans.rays[rows.index], motion)
+        by = self._time_derivatives(rows, poses, scans.rays[rows.index], motion)
         n, m, weight = len(poses), rows.n_patches, rows.weight
         columns = range(CLASSES)
         by_pose = np.column_stack([
@@ -255,8 +265,8 @@ class _Pieces:
             by
             - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, -1)[rows.frame])
             - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, -1)[rows.patch])
-        )  # what poses and lines cannot make up for
-        ridge = np.diag(np.full(CLASSES, RAY_TIMES.widest**-2.0))
+        )  # derivatives after projection on poses and lines
+        ridge = np.diag(np.full(CLASSES, RAY_TIMES.delay_sd**-2.0))
         matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
         change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
         left = weight * (rows.residual + own @ change)
@@ -267,10 +277,12 @@ class _Pieces:
         pieces = scores.shape[1]
         return change, inverse @ (scores @ scores.T * pieces / (pieces - 1) + ridge) @ inverse
 
-    def _by_times(self, rows: PointRows, poses: Floats, rays: Ints, motion: Motion) -> Floats:
-        """Return the derivative (n, 4) [m/s] of the residuals by sweep and classes."""
-        stamps, short = self.run.stamps, RAY_TIMES.short
-        velocity = compose(invert(motion.at(stamps)), motion.at(stamps + short)) / short
+    def _time_derivatives(self, rows: PointRows, poses: Floats, rays: Ints, motion: Motion) -> Floats:
+        """Return the derivatives (n, 4) [m/s] of the residuals with respect to sweep time and class delays."""
+        stamps, velocity_interval = self.run.stamps, RAY_TIMES.velocity_interval
+        velocity = (
+            compose(invert(motion.at(stamps)), motion.at(stamps + velocity_interval)) / velocity_interval
+        )
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         in_map = np.column_stack([
             cos * velocity[:, 0] - sin * velocity[:, 1], sin * velocity[:, 0] + cos * velocity[:, 1], velocity[:, 2]

@@ -1,9 +1,16 @@
-"""Poses and surfaces together: every return of the key frames against the patch of surface that all frames share.
+"""Joint refinement of poses and surfaces: all key frames share the surface patches.
 
-The cost is the sum of squared distances of all points from their patches' lines, with Cauchy weights; each line
-(offset and direction) is eliminated exactly, so that only poses remain (Ruhnke et al. 2011; Liu and Zhang 2021). The
-wheels tie neighbouring key frames. The reduced normal equations are solved by conjugate gradients with the pose graph as
-preconditioner; they are never formed.
+Gauss-Newton minimises, over the poses x_f, the lines l_p of the patches and the wheel parameters q,
+
+    sum_k weight_k residual_k(x_f, l_p)²  +  sum_e |r_e(x_a, x_b, q)|²_I_e  +  |q - q_0|²_prior.
+
+Here k runs over points with Cauchy weights, and e over the wheel edges. The parameters q_0 are identified
+from the current poses. Lines and wheel parameters are eliminated exactly (Ruhnke et al. 2011; Liu and Zhang
+2021), so that only poses remain. The reduced normal matrix, with the names of `ReducedSystem`, is
+
+    blocks - coupling inverse couplingᵀ + wheels - wheel_coupling wheel_inverse wheel_couplingᵀ.
+
+It is never formed: conjugate gradients solve the system, with the pose graph as preconditioner.
 """
 
 from __future__ import annotations
@@ -24,43 +31,43 @@ from sensorgraph.types import Floats, Ints, Progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedSystem:
-    """The linearised problem at some poses: scans by cluster (a key frame on a patch), wheels by edge."""
+    """Linearised problem at given poses. Points are summed by cluster (a key frame on a patch), wheels by edge."""
 
     n_frames: int
     blocks: Floats
-    """(n_frames, 3, 3) sum of weighted JᵀJ of the points of each frame."""
+    """(n_frames, 3, 3) Sum of weighted JᵀJ over the points of each frame."""
     coupling: sparse.csr_array
-    """(3 n_frames, 2 n_patches) weighted JᵀJ between poses and lines."""
+    """(3 n_frames, 2 n_patches) Weighted JᵀJ between poses and lines."""
     inverse: Floats
-    """(2 n_patches,) inverse of the lines' own."""
+    """(2 n_patches,) Inverse of the diagonal normal matrix of the lines."""
     wheels: sparse.csr_array
-    """(3 n_frames, 3 n_frames) information of the edges."""
+    """(3 n_frames, 3 n_frames) Normal matrix of the wheel edges."""
     gradient: Floats
-    """(3 n_frames,) of the cost, lines eliminated."""
+    """(3 n_frames,) Gradient of the cost after elimination."""
     cluster_frame: Ints
-    """(n_clusters,)"""
+    """(n_clusters,) Key frame of each cluster."""
     cluster_patch: Ints
-    """(n_clusters,)"""
+    """(n_clusters,) Patch of each cluster."""
     scores: Floats
-    """(n_clusters, 3) sum of weighted residuals times J of the pose."""
+    """(n_clusters, 3) Sum of weighted residuals times the derivative with respect to the pose."""
     line_scores: Floats
-    """(n_clusters, 2) the same of the line."""
+    """(n_clusters, 2) The same for the line."""
     wheel_coupling: Floats
-    """(3 n_frames, 3) between poses and the parameters of the wheels."""
+    """(3 n_frames, 3) Normal matrix between poses and wheel parameters."""
     wheel_inverse: Floats
-    """(3, 3) inverse of the parameters' own."""
+    """(3, 3) Inverse of the normal matrix of the wheel parameters, including their prior."""
     edges: WheelEdges
     edge_rows: sparse.csr_array
-    """(3 n_edges, 3 n_frames) derivatives of the edges' residuals."""
+    """(3 n_edges, 3 n_frames) Derivatives of the residuals of the edges."""
     edge_residuals: Floats
     """(n_edges, 3)"""
     noise: float
-    """[m] of a point around its patch."""
+    """[m] Scatter of a point around its patch."""
     surface: Floats
-    """(n_points, 2) [m] all points in map, moved onto the line of their patch where they have one."""
+    """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
 
     def times(self, x: Floats) -> Floats:
-        """Return the reduced normal matrix times x (3 n_frames, m)."""
+        """Return the product of the reduced normal matrix and x (3 n_frames, m)."""
         own = np.einsum("fij,fjm->fim", self.blocks, x.reshape(self.n_frames, 3, -1)).reshape(x.shape)
         lines = self.inverse[:, None] * (self.coupling.T @ x)
         parameters = self.wheel_inverse @ (self.wheel_coupling.T @ x)
@@ -69,7 +76,10 @@ class ReducedSystem:
 
 
 def edge_system(poses: Floats, edges: PoseEdges) -> tuple[sparse.csr_array, Floats, sparse.csr_array]:
-    """Return derivatives, residuals (n, 3) and weighted normal matrix of edges at some poses (in map axes)."""
+    """Return derivatives, residuals (n, 3) and weighted normal matrix of edges at given poses, in map axes.
+
+    The residual of an edge is inv(x_a) ∘ x_b - relative.
+    """
     n, m = len(poses), len(edges)
     a, b = poses[edges.first], poses[edges.second]
     residuals = compose(invert(a), b) - edges.relative
@@ -91,7 +101,7 @@ def edge_system(poses: Floats, edges: PoseEdges) -> tuple[sparse.csr_array, Floa
 
 
 def _block_matrix(row: Ints, column: Ints, blocks: Floats, shape: tuple[int, int]) -> sparse.csr_array:
-    """Put blocks (n, a, b) at (row, column) of a sparse matrix of that many blocks."""
+    """Return the sparse matrix of `shape` blocks with blocks (n, a, b) at (row, column)."""
     _, a, b = blocks.shape
     i = (a * row[:, None, None] + np.arange(a)[None, :, None] + np.zeros(b, dtype=np.intp)).ravel()
     j = (b * column[:, None, None] + np.arange(b)[None, None, :] + np.zeros((a, 1), dtype=np.intp)).ravel()
@@ -112,7 +122,7 @@ def linearise(
 
 
 def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> ReducedSystem:
-    """Eliminate the lines of the points, and the parameters of the wheels."""
+    """Eliminate the lines of the patches and the wheel parameters."""
     n, m = len(poses), rows.n_patches
     frame, patch, weight, residual = rows.frame, rows.patch, rows.weight, rows.residual
     jacobian, lines = rows.by_pose, rows.by_line
@@ -166,14 +176,21 @@ def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> Reduce
 
 
 def _by_frame(values: Floats, index: Ints, n: int) -> Floats:
-    """Add up rows (k, d) by index; (d n,)."""
+    """Return the sums (d n,) of rows (k, d) by index."""
     return np.column_stack([sums_by(index, column, n) for column in values.T]).ravel()
 
 
 def conjugate_gradients(
     system: ReducedSystem, rhs: Floats, preconditioner: sparse.csc_array, tolerance: float, max_steps: int
 ) -> tuple[Floats, int]:
-    """Solve for all columns of rhs (3 n_frames, m) at once; return the solutions and the count of steps."""
+    """Solve H x = rhs for all columns of rhs (3 n_frames, m) by preconditioned conjugate gradients.
+
+    H is the reduced normal matrix.
+
+    Returns
+    -------
+    Solutions (3 n_frames, m), and the number of steps.
+    """
     solve = splu(preconditioner).solve
     x = np.zeros_like(rhs)
     r = rhs.copy()
@@ -197,12 +214,12 @@ def conjugate_gradients(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Key frames after poses and surfaces were fitted together."""
+    """Key frames after the joint refinement."""
 
     poses: Floats
     """(n_key, 3) [m, m, rad]"""
     system: ReducedSystem
-    """At these poses."""
+    """Linearised problem at these poses."""
     preconditioner: sparse.csc_array
     frames: FramePoints
 
@@ -215,12 +232,13 @@ def refine(
     progress: Progress,
     settings: RefinementSettings = REFINEMENT,
 ) -> Refined:
-    """Fit poses (n_key, 3) and surfaces together.
+    """Refine poses (n_key, 3) and surfaces jointly.
 
     Parameters
     ----------
-    wheels : what the odometry alone says between neighbouring key frames; its parameters are found anew each time
-    graph : steps of the track and closures, as in the pose graph: they only speed up the solver
+    wheels : Odometry steps between neighbouring key frames; each iteration estimates the wheel parameters
+        again.
+    graph : Steps of the track and closures of the pose graph; only the preconditioner depends on them.
     """
     poses = poses.copy()
     last = settings.iterations - 1
@@ -245,7 +263,7 @@ def refine(
 def pose_graph_matrix(
     system: ReducedSystem, poses: Floats, graph: tuple[PoseEdges, PoseEdges]
 ) -> sparse.csc_array:
-    """Return the pose graph's normal matrix, tied to the ground a little."""
+    """Return the normal matrix of the pose graph, with weak priors that make it regular."""
     matrix = system.wheels
     for edges in graph:
         if len(edges):

@@ -1,4 +1,4 @@
-"""What localisation finds: poses with covariances, where it is lost, loop closures, wheels."""
+"""Result of localization: poses with covariances and status, loop closures, wheel parameters."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ Status = Literal["ok", "lost", "ambiguous"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Closure:
-    """One place that the robot came back to, or seemed to."""
+    """One place that the robot revisited, or seemed to revisit."""
 
     first: int
     """Index of the earlier scan."""
     second: int
     """Index of the later scan."""
     relative: Floats
-    """(3,) [m, m, rad] the later scan's base_link in the earlier one's."""
+    """(3,) [m, m, rad] base_link of the later scan in that of the earlier one."""
     inliers: float
     """Share of the later scan's points that lie on surfaces of the earlier place."""
     reason: str = ""
-    """Why it was refused; empty: kept."""
+    """Reason for rejection; empty if kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WheelParameters:
-    """What the wheels' odometry must be corrected by: measured by the laser on the way."""
+    """Corrections of the wheel odometry, identified from the laser."""
 
     way_scale: float = 1.0
-    """True way per way of the odometry."""
+    """True distance per distance of the odometry."""
     turn_scale: float = 1.0
     """True turn per turn of the odometry."""
     heading_bias: float = 0.0
-    """[rad/m] turn that the odometry misses, per metre driven."""
+    """[rad/m] Turn that the odometry misses, per metre driven."""
     way_scale_sd: float = 0.0
     """Standard error of `way_scale`."""
     turn_scale_sd: float = 0.0
@@ -47,10 +47,10 @@ class WheelParameters:
     """[rad/m] standard error of `heading_bias`."""
 
     def __str__(self) -> str:
-        """Say it in one line."""
+        """Return the parameters in one line."""
         return (
-            f"way x {self.way_scale:.4f}, turn x {self.turn_scale:.4f}, "
-            f"heading {np.degrees(self.heading_bias):+.2f} deg/m"
+            f"distance scale {self.way_scale:.4f}, turn scale {self.turn_scale:.4f}, "
+            f"heading bias {np.degrees(self.heading_bias):+.2f} deg/m"
         )
 
 
@@ -59,38 +59,38 @@ class Localization:
     """Poses of all scans of a run in one map."""
 
     t: Floats
-    """(n_scans,) [s] stamps of the scans."""
+    """(n_scans,) [s] Stamps of the scans."""
     poses: Floats
     """(n_scans, 3) [m, m, rad] base_link in map."""
     covariances: Floats
-    """(n_scans, 3, 3) of x, y, phi in map [m, m, rad]; without a map relative to the mean of all poses (inner
-    constraints): the map itself may lie anywhere."""
+    """(n_scans, 3, 3) Covariances of x, y, phi in map [m, m, rad]. Without a map they are relative to the
+    mean of all poses (inner constraints), since the frame of the map is arbitrary."""
     status: tuple[Status, ...]
-    """(n_scans,) ok, lost (the pose is the best guess) or ambiguous (other places fit as well)."""
+    """(n_scans,) ok, lost (the pose is a guess) or ambiguous (other places fit equally well)."""
     kept: tuple[Closure, ...] = ()
-    """Loop closures that hold the map together."""
+    """Loop closures of the map."""
     refused: tuple[Closure, ...] = ()
-    """Those that were not believed, and why."""
+    """Rejected loop closures, with the reason."""
     wheels: WheelParameters | None = None
-    """None: no odometry, or none that could be used."""
+    """Wheel parameters; None without usable odometry."""
     rivals: dict[int, Floats] = field(default_factory=dict)
-    """Scan -> (n, 3) other places that fit as well, of those that are ambiguous."""
+    """Scan -> (n, 3) other places that fit equally well, for ambiguous scans."""
     notes: tuple[str, ...] = ()
-    """What a user should know, one line each."""
+    """Notes for the user, one line each."""
     sensor: RangeSensor | None = None
-    """That of the run, with the times of its rays as they were found; None: as the run says."""
+    """Sensor of the run with the identified ray times; None: unchanged."""
 
     def __post_init__(self) -> None:
         n = len(self.t)
         if self.poses.shape != (n, 3) or self.covariances.shape != (n, 3, 3) or len(self.status) != n:
             raise ValueError(
-                f"poses {self.poses.shape}, covariances {self.covariances.shape} and {len(self.status)} states, "
-                f"expected ({n}, 3), ({n}, 3, 3) and {n}"
+                f"poses has shape {self.poses.shape}, covariances {self.covariances.shape}, status {len(self.status)} "
+                f"entries; expected ({n}, 3), ({n}, 3, 3) and {n}"
             )
 
 
-def stretch_notes(stamps: Floats, status: tuple[Status, ...], *words: Status) -> tuple[str, ...]:
-    """Say from when to when the scans are in one of some states."""
+def interval_notes(stamps: Floats, status: tuple[Status, ...], *words: Status) -> tuple[str, ...]:
+    """Return one note for each time interval in which the scans have one of the given states."""
     notes: list[str] = []
     start = 0
     for k in range(1, len(status) + 1):

@@ -1,4 +1,4 @@
-"""Places that look alike: where a submap may be as well as where it was found."""
+"""Rival places: several places at which a submap fits equally well."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from sensorgraph.types import Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RivalPlaces:
-    """Several places where a submap may be: a corridor that looks the same twice."""
+    """Several possible places of a submap, such as two identical corridors."""
 
     newer: int
     """Number of the key frame in the middle of the submap."""
     older: Ints
-    """(n,) numbers of key frames in whose frames the places are."""
+    """(n,) Numbers of the key frames in whose frames the places are given."""
     relative: Floats
-    """(n, 3) [m, m, rad]"""
+    """(n, 3) [m, m, rad] Places of the submap in these frames."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosureCandidate:
-    """A place where a submap was sought and something was found."""
+    """Result of the search for a submap in an older one."""
 
     older: int
     """Number of the key frame in the middle of the older submap."""
     closure: Closure
-    """With the reason why it is none."""
+    """Closure with the reason for rejection, if any."""
     information: Floats
     agreement: float
     guess: Floats
-    """(3,) [m, m, rad] where it was sought."""
+    """(3,) [m, m, rad] Centre of the search."""
     places: Floats
-    """(n, 3) [m, m, rad] in the older submap that fit as well as each other; the best first."""
+    """(n, 3) [m, m, rad] Places in the older submap that fit equally well; the best first."""
 
 
 def rival_places(
@@ -48,13 +48,13 @@ def rival_places(
     drift: float,
     settings: ClosureSettings,
 ) -> RivalPlaces | None:
-    """Return the places of a submap that fit alike; None: there are no two.
+    """Return the places at which a submap fits equally well; None if there are fewer than two.
 
     Parameters
     ----------
-    newer : number of the key frame in the middle of the submap
-    poses : (n_key, 3) [m, m, rad] of the key frames
-    drift : [m] that the track may be off; places farther from where it has the submap are left out
+    newer : Number of the key frame in the middle of the submap.
+    poses : (n_key, 3) [m, m, rad] Poses of the key frames.
+    drift : [m] Expected drift of the track; places farther from the tracked pose are excluded.
     """
     s = settings
     fitting = [one for one in candidates if not one.closure.reason or len(one.places) > 1]

@@ -1,4 +1,4 @@
-"""Returns of a run as points in base_link, deskewed through the sweep, each with the normal of its surface."""
+"""Returns of a run as points in base_link, deskewed for the motion during a sweep, with surface normals."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from planners.kernel import kernel
-from sensorgraph.localization.settings import SCANS, UNSURE, PointSettings
+from sensorgraph.localization.settings import SCANS, UNKNOWN_NORMAL_LENGTH, PointSettings
 from sensorgraph.types import Bools, Floats, Ints
 
-MANY = 1000
-"""Scans that are deskewed at a time: bounds the memory."""
+SCANS_PER_BLOCK = 1000
+"""Number of scans that are deskewed at once; it bounds the memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanPoints:
-    """The returns of all scans of a run, one scan after the other."""
+    """Returns of all scans of a run, in order."""
 
     first: Ints
-    """(n_scans + 1,) scan k has the points first[k] to first[k + 1]."""
+    """(n_scans + 1,) Scan k has the points first[k] to first[k + 1] - 1."""
     points: Floats
-    """(n_points, 2) [m] in base_link at the stamp of their scan."""
+    """(n_points, 2) [m] Points in base_link at the stamp of their scan."""
     normals: Floats
-    """(n_points, 2) unit normal of the surface towards the laser, in base_link; where neighbours do not tell, the
-    direction to the laser, `UNSURE` long."""
+    """(n_points, 2) Unit normal of the surface towards the laser, in base_link. Without enough neighbours it
+    is the direction to the laser, with length `UNKNOWN_NORMAL_LENGTH`."""
     ranges: Floats
-    """(n_points,) [m] length of the ray."""
+    """(n_points,) [m] Length of the ray."""
     starts: Floats
-    """(n_points, 2) [m] where the ray began, in base_link at the stamp of the scan."""
+    """(n_points, 2) [m] Origin of the ray, in base_link at the stamp of the scan."""
     rays: Ints
-    """(n_points,) number of the ray."""
+    """(n_points,) Number of the ray."""
 
     @property
     def n_scans(self) -> int:
-        """Count of scans."""
+        """Number of scans."""
         return len(self.first) - 1
 
     @property
     def spacing(self) -> float:
-        """Median distance [m] from a point to the next of its scan; 0 without any."""
+        """Median distance [m] between consecutive points of a scan; 0 without points."""
         steps = np.hypot(*np.diff(self.points, axis=0).T)
         inner = np.ones(len(steps), dtype=np.bool_)
         ends = self.first[1:-1] - 1
@@ -50,7 +50,7 @@ class ScanPoints:
         return float(np.median(steps[inner])) if inner.any() else 0.0
 
     def of(self, scan: int) -> slice:
-        """Return which points belong to a scan."""
+        """Return the slice of the points of a scan."""
         return slice(int(self.first[scan]), int(self.first[scan + 1]))
 
 
@@ -61,21 +61,28 @@ def scan_points(
     *,
     delays: Floats | None = None,
 ) -> ScanPoints:
-    """Turn every return of a run into a point in base_link at its scan's stamp.
+    """Convert the returns of a run to points in base_link at the stamps of their scans.
 
     Parameters
     ----------
-    motion : of base_link in any frame, by which rays of a sweep are moved to their scan's stamp; None: not moved
-    delays : (n_rays,) [s] when each ray is taken, after the scan's stamp; None: as the sensor says
+    motion : Motion of base_link in any frame, which deskews the rays of a sweep; None: no deskewing.
+    delays : (n_rays,) [s] Time of each ray after the stamp of the scan; None: as in the sensor.
     """
     sensor = run.sensor
     delays = sensor.ray_delays if delays is None else delays
     used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, settings.max_range))
-    if sensor.resolution > 0:  # the last step before range_max is often "nothing seen" rounded down
+    if sensor.resolution > 0:  # the last step before range_max is often a missing return, rounded down
         used &= run.ranges < sensor.range_max - sensor.resolution
     blocks = [
-        _block(run, slice(start, start + MANY), used[start : start + MANY], motion, delays, settings)
-        for start in range(0, max(run.n_scans, 1), MANY)
+        _block(
+            run,
+            slice(start, start + SCANS_PER_BLOCK),
+            used[start : start + SCANS_PER_BLOCK],
+            motion,
+            delays,
+            settings,
+        )
+        for start in range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
     ]
     counts = np.concatenate([block[0] for block in blocks])
     points, normals, ranges, starts = (np.concatenate([block[k] for block in blocks]) for k in range(1, 5))
@@ -92,7 +99,7 @@ def scan_points(
 def _block(
     run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats, settings: PointSettings
 ) -> tuple[Ints, Floats, Floats, Floats, Floats, Ints]:
-    """Return counts (n,), and points, normals, ranges, starts and rays of some scans."""
+    """Return counts (n,), points, normals, ranges, starts and rays of some scans."""
     rays = laser_rays(run.sensor, run.stamps[scans], motion, delays)  # (n or 1, n_rays, 3)
     ranges = np.where(used, run.ranges[scans], 0.0)
     points = np.stack(
@@ -107,11 +114,11 @@ def _block(
 
 
 def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None, delays: Floats) -> Floats:
-    """Return where the rays of scans start and point, in base_link at each scan's stamp.
+    """Return origins and directions of the rays, in base_link at the stamp of each scan.
 
     Parameters
     ----------
-    delays : (n_rays,) [s] when each ray is taken, after the stamp
+    delays : (n_rays,) [s] Time of each ray after the stamp.
 
     Returns
     -------
@@ -131,7 +138,7 @@ def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None, delay
 
 @kernel
 def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
-    """Keep a point where it is not near the one kept before it in the scan."""
+    """Keep a point unless it is near the previously kept point of the scan."""
     n_scans, n_rays = used.shape
     for i in range(n_scans):
         last = -1
@@ -149,7 +156,7 @@ def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
 
 @kernel
 def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: float, normals: Floats) -> None:
-    """Fit a line to the neighbours of each point along its scan; its normal looks at the laser."""
+    """Fit a line to the neighbours of each point along its scan; the normal points to the laser."""
     n_scans, n_rays = used.shape
     for i in range(n_scans):
         for k in range(n_rays):
@@ -171,15 +178,15 @@ def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: flo
                     sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
                     last, j = j, j + way
             back = np.hypot(points[i, k, 0] - starts[i, k, 0], points[i, k, 1] - starts[i, k, 1]) + 1e-12
-            normals[i, k, 0] = UNSURE * (starts[i, k, 0] - points[i, k, 0]) / back
-            normals[i, k, 1] = UNSURE * (starts[i, k, 1] - points[i, k, 1]) / back
+            normals[i, k, 0] = UNKNOWN_NORMAL_LENGTH * (starts[i, k, 0] - points[i, k, 0]) / back
+            normals[i, k, 1] = UNKNOWN_NORMAL_LENGTH * (starts[i, k, 1] - points[i, k, 1]) / back
             if n < 3:
                 continue
             sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
-            angle = 0.5 * np.arctan2(2 * sxy, sxx - syy)  # of the line
+            angle = 0.5 * np.arctan2(2 * sxy, sxx - syy)  # direction of the line
             nx, ny = -np.sin(angle), np.cos(angle)
             across = nx * nx * sxx + 2 * nx * ny * sxy + ny * ny * syy
-            if across > 0.25 * (sxx + syy):  # as wide as long: no line
+            if across > 0.25 * (sxx + syy):  # variance across above a quarter of the total: no line
                 continue
             if nx * (points[i, k, 0] - starts[i, k, 0]) + ny * (points[i, k, 1] - starts[i, k, 1]) > 0:
                 nx, ny = -nx, -ny

@@ -1,4 +1,4 @@
-"""Where rays went when a map was made: beyond it the map says nothing, neither for a place nor against it."""
+"""Space that rays observed when a map was made; beyond it the map carries no information."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from sensorgraph.types import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenSpace:
-    """A grid of the cells that a ray of the map's own log went through or ended in."""
+    """Grid of the cells that a ray of the map's own runs crossed or ended in."""
 
     cells: NDArray[np.uint8]
-    """(nx, ny) 1: seen. Outside the grid nothing is."""
+    """(nx, ny) 1: observed. Everything outside the grid is unobserved."""
     origin: Floats
-    """(2,) [m, map] lower left corner of cell (0, 0)."""
+    """(2,) [m, map] Lower left corner of cell (0, 0)."""
     resolution: float
-    """[m] side of a cell."""
+    """[m] Side of a cell."""
 
 
 def seen_by_graph(graph: Sensorgraph) -> SeenSpace | None:
-    """Return where the runs of a graph of faces or of cells have looked; None: the model does not say."""
+    """Return the space observed by the runs of a sensorgraph of faces or cells; None for other models."""
     model = graph.model
     if isinstance(model, Faces):
         observed = model.observed
@@ -42,7 +42,7 @@ def seen_by_graph(graph: Sensorgraph) -> SeenSpace | None:
 
 @inner_kernel
 def is_ray_seen(cells: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float) -> bool:
-    """Tell whether a ray, both ends in cells, keeps to cells that were seen; looked at in steps of half a cell."""
+    """Tell whether all cells along a ray, in cell units, are observed, by steps of half a cell."""
     dx, dy = x1 - x0, y1 - y0
     n = int(2.0 * np.sqrt(dx * dx + dy * dy)) + 1
     nx, ny = cells.shape

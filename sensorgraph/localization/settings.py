@@ -1,25 +1,25 @@
-"""Every tuned number of the localisation, with unit and meaning; the defaults are those of `benchmarks/locate.py`."""
+"""Tuning parameters of localization, with unit and meaning; `benchmarks/locate.py` measures the defaults."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-UNSURE = 0.3
-"""Length of the vector that stands for a normal where only the side is known from which a point was seen."""
+UNKNOWN_NORMAL_LENGTH = 0.3
+"""Length of the vector that replaces a unit normal where only the viewing side of a point is known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointSettings:
-    """Which returns become points."""
+    """Selection of the returns that become points."""
 
     max_range: float = 30.0
-    """[m] farther returns are left out: a wrong heading moves them too far, and they are sparse."""
+    """[m] Longer returns are dropped: a heading error displaces them most, and they are sparse."""
     spacing: float = 0.015
-    """[m] from a point to the next of its scan, below which the latter is left out."""
+    """[m] Minimum distance between consecutive points of a scan; closer points are dropped."""
     reach: float = 0.12
-    """[m] along the scan from a point to the neighbours that give its normal."""
+    """[m] Distance along the scan within which neighbours contribute to the normal of a point."""
     gap: float = 0.25
-    """[m] between neighbouring returns that lie on two surfaces."""
+    """[m] Distance between neighbouring returns above which they lie on different surfaces."""
 
 
 SCANS = PointSettings()
@@ -30,7 +30,7 @@ class LineSettings:
     """Points of a line map."""
 
     voxel: float = 0.05
-    """[m] side of the cells in which points of one direction are put together: bounds the work of a match."""
+    """[m] Side of the cells in which points with similar normals are averaged; it bounds the cost of a match."""
 
 
 LINES = LineSettings()
@@ -38,35 +38,37 @@ LINES = LineSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class LineMatchSettings:
-    """Robust match of points against lines."""
+    """Robust point-to-line match."""
 
     first_radius: float = 0.35
-    """[m] around a point within which the line is fitted, at first; also the side of a bucket of the map."""
+    """[m] Initial radius around a point within which the line is fitted; also the side of a map bucket."""
     last_radius: float = 0.20
-    """[m] the same in the last iterations."""
+    """[m] Radius in the last iterations."""
     sigma: float = 0.03
-    """[m] standard deviation of a return around a perfect line: noise, and that surfaces are no lines."""
+    """[m] Standard deviation of a return around its line: range noise plus the deviation of the surface from
+    a line."""
     iterations: int = 12
-    """Gauss-Newton steps at most."""
+    """Maximum number of Gauss-Newton steps."""
     tolerance: float = 1e-4
-    """[m, rad] a smaller step is the last one."""
+    """[m, rad] Largest component of a step below which the iteration stops."""
     roundness: float = 0.15
-    """Ratio of the variances across and along a line, above which it is a spot, which also holds along."""
+    """Ratio of the variances across and along a line above which it is a spot; a spot also constrains the
+    tangential direction."""
     min_points: float = 2.0
-    """Weight of neighbours below which there is no line."""
+    """Sum of neighbour weights below which no line is fitted."""
     same_side: float = 0.3
-    """Cosine between the normals of two points below which these lie on different surfaces."""
+    """Cosine between two normals below which their points lie on different surfaces."""
     min_noise: float = 0.003
-    """[m] the residuals are never believed to be smaller: the information of a match stays finite."""
+    """[m] Lower bound of the residual noise; it keeps the information of a match finite."""
     inlier: float = 2.0
-    """Standard deviations within which a point is an inlier."""
+    """Number of standard deviations within which a point is an inlier."""
     dense: float = 0.09
-    """[m] from a point of a scan to the next, above which the radii grow in proportion."""
+    """[m] Point spacing of a scan above which the radii grow in proportion."""
     max_growth: float = 4.0
-    """Of the radii at most."""
+    """Maximum growth factor of the radii."""
 
     def for_spacing(self, spacing: float) -> LineMatchSettings:
-        """Return the settings for scans whose points are `spacing` [m] apart: wider for lasers of few rays."""
+        """Return the settings for scans with points `spacing` [m] apart: larger radii for lasers with few rays."""
         growth = min(max(spacing / self.dense, 1.0), self.max_growth)
         return replace(self, first_radius=growth * self.first_radius, last_radius=growth * self.last_radius)
 
@@ -76,44 +78,44 @@ MATCH = LineMatchSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class WheelSettings:
-    """What is believed of the wheels before and after the laser has measured them."""
+    """Priors and noise of the wheel odometry, before and after calibration by the laser."""
 
     way_scale_sd: float = 0.1
-    """Standard deviation of the scale of ways before any scan."""
+    """Prior standard deviation of the distance scale."""
     turn_scale_sd: float = 0.1
-    """Standard deviation of the scale of turns before any scan."""
+    """Prior standard deviation of the turn scale."""
     heading_bias_sd: float = 0.05
-    """[rad/m] standard deviation of the heading bias before any scan."""
+    """[rad/m] Prior standard deviation of the heading bias."""
     place_floor: float = 0.01
-    """[m] standard deviation of a step of any length."""
+    """[m] Position noise of a step of any length, as a standard deviation."""
     ahead_per_metre: float = 0.08
-    """[m/m] along the way, per way driven."""
+    """[m/m] Position noise along the path, per distance driven."""
     left_per_metre: float = 0.05
-    """[m/m] across the way, per way driven."""
+    """[m/m] Position noise across the path, per distance driven."""
     place_per_turn: float = 0.03
-    """[m/rad] per turn."""
+    """[m/rad] Position noise per turn."""
     turn_floor: float = 0.004
-    """[rad] standard deviation of the turn of a step of any length."""
+    """[rad] Heading noise of a step of any length, as a standard deviation."""
     turn_per_metre: float = 0.03
-    """[rad/m] per way driven."""
+    """[rad/m] Heading noise per distance driven."""
     turn_per_turn: float = 0.1
-    """[rad/rad] per turn."""
+    """[rad/rad] Heading noise per turn."""
     max_speed: float = 5.0
-    """[m/s] a step that is faster is a jump of the odometry."""
+    """[m/s] Speed above which a step is a jump of the odometry."""
     max_turn_rate: float = 10.0
-    """[rad/s] the same of turns."""
-    least_scatter: float = 0.05
-    """Share of the standard deviations above that the wheels may show in the end: they are good."""
-    most_scatter: float = 3.0
-    """The same of bad ones."""
+    """[rad/s] Turn rate above which a step is a jump of the odometry."""
+    min_scatter: float = 0.05
+    """Lower bound of the estimated wheel noise, relative to the standard deviations above."""
+    max_scatter: float = 3.0
+    """Upper bound of the estimated wheel noise, relative to the standard deviations above."""
     slip: float = 3.0
-    """Standard deviations at which the weight of a step is halved."""
+    """Number of standard deviations per axis at which Cauchy's weight of a step is 1/2."""
     unknown_sd: float = 1.0
-    """[m, rad] standard deviation of a step without odometry."""
+    """[m, rad] Standard deviation of a step without odometry."""
     outlier: float = 4.0
-    """Standard deviations beyond which a step says nothing about the wheels: slip."""
+    """Number of standard deviations beyond which a step is excluded from calibration as slip."""
     stretches: int = 12
-    """Parts of a log whose slip is independent: standard errors are by how far these differ."""
+    """Number of segments of a log with independent slip; their differences give the standard errors."""
 
 
 WHEELS = WheelSettings()
@@ -123,59 +125,61 @@ WHEELS = WheelSettings()
 class FrontEndSettings:
     """Tracking against the last key frames."""
 
-    way: float = 0.3
-    """[m] from one key frame to the next."""
-    turn: float = 0.21
-    """[rad] from one key frame to the next."""
+    key_frame_distance: float = 0.3
+    """[m] Distance between key frames."""
+    key_frame_turn: float = 0.21
+    """[rad] Turn between key frames."""
     window: int = 40
-    """Key frames that make the map to match against."""
-    still_way: float = 0.02
-    """[m] below which a scan is not matched, but placed by the odometry."""
+    """Number of recent key frames in the map to match against."""
+    still_distance: float = 0.02
+    """[m] Motion below which a scan is placed by the odometry instead of a match."""
     still_turn: float = 0.01
-    """[rad] the same of turns."""
+    """[rad] The same for turns."""
     still_time: float = 0.5
-    """[s] after which a scan is matched in any case."""
-    enough: float = 0.6
-    """Share of the points near a surface that must lie on it; below, other starts are tried."""
-    going_on: float = 0.8
-    """Share of the last match's agreement that a scan has where the odometry has it; below, it is not known that the robot
-    only went on: it may have been carried. Of 360 robots that were carried, all were below 0.75 but those set down at nearly the
-    same pose; of 11,383 scans of three logs, 8 were (swapped halves of `benchmarks/localize_in_map.py`)."""
-    most_slip: float = 20.0
-    """Standard deviations of the odometry that a match is from where it has the scan; beyond, the same holds. One of these
-    scans was, by 22."""
-    least_overlap: float = 0.3
-    """Share of the points that must have a surface near them."""
-    usual_elsewhere: float = 0.85
-    """Share of the usual agreement that a match from another start needs: in a room much fits somewhere."""
-    usual_after_failure: float = 0.5
-    """The same of a match near the prediction, after scans that fitted nowhere."""
-    usual_rate: float = 0.05
+    """[s] Time after the last match beyond which a scan is matched even at standstill."""
+    min_inliers: float = 0.6
+    """Minimum share of inliers among the points near a surface; below, other starts are tried."""
+    min_continuity: float = 0.8
+    """Minimum agreement of a scan at its odometry pose, relative to the last match. Below, the robot may have
+    been carried, so that continuity is not known. Of 360 carried robots, all were below 0.75 except those set
+    down at nearly the same pose. Of 11,383 scans of three logs, 8 were below (swapped halves of
+    `benchmarks/localize_in_map.py`)."""
+    max_slip: float = 20.0
+    """Deviation of a match from its odometry pose, in standard deviations of the odometry, beyond which
+    continuity is not known. One of the 11,383 scans exceeded it, at 22."""
+    min_overlap: float = 0.3
+    """Minimum share of the points with a surface near them."""
+    min_share_elsewhere: float = 0.85
+    """Minimum agreement of a match from another start, relative to the usual agreement: many poses fit a room
+    partly."""
+    min_share_after_failure: float = 0.5
+    """The same for a match near the prediction, after scans without a match."""
+    agreement_rate: float = 0.05
     """Weight of a new match in the usual agreement."""
     start_turns: tuple[float, ...] = (0.0, -0.1, 0.1, -0.21, 0.21)
-    """[rad] of the other starts."""
-    start_ways: tuple[float, ...] = (0.0, -0.25, 0.25)
-    """[m] of the other starts, along and across."""
+    """[rad] Heading offsets of the other starts."""
+    start_offsets: tuple[float, ...] = (0.0, -0.25, 0.25)
+    """[m] Position offsets of the other starts, along and across."""
     patience: float = 2.0
-    """[s] from the first scan without a match, or `patience_way` driven, after which a new piece of track begins."""
-    patience_way: float = 1.0
-    """[m]"""
+    """[s] Time without a match after which a new track segment begins; so it does after `patience_distance`."""
+    patience_distance: float = 1.0
+    """[m] Distance driven without a match after which a new track segment begins."""
     patience_scans: int = 5
-    """Scans without a match before a new piece of track begins, however long that is."""
+    """Minimum number of scans without a match before a new track segment begins."""
     speed_sd: float = 0.6
-    """[m/s] standard deviation of the change of speed between scans, where there is no odometry."""
+    """[m/s] Standard deviation of the change of speed between scans, without odometry."""
     turn_rate_sd: float = 0.8
-    """[rad/s] the same of the turn rate."""
+    """[rad/s] Standard deviation of the change of turn rate between scans, without odometry."""
     correlation: float = 2.0
-    """Times a match against the last key frames knows less than its residuals say: these are not independent."""
+    """Factor by which the information of a match is reduced, since its residuals are correlated."""
     floor_place: float = 0.004
-    """[m] least standard deviation of an edge between key frames."""
+    """[m] Minimum standard deviation of an edge between key frames."""
     floor_turn: float = 0.0007
-    """[rad] the same of its turn."""
+    """[rad] Minimum standard deviation of its turn."""
     broken_place: float = 1.0
-    """[m] standard deviation of the edge between two pieces of track."""
+    """[m] Standard deviation of the edge between two track segments."""
     broken_turn: float = 0.5
-    """[rad] the same of its turn."""
+    """[rad] Standard deviation of its turn."""
 
 
 FRONT_END = FrontEndSettings()
@@ -183,14 +187,14 @@ FRONT_END = FrontEndSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class GraphSettings:
-    """The pose graph."""
+    """Pose graph."""
 
     cauchy: float = 1.0
-    """Standard deviations at which a closure's weight is halved."""
+    """Residual [standard deviations] at which Cauchy's weight of a closure is 1/2."""
     tolerance: float = 1e-4
-    """Relative decrease of the error at which a solution is good enough."""
+    """Relative decrease of the error at which the optimization stops."""
     inlier_probability: float = 0.999
-    """A closure is true within this share of chi²."""
+    """Chi-squared probability within which a closure is an inlier."""
 
 
 GRAPH = GraphSettings()
@@ -198,79 +202,85 @@ GRAPH = GraphSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureSettings:
-    """Search and test of loop closures."""
+    """Search and validation of loop closures."""
 
     submap: int = 16
-    """Key frames of a submap."""
+    """Number of key frames of a submap."""
     step: int = 8
-    """Key frames from one submap to the next."""
-    seen: int = 6
-    """Key frames in the middle of a submap that are sought in an older one."""
+    """Number of key frames between consecutive submaps."""
+    core: int = 6
+    """Number of key frames in the middle of a submap that are searched for in an older one."""
     apart: int = 24
-    """Key frames between two submaps, below which they are neighbours on the way."""
+    """Minimum number of key frames between two submaps of a track segment; closer ones are neighbours along
+    the track."""
     reach: float = 4.0
-    """[m] between the middles of two submaps that can see the same."""
+    """[m] Distance between the middles of two submaps that can observe the same surfaces."""
     window: float = 0.4
-    """[m] half width of the search at least."""
+    """[m] Minimum half width of the search."""
     window_per_metre: float = 0.015
-    """[m/m] more of it per way since the last closure."""
+    """[m/m] Growth of the half width per distance driven since the last closure."""
     max_window: float = 12.0
-    """[m] at most."""
+    """[m] Maximum half width."""
     turn_window: float = 0.05
-    """[rad] half width of the headings that are tried, at least."""
+    """[rad] Minimum half width of the heading search."""
     turn_window_per_metre: float = 0.003
-    """[rad/m] more of it per way since the last closure."""
+    """[rad/m] Growth of the heading half width per distance driven since the last closure."""
     max_turn_window: float = 0.8
-    """[rad] at most."""
+    """[rad] Maximum heading half width."""
     broken_window: float = 6.0
-    """[m] half width of the search around each older submap after the track broke, until the next closure."""
+    """[m] Half width of the search around each older submap after a break of the track, until the next
+    closure."""
     broken_candidates: int = 40
-    """Older submaps that are tried then."""
+    """Approximate number of older submaps that are searched after a break."""
     broken_score: float = 0.75
-    """Of the likelihood field, below which nothing fits then: there is no guess that speaks for it."""
+    """Minimum likelihood-field score after a break; it is higher because no prior pose supports the match."""
     candidates: int = 3
-    """Older visits of a place that are tried for each submap."""
+    """Number of older visits that are searched for each submap."""
     score: float = 0.55
-    """Of the likelihood field, below which nothing fits."""
+    """Minimum likelihood-field score."""
     rivalry: float = 0.92
-    """Share of the best score from which another place is as good."""
+    """Share of the best score above which another place fits equally well."""
     rival_apart: float = 0.5
-    """[m] from the best place to another."""
+    """[m] Minimum distance between the best place and a rival."""
     rival_turn: float = 0.17
-    """[rad] the same of headings."""
+    """[rad] Minimum heading difference between the best place and a rival."""
     visits_apart: float = 2.0
-    """[m] the same of places that two older visits show: these may be adrift of each other."""
+    """[m] Minimum distance between places found in two older visits, which may have drifted relative to each
+    other."""
     drift_per_metre: float = 0.0075
-    """[m/m] that the track may be off per way since the last closure: two places within it are rivals."""
+    """[m/m] Expected drift of the track per distance driven since the last closure; two places within it are
+    rivals."""
     inliers: float = 0.6
-    """Share of the points near surfaces that lie on them."""
+    """Minimum share of inliers among the points near surfaces."""
     overlap: float = 0.4
-    """Share of the points that have surfaces near."""
+    """Minimum share of the points with a surface near them."""
     correlation: float = 20.0
-    """Times a match of submaps knows less than its residuals say."""
+    """Factor by which the information of a submap match is reduced, since its residuals are correlated."""
     weak: float = 0.03
-    """[m] standard deviation above which a direction says nothing: a corridor."""
+    """[m] Standard deviation above which a direction is unconstrained, as along a corridor."""
     no_information: float = 10.0
-    """[m] standard deviation along a corridor."""
+    """[m] Standard deviation assigned to an unconstrained direction."""
     weak_turn: float = 0.05
-    """[rad] standard deviation of a closure's heading above which it is none: it would tie nothing."""
+    """[rad] Standard deviation of the heading above which a closure is rejected, because it would constrain
+    nothing."""
     see_through: float = 0.2
-    """Share of an older place's points in view that may lie where rays went through; 0.22 at most at true closures of
-    aces and 0.07 of fr079, 0.58 in the middle where these are moved by 0.5 m."""
+    """Maximum share of an older place's visible points in space that rays crossed. True closures have at most
+    0.22 in aces and 0.07 in fr079; the same closures displaced by 0.5 m have a median of 0.58."""
     margin: float = 0.15
-    """[m] before the end of a ray that count as free."""
+    """[m] Distance before the end of a ray up to which the ray counts as having crossed space."""
     floor_place: float = 0.004
-    """[m] least standard deviation."""
+    """[m] Minimum standard deviation."""
     floor_turn: float = 0.0007
-    """[rad] the same of the heading."""
+    """[rad] Minimum standard deviation of the heading."""
     kept_pyramids: int = 128
-    """Submaps whose likelihood fields are kept, those used last; each takes 2 to 5 MB, and a day has thousands."""
+    """Number of recently used submaps whose likelihood fields are kept; each takes 2 to 5 MB, and a day of
+    driving has thousands."""
     solve_every: int = 4
-    """Submaps after which closures are taken into the graph while the map is made."""
+    """Number of submaps between optimizations of the pose graph during the search."""
     second_window: float = 0.4
-    """[m] of the second pass, when the first has closed the loops."""
+    """[m] Half width of the second pass, after the first has closed the loops."""
     second_turn: float = 0.035
-    """[rad] of the second pass."""
+    """[rad] Heading half width of the second pass."""
 
 
 CLOSURES = ClosureSettings()
@@ -278,36 +288,38 @@ CLOSURES = ClosureSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementSettings:
-    """Poses and surfaces together."""
+    """Joint refinement of poses and surfaces."""
 
     iterations: int = 8
-    """Gauss-Newton steps; surfaces are cut anew before each."""
+    """Number of Gauss-Newton steps; the patches are cut anew before each."""
     first_side: float = 0.30
-    """[m] between the middles of neighbouring surface patches, at first."""
+    """[m] Initial spacing of the surface patches."""
     last_side: float = 0.20
-    """[m] the same in the last iterations."""
+    """[m] Patch spacing in the last iterations."""
     first_gate: float = 0.25
-    """[m] from a patch's line to the points that belong to it, at first."""
+    """[m] Initial distance from a patch's line within which points belong to it."""
     last_gate: float = 0.10
-    """[m] the same in the last iterations."""
+    """[m] The same in the last iterations."""
     first_sigma: float = 0.10
-    """[m] half the distance from a patch at which Cauchy's weight is 1/2, at first: visits that lie apart must pull."""
+    """[m] Initial scale of Cauchy's weight, which is 1/2 at twice this distance; it is large so that
+    displaced visits attract each other."""
     last_sigma: float = 0.02
-    """[m] the same in the last iterations, unless the patch is rougher."""
+    """[m] The same in the last iterations, unless the patch is rougher."""
     min_sigma: float = 0.002
-    """[m] a patch is never believed to be smoother."""
+    """[m] Lower bound of the roughness of a patch."""
     shrinkage: float = 10.0
-    """Points that the noise of all patches counts in the noise of one."""
+    """Weight, in points, of the noise of all patches in the noise of one."""
     roundness: float = 0.25
-    """Ratio of the variances across and along a patch, above which it is none."""
+    """Ratio of the variances across and along above which points form no patch."""
     min_points: float = 4.0
-    """Points of a patch at least."""
+    """Minimum number of points of a patch."""
     tolerance: float = 1e-3
     """Relative residual at which conjugate gradients stop."""
     max_steps: int = 300
-    """Of conjugate gradients."""
+    """Maximum number of conjugate-gradient steps."""
     samples: int = 48
-    """Of the bootstrap of the covariances: their standard deviations are right to about 1 / sqrt(2 · samples)."""
+    """Number of bootstrap samples of the covariances; the relative error of a standard deviation is about 1 /
+    sqrt(2 · samples)."""
 
 
 REFINEMENT = RefinementSettings()
@@ -315,32 +327,35 @@ REFINEMENT = RefinementSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class RayTimeSettings:
-    """When each ray of a scan was taken, where the log does not say."""
+    """Ray times of a scan, where the log does not contain them."""
 
     pieces: int = 40
-    """Pieces of track that are looked at: those in which the robot turned fastest."""
-    least_pieces: int = 8
-    """Fewer tell no standard errors."""
+    """Maximum number of track pieces used; the fastest-turning ones are chosen."""
+    min_pieces: int = 8
+    """Minimum number of pieces; fewer give no standard errors."""
     frames: int = 12
-    """Key frames of a piece: about two turns of the robot, or 4 m."""
-    fast: float = 1.0
-    """[rad/s] a robot that turns faster counts as one of this rate: wheels slip."""
-    least_rate: float = 0.1
-    """[rad/s] a robot that turns no faster shows nothing: 10 ms are 0.06° then."""
-    apart: float = 1000.0
-    """[m] between the maps of two pieces."""
+    """Number of key frames of a piece: about two turns of the robot, or 4 m."""
+    max_rate: float = 1.0
+    """[rad/s] Upper limit of the turn rate that ranks a piece, because wheels slip in fast turns."""
+    min_rate: float = 0.1
+    """[rad/s] Minimum turn rate; at this rate 10 ms correspond to 0.06°."""
+    piece_offset: float = 1000.0
+    """[m] Offset between the maps of two pieces."""
     steps: int = 4
-    """Gauss-Newton steps, the points moved anew before each: surfaces that are smeared themselves hide a fifth."""
-    short: float = 0.01
-    """[s] over which the velocity at a scan is taken."""
-    widest: float = 0.2
-    """[s] standard deviation of a delay before any scan."""
+    """Number of Gauss-Newton steps. Points are deskewed again before each, because smeared surfaces hide a
+    fifth of the effect."""
+    velocity_interval: float = 0.01
+    """[s] Interval over which the velocity at a scan is computed."""
+    delay_sd: float = 0.2
+    """[s] Prior standard deviation of a delay."""
     motion_error: float = 0.1
-    """Share by which velocities by the odometry may be off within a scan, and so the times."""
-    least_gain: float = 25.0
-    """Twice the log likelihood by which a laser must be better than no sweep, and than any other: five standard errors."""
-    most_distance: float = 18.5
-    """Squared standard errors between estimate and laser: 99.9 % of chi-squared with four degrees of freedom."""
+    """Relative error of the odometry velocity within a scan, and thus of the times."""
+    min_gain: float = 25.0
+    """Minimum advantage of a laser over no sweep and over any other laser, as twice the log likelihood: five
+    standard errors."""
+    max_distance: float = 18.5
+    """Maximum squared Mahalanobis distance between estimate and laser: 99.9 % of chi-squared with four
+    degrees of freedom."""
 
 
 RAY_TIMES = RayTimeSettings()
@@ -348,18 +363,18 @@ RAY_TIMES = RayTimeSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class FinalSettings:
-    """Scans between key frames, placed in the refined map."""
+    """Placement of the scans between key frames in the refined map."""
 
     place_sd: float = 0.03
-    """[m] standard deviation of the track between two key frames."""
+    """[m] Standard deviation of the track between two key frames."""
     turn_sd: float = 0.015
-    """[rad] the same of its heading."""
+    """[rad] Standard deviation of its heading."""
     inliers: float = 0.5
-    """Share of the points near surfaces that must lie on them."""
+    """Minimum share of inliers among the points near surfaces."""
     overlap: float = 0.3
-    """Share of the points that must have surfaces near."""
-    joining: int = 2
-    """Loop closures that agree, before a piece of track after a break is believed to lie where they say."""
+    """Minimum share of the points with a surface near them."""
+    min_joining_closures: int = 2
+    """Number of consistent loop closures that join a track segment to the map after a break."""
 
 
 FINAL = FinalSettings()
@@ -367,18 +382,18 @@ FINAL = FinalSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothingSettings:
-    """The laser's odometry, with which all poses of a run are smoothed."""
+    """Noise of the laser odometry with which the poses of a run are smoothed."""
 
     step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)
-    """[m, m, rad] standard deviations of the laser's odometry from scan to scan, however short."""
+    """[m, m, rad] Standard deviations of a step from scan to scan, of any length."""
     step_per_metre: float = 0.01
-    """[m/m, rad/m] the same per way."""
+    """[m/m, rad/m] Additional standard deviation per distance driven."""
     step_per_turn: float = 0.02
-    """[m/rad, rad/rad] the same per turn."""
-    blind_step: float = 10.0
-    """Times as much where the front end did not match a scan."""
-    broken_step: float = 100.0
-    """[m, rad] where the way is not known."""
+    """[m/rad, rad/rad] Additional standard deviation per turn."""
+    unmatched_factor: float = 10.0
+    """Factor on the standard deviation where the front end did not match a scan."""
+    unknown_step: float = 100.0
+    """[m, rad] Standard deviation where the motion is not known."""
 
 
 SMOOTHING = SmoothingSettings()

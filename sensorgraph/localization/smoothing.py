@@ -1,7 +1,13 @@
-"""All poses of a run at once: steps from one scan to the next, and places where scans fitted a map.
+"""Smooth all poses of a run at once, given steps between consecutive scans and poses of scans matched to a map.
 
-The normal equations couple neighbours only, so they are banded: a Cholesky factor of 13,000 scans takes a blink, and the
-diagonal blocks of the inverse follow by two sweeps (Golub and Plemmons 1980; RTS smoothing in other words).
+The estimate minimises, over all poses x_k = (x, y, phi),
+
+    sum_k |inv(x_k) ∘ x_(k+1) - steps_k|²_W  +  sum_k rho(|x_k - places_k|²_P).
+
+W is `step_information`, P is `place_information`, and rho is Cauchy's function. Gauss-Newton solves it.
+
+The normal equations couple neighbours only, so that they are banded: 13,000 scans take well under a second.
+Two sweeps give the diagonal blocks of the inverse, as in the RTS smoother (Golub and Plemmons 1980).
 """
 
 from __future__ import annotations
@@ -17,15 +23,16 @@ from sensorgraph.localization.settings import SMOOTHING, SmoothingSettings
 from sensorgraph.types import Bools, Floats
 
 ITERATIONS = 6
-"""Gauss-Newton steps; poses start within centimetres, so that two or three change anything."""
+"""Maximum number of Gauss-Newton steps. Poses start within centimetres, so that two or three steps suffice."""
 CAUCHY = 3.0
-"""[standard deviations] from which on a place counts less and less."""
+"""[standard deviations] Scale of Cauchy's function: the deviation per axis at which the weight of a place is
+1/2."""
 _COLUMNS = np.arange(3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothedPoses:
-    """Poses and how well each is known."""
+    """Smoothed poses with covariances."""
 
     poses: Floats
     """(n, 3) [m, m, rad]"""
@@ -36,18 +43,18 @@ class SmoothedPoses:
 def steps_of(
     track: ScanTrack, breaks: Bools | None = None, settings: SmoothingSettings = SMOOTHING
 ) -> tuple[Floats, Floats]:
-    """Return the laser's odometry as steps (n - 1, 3) from scan to scan, and their information (n - 1, 3, 3).
+    """Return the laser odometry as steps (n - 1, 3) from scan to scan, with their information (n - 1, 3, 3).
 
     Parameters
     ----------
-    breaks : (n,) the way from the scan before is not known; None: where the track does not go on
+    breaks : (n,) The motion from the previous scan is not known. None: where the track is not continuous.
     """
     s = settings
     steps = compose(invert(track.poses[:-1]), track.poses[1:])
     way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
-    sd[~track.matched[1:]] *= s.blind_step
-    sd[(~track.goes_on if breaks is None else breaks)[1:]] = s.broken_step
+    sd[~track.matched[1:]] *= s.unmatched_factor
+    sd[(~track.is_continuous if breaks is None else breaks)[1:]] = s.unknown_step
     information = np.zeros((len(sd), 3, 3))
     information[:, _COLUMNS, _COLUMNS] = sd**-2.0
     return steps, information
@@ -56,15 +63,15 @@ def steps_of(
 def smooth(
     start: Floats, steps: Floats, step_information: Floats, places: Floats, place_information: Floats
 ) -> SmoothedPoses:
-    """Find the poses that fit steps and places best.
+    """Return the poses that minimise the weighted squared errors of steps and places (see the module).
 
     Parameters
     ----------
-    start : (n, 3) [m, m, rad] poses to start from
-    steps : (n - 1, 3) pose of each scan in the one before it
-    step_information : (n - 1, 3, 3) of these
-    places : (n, 3) poses in map as measured
-    place_information : (n, 3, 3) of x, y, phi in map; zeros where there is none
+    start : (n, 3) [m, m, rad] Initial poses.
+    steps : (n - 1, 3) Pose of each scan in the frame of the previous one.
+    step_information : (n - 1, 3, 3) Information of the steps.
+    places : (n, 3) Measured poses in map.
+    place_information : (n, 3, 3) Information of x, y, phi in map; zeros for a scan without a measured pose.
     """
     poses = start.copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
@@ -84,7 +91,11 @@ def smooth(
 def _normal_equations(
     poses: Floats, steps: Floats, step_information: Floats, places: Floats, place_information: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return diagonal blocks (n, 3, 3), those below (n - 1, 3, 3), and the gradient (n, 3)."""
+    """Return the blocks of the normal equations of one Gauss-Newton step, and the gradient.
+
+    The blocks of JᵀWJ are `diagonal` (n, 3, 3) and, below it, `lower` (n - 1, 3, 3). The gradient (n, 3) is
+    JᵀWr. A place has the weight 1 / (1 + |x_k - places_k|²_P / (3 CAUCHY²)).
+    """
     n = len(poses)
     off = poses - places
     off[:, 2] = wrap(off[:, 2])
@@ -94,24 +105,30 @@ def _normal_equations(
     gradient = np.einsum("nij,nj->ni", weighted, off)
     way = poses[1:, :2] - poses[:-1, :2]
     cos, sin = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
-    back = np.zeros((n - 1, 3, 3))
-    back[:, 0, 0], back[:, 0, 1], back[:, 1, 0], back[:, 1, 1], back[:, 2, 2] = cos, sin, -sin, cos, 1.0
-    ahead = -back.copy()
-    ahead[:, 0, 2] = -sin * way[:, 0] + cos * way[:, 1]
-    ahead[:, 1, 2] = -cos * way[:, 0] - sin * way[:, 1]
-    errors = np.einsum("nij,nj->ni", back[:, :2, :2], way) - steps[:, :2]
+    second = np.zeros((n - 1, 3, 3))
+    second[:, 0, 0], second[:, 0, 1], second[:, 1, 0], second[:, 1, 1], second[:, 2, 2] = (
+        cos,
+        sin,
+        -sin,
+        cos,
+        1.0,
+    )
+    first = -second.copy()
+    first[:, 0, 2] = -sin * way[:, 0] + cos * way[:, 1]
+    first[:, 1, 2] = -cos * way[:, 0] - sin * way[:, 1]
+    errors = np.einsum("nij,nj->ni", second[:, :2, :2], way) - steps[:, :2]
     errors = np.column_stack([errors, wrap(poses[1:, 2] - poses[:-1, 2] - steps[:, 2])])
-    pull_from = np.einsum("nji,njk->nik", ahead, step_information)
-    pull_to = np.einsum("nji,njk->nik", back, step_information)
-    diagonal[:-1] += pull_from @ ahead
-    diagonal[1:] += pull_to @ back
-    gradient[:-1] += np.einsum("nij,nj->ni", pull_from, errors)
-    gradient[1:] += np.einsum("nij,nj->ni", pull_to, errors)
-    return diagonal, pull_to @ ahead, gradient
+    first_weighted = np.einsum("nji,njk->nik", first, step_information)
+    second_weighted = np.einsum("nji,njk->nik", second, step_information)
+    diagonal[:-1] += first_weighted @ first
+    diagonal[1:] += second_weighted @ second
+    gradient[:-1] += np.einsum("nij,nj->ni", first_weighted, errors)
+    gradient[1:] += np.einsum("nij,nj->ni", second_weighted, errors)
+    return diagonal, second_weighted @ first, gradient
 
 
 def _banded(diagonal: Floats, lower: Floats) -> Floats:
-    """Return the lower bands (6, 3 n) that scipy takes."""
+    """Return the lower bands (6, 3 n) in the format of scipy."""
     n = len(diagonal)
     bands = np.zeros((6, n, 3))
     for column in range(3):
@@ -123,16 +140,20 @@ def _banded(diagonal: Floats, lower: Floats) -> Floats:
 
 
 def _inverse_blocks(diagonal: Floats, lower: Floats) -> Floats:
-    """Return the diagonal blocks (n, 3, 3) of the inverse."""
+    """Return the diagonal blocks (n, 3, 3) of the inverse by block elimination and back substitution.
+
+    With D and L the blocks on and below the diagonal: S_k = D_k - L_(k-1) inv(S_(k-1)) L_(k-1)ᵀ and G_k = L_k
+    inv(S_k) forwards, then P_k = inv(S_k) + G_kᵀ P_(k+1) G_k backwards from P_n = inv(S_n).
+    """
     n = len(diagonal)
-    ahead = np.empty_like(diagonal)  # what is left of a block once all before it are eliminated
-    ahead[0] = diagonal[0]
+    schur = np.empty_like(diagonal)  # S_k: Schur complement after elimination of all earlier blocks
+    schur[0] = diagonal[0]
     gains = np.empty((max(n - 1, 0), 3, 3))
     for k in range(1, n):
-        gains[k - 1] = lower[k - 1] @ np.linalg.inv(ahead[k - 1])
-        ahead[k] = diagonal[k] - gains[k - 1] @ lower[k - 1].T
-    out = np.empty_like(diagonal)
-    out[-1] = np.linalg.inv(ahead[-1])
+        gains[k - 1] = lower[k - 1] @ np.linalg.inv(schur[k - 1])
+        schur[k] = diagonal[k] - gains[k - 1] @ lower[k - 1].T
+    blocks = np.empty_like(diagonal)
+    blocks[-1] = np.linalg.inv(schur[-1])
     for k in range(n - 2, -1, -1):
-        out[k] = np.linalg.inv(ahead[k]) + gains[k].T @ out[k + 1] @ gains[k]
-    return (out + out.transpose(0, 2, 1)) / 2
+        blocks[k] = np.linalg.inv(schur[k]) + gains[k].T @ blocks[k + 1] @ gains[k]
+    return (blocks + blocks.transpose(0, 2, 1)) / 2

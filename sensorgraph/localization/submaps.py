@@ -1,4 +1,4 @@
-"""Submaps: some key frames in a row, rigid, as one thing that can be found again."""
+"""Submaps: consecutive key frames as one rigid object that can be found again."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from sensorgraph.localization.settings import CLOSURES, MATCH, ClosureSettings, 
 from sensorgraph.types import Bools, Floats, Ints
 
 SEARCH_VOXEL = 0.12
-"""[m] between the points that are sought: as fine as the likelihood field is smooth."""
+"""[m] Spacing of the search points, matched to the smoothness of the likelihood field."""
 
 MAX_GAP = float(np.radians(3.0))
-"""[rad] between neighbouring returns, above which nobody knows what lies between."""
+"""[rad] Maximum bearing difference between neighbouring returns; in wider gaps the space is unobserved."""
 
 
 @dataclass(frozen=True, eq=False)
 class Submap:
-    """Key frames in a row, in the frame of the one in the middle."""
+    """Consecutive key frames, in the frame of the middle one."""
 
     scans: ScanPoints
     key_frames: Ints
-    """(n,) numbers of the key frames, in a row."""
+    """(n,) Consecutive numbers of the key frames."""
     frames: Ints
-    """(n,) their scans."""
+    """(n,) Scans of the key frames."""
     middle: int
-    """Number of the key frame whose frame it is."""
+    """Number of the key frame that defines the frame."""
     poses: Floats
-    """(n, 3) [m, m, rad] in the middle's frame."""
-    seen: int
-    """Key frames in the middle that are sought in other submaps."""
+    """(n, 3) [m, m, rad] Poses in the frame of the middle one."""
+    n_core: int
+    """Number of key frames in the middle that are searched for in other submaps."""
     matching: LineMatchSettings
 
     @cached_property
     def _core(self) -> slice:
         middle = int(np.flatnonzero(self.key_frames == self.middle)[0])
-        return slice(max(middle - self.seen // 2, 0), middle + self.seen - self.seen // 2)
+        return slice(max(middle - self.n_core // 2, 0), middle + self.n_core - self.n_core // 2)
 
     @cached_property
     def points(self) -> tuple[Floats, Floats]:
-        """Points and normals (n, 2) of all its key frames."""
+        """Points and normals (n, 2) of all key frames."""
         return thinned(*points_in(self.scans, self.frames, self.poses))
 
     @cached_property
@@ -58,28 +58,29 @@ class Submap:
 
     @cached_property
     def search_points(self) -> Floats:
-        """Few points (n, 2) that stand for `core_points`."""
+        """Thinned `core_points` (n, 2) for the search."""
         return thinned(*self.core_points, SEARCH_VOXEL)[0]
 
     @cached_property
     def pyramid(self) -> MaxPyramid:
-        """Its likelihood field."""
+        """Likelihood field for the search."""
         return MaxPyramid(field=field_of_points(self.points[0]))
 
     def forget_pyramid(self) -> None:
-        """Free the memory of the likelihood field; it is made again when it is asked for."""
+        """Free the memory of the likelihood field; it is built again on the next access."""
         self.__dict__.pop("pyramid", None)
 
     @cached_property
     def surfaces(self) -> LineMap:
-        """Its lines."""
+        """Line map."""
         return line_map(*self.points, side=self.matching.first_radius)
 
     def sees_through(self, other: Submap, relative: Floats, margin: float) -> float:
-        """Return the share of another's points (its middle at `relative`) that lie where rays of this one went through.
+        """Return the share of another submap's points, at `relative`, in space that rays of this one crossed.
 
-        Only points in view of the key frames in the middle count, and only those far from any surface of this submap
-        were gone through: along a wall, a slightly wrong heading moves the end of a ray far.
+
+        Only points visible from the key frames in the middle count. A point near a surface of this submap is
+        not crossed: along a wall, a small heading error displaces the end of a ray far.
         """
         points = _moved(other.points[0], relative)
         is_alone = self.pyramid.field.at(points) == 0
@@ -96,7 +97,7 @@ class Submap:
 def _through(
     points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
 ) -> tuple[Bools, Bools]:
-    """Tell which of the points (n, 2) are in view of a scan, and which of these its rays went through."""
+    """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
     start = scans.starts[own].mean(axis=0)
     rays = scans.points[own] - start
     bearing, length = np.arctan2(rays[:, 1], rays[:, 0]), np.hypot(*rays.T)
@@ -120,7 +121,7 @@ def _moved(points: Floats, pose: Floats) -> Floats:
 
 
 def cut_submaps(scans: ScanPoints, track: ScanTrack, settings: ClosureSettings = CLOSURES) -> list[Submap]:
-    """Cut a track into submaps that overlap; none runs across two pieces of track."""
+    """Cut a track into overlapping submaps; each lies within one track segment."""
     submaps = []
     matching = MATCH.for_spacing(scans.spacing)
     for piece in np.unique(track.piece):
@@ -138,7 +139,7 @@ def cut_submaps(scans: ScanPoints, track: ScanTrack, settings: ClosureSettings =
                     track.key_frames[chosen],
                     middle,
                     compose(invert(np.broadcast_to(origin, poses.shape)), poses),
-                    settings.seen,
+                    settings.core,
                     matching,
                 )
             )

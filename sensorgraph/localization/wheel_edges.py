@@ -1,6 +1,7 @@
-"""What the odometry says between neighbouring key frames, as edges whose three wheel parameters are unknown, too.
+"""Odometry constraints between neighbouring key frames, with the three wheel parameters as unknowns.
 
-Fixed parameters would make a small error of the heading bias a bend of the whole map.
+The residual of edge e is r_e = inv(x_a) ∘ x_b - step_e(s, k, b), with distance scale s, turn scale k and
+heading bias b. With fixed parameters a small error of the heading bias would bend the whole map.
 """
 
 from __future__ import annotations
@@ -14,35 +15,36 @@ from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.settings import WHEELS, WheelSettings
-from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_way
+from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
 from sensorgraph.types import Floats, Ints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WheelEdges:
-    """Edges, and how they depend on the parameters of the wheels."""
+    """Edges, and their dependence on the wheel parameters."""
 
     edges: PoseEdges
     by_parameters: Floats
-    """(n, 3, 3) derivative of the residual (pose's minus wheels' step) by way scale, turn scale and heading bias."""
+    """(n, 3, 3) Derivative of the residual (pose step minus wheel step) with respect to distance scale, turn
+    scale and heading bias."""
     prior: Floats
-    """(3, 3) information of the parameters before any scan."""
+    """(3, 3) Prior information of the parameters."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WheelSteps:
-    """Steps of the odometry between neighbouring key frames, where it can be believed."""
+    """Odometry steps between neighbouring key frames, without breaks and jumps."""
 
     first: Ints
-    """(n,) number of the key frame where the step begins."""
+    """(n,) Number of the key frame at the start of the step."""
     steps: Floats
-    """(n, 3) [m, m, rad] in base_link, as the odometry says; zero without odometry."""
+    """(n, 3) [m, m, rad] Steps in base_link from the odometry; zero without odometry."""
     has_odometry: bool
     settings: WheelSettings = WHEELS
 
     @staticmethod
     def of(odometry: Floats | None, tracked: ScanTrack) -> WheelSteps:
-        """Take the steps of the odometry (n_scans, 3), but across a break of the track or a jump."""
+        """Take the steps of the odometry (n_scans, 3), except across a break of the track or a jump."""
         keys = tracked.key_frames
         first = np.arange(len(keys) - 1)
         if odometry is None:
@@ -55,13 +57,13 @@ class WheelSteps:
         return WheelSteps(first=first, steps=steps, has_odometry=True)
 
     def parameters(self, poses: Floats) -> WheelParameters | None:
-        """Identify the wheels by the poses (n_key, 3); None without odometry."""
+        """Identify the wheel parameters from the poses (n_key, 3); None without odometry."""
         if not self.has_odometry:
             return None
         return identify_wheels(self.steps, self._measured(poses), self.settings)
 
     def at(self, poses: Floats) -> WheelEdges:
-        """Return the edges with parameters and noise as the poses (n_key, 3) show them."""
+        """Return the edges at the poses (n_key, 3), with wheel parameters and noise estimated from them."""
         n = len(self.first)
         measured = self._measured(poses)
         found = self.parameters(poses)
@@ -77,17 +79,19 @@ class WheelSteps:
         s = self.settings
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
         estimate = WheelEstimate(s)
-        way = signed_way(self.steps)
+        way = signed_distance(self.steps)
         sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, relative[:, 2], strict=True)])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])
-        scale = np.clip(1.4826 * np.median(np.abs(off / sd), axis=0), s.least_scatter, s.most_scatter)
+        scale = np.clip(1.4826 * np.median(np.abs(off / sd), axis=0), s.min_scatter, s.max_scatter)
         z = off / (sd * scale)
         soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * s.slip**2))
         information = np.zeros((n, 3, 3))
         for axis in range(3):
             information[:, axis, axis] = soft / (sd[:, axis] * scale[axis]) ** 2
-        turned = 0.5 * np.column_stack([-relative[:, 1], relative[:, 0]])  # by a turn missed on the way
+        turned = 0.5 * np.column_stack(
+            [-relative[:, 1], relative[:, 0]]
+        )  # derivative by a turn that the odometry misses during the step
         by = np.zeros((n, 3, 3))
         by[:, :2, 0] = -relative[:, :2] / found.way_scale
         by[:, :2, 1], by[:, 2, 1] = -turned * self.steps[:, 2:], -self.steps[:, 2]

@@ -1,7 +1,12 @@
-"""Scale, turn scale and heading bias of the odometry, identified step by step from what the laser measured.
+"""Identify distance scale s, turn scale k and heading bias b of the odometry from motion measured by the laser.
 
-The model is way = s·way', turn = k·turn' + b·way' of what the odometry says (primed): wheels of other radii or another
-base than the driver thinks (Borenstein and Feng 1996). Two regressions are updated recursively with each step.
+The model of a step is
+
+    way = s · way',  turn = k · turn' + b · way'.
+
+Unprimed quantities are the true motion, primed ones the odometry's. The model covers wrong wheel radii and a
+wrong wheelbase (Borenstein and Feng 1996). `WheelEstimate` updates two least-squares regressions recursively;
+`identify_wheels` fits all steps.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ from sensorgraph.types import Floats
 
 
 class WheelEstimate:
-    """What is known of the wheels so far."""
+    """Recursive estimate of the wheel parameters."""
 
     def __init__(self, settings: WheelSettings = WHEELS) -> None:
         self.settings = settings
@@ -27,11 +32,11 @@ class WheelEstimate:
         self.way_scale, self.turn_scale, self.heading_bias = 1.0, 1.0, 0.0
 
     def corrected(self, steps: Floats) -> Floats:
-        """Return steps (..., 3) [m, m, rad] of the odometry in base_link as the robot moved."""
+        """Return odometry steps (..., 3) [m, m, rad] in base_link, corrected by the estimate."""
         return corrected_steps(steps, self.way_scale, self.turn_scale, self.heading_bias)
 
     def deviations(self, way: float, turn: float) -> Floats:
-        """Return the standard deviations (3,) [m, m, rad] of a corrected step ahead, left and in heading."""
+        """Return the standard deviations (3,) [m, m, rad] of a corrected step: ahead, left, heading."""
         s, turn = self.settings, abs(turn)
         place = s.place_floor + s.place_per_turn * turn
         return np.array(
@@ -43,8 +48,8 @@ class WheelEstimate:
         )
 
     def learn(self, step: Floats, measured: Floats) -> None:
-        """Take in a step (3,) of the odometry and the same step as the laser measured it."""
-        way = float(signed_way(step))
+        """Update the estimate with a step (3,) of the odometry and the same step measured by the laser."""
+        way = float(signed_distance(step))
         sd = self.deviations(abs(way), float(step[2]))
         off = measured - self.corrected(step)
         if (np.abs([off[0], off[1], wrap(off[2])]) > self.settings.outlier * sd).any():
@@ -60,32 +65,38 @@ class WheelEstimate:
         self.turn_scale, self.heading_bias = np.linalg.solve(self._turn_information, self._turn_moment)
 
 
-def signed_way(steps: Floats) -> Floats:
-    """Return how far steps (..., 3) [m, m, rad] in base_link lead [m]; backwards is less than 0."""
+def signed_distance(steps: Floats) -> Floats:
+    """Return the length [m] of steps (..., 3) [m, m, rad] in base_link; negative when reversing."""
     return np.asarray(np.hypot(steps[..., 0], steps[..., 1]) * np.where(steps[..., 0] >= 0, 1.0, -1.0))
 
 
 def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_bias: float) -> Floats:
-    """Return steps (..., 3) [m, m, rad] of the odometry with its scales and its heading bias undone."""
-    way = signed_way(steps)
+    """Return odometry steps (..., 3) [m, m, rad] corrected for scales and heading bias."""
+    way = signed_distance(steps)
     missed = (turn_scale - 1.0) * steps[..., 2] + heading_bias * way
-    cos, sin = np.cos(missed / 2), np.sin(missed / 2)  # half the turn it missed, on the way
+    cos, sin = np.cos(missed / 2), np.sin(missed / 2)  # the missed turn acts half-way through the step
     x = way_scale * (cos * steps[..., 0] - sin * steps[..., 1])
     y = way_scale * (sin * steps[..., 0] + cos * steps[..., 1])
     return np.stack([x, y, steps[..., 2] + missed], axis=-1)
 
 
 def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = WHEELS) -> WheelParameters:
-    """Fit the parameters to steps (n, 3) of the odometry and the same steps as measured, in a row, with standard errors.
+    """Fit the wheel parameters to steps (n, 3) of the odometry and the same steps by the laser, with standard errors.
 
-    The noise is the wheels', not the laser's: so the odometry's steps are regressed on the measured ones, and the result
-    turned round. The other way round, slip would make every scale too small (errors in variables, Fuller 1987). What is
-    believed beforehand counts, so that turns and ways that always come together are told apart by it. Steps that deviate
-    by more than `settings.outlier` robust standard deviations are left out: slip. Standard errors are those of
-    `settings.stretches` parts of the log (cluster-robust: Liang and Zeger 1986), as slip depends on the floor.
+    Two regressions, with priors on their coefficients, minimise the robustly weighted squares of
+
+        way' - share · way,  turn' - (a · turn + c · way).
+
+    The parameters are s = 1 / share, k = 1 / a and b = -c s / a. The odometry's steps are regressed on the
+    measured ones because the noise is in the wheels. The reverse regression would bias every scale towards
+    zero by slip (errors in variables, Fuller 1987).
+
+    The priors separate turns and distances that always occur together. Steps beyond `settings.outlier` robust
+    standard deviations are excluded as slip. Slip depends on the floor, so that the standard errors are
+    cluster-robust over `settings.stretches` segments of the log (Liang and Zeger 1986).
     """
     s = settings
-    way, turn = signed_way(measured), wrap(measured[:, 2])
+    way, turn = signed_distance(measured), wrap(measured[:, 2])
     estimate = WheelEstimate(s)
     sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, turn, strict=True)]).reshape(-1, 3)
     (share,), ((share_variance,),) = _regress(
@@ -113,17 +124,15 @@ def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = W
 def _regress(
     rows: Floats, values: Floats, before: Floats, before_sd: Floats, settings: WheelSettings
 ) -> tuple[Floats, Floats]:
-    """Return robust coefficients and their covariance (k, k) with what is believed before (k,).
+    """Return robust coefficients (k,) and their covariance (k, k), given their prior mean and deviation (k,).
 
-    The scatter is first that around the line of least deviations, which heeds no prior: around the prior, where that is far
-    off, it would be so great that the prior stays.
+    The scatter starts from a fit of least absolute deviations without prior. Around a prior that is far off,
+    the scatter would be so large that the prior prevails.
     """
     kept = np.isfinite(values) & np.isfinite(rows).all(axis=1)
     prior = np.diag(before_sd**-2.0)
     theta, information = _least_deviations(rows[kept], values[kept], before), prior
-    least = (
-        settings.least_scatter if kept.sum() >= settings.stretches else 1.0
-    )  # a few steps may agree by chance
+    least = settings.min_scatter if kept.sum() >= settings.stretches else 1.0  # few steps may agree by chance
     scale = 1.0
     for _ in range(4):
         off = np.abs(values - rows @ theta)
@@ -142,7 +151,10 @@ def _regress(
 
 
 def _least_deviations(rows: Floats, values: Floats, before: Floats) -> Floats:
-    """Return the coefficients (k,) of least absolute deviations, by weights anew; where rows say nothing, those before."""
+    """Return the coefficients (k,) of least absolute deviations; unobservable ones keep their prior.
+
+    Iteratively reweighted least squares minimises sum_i |values_i - rows_i · theta|.
+    """
     theta = before
     for _ in range(20):
         off = values - rows @ theta
