@@ -86,12 +86,12 @@ def test_where_nobody_looked_is_not_answered_and_where_walls_moved_is_wrong(room
         [replace(run, stamps=run.stamps[west], ranges=run.ranges[west])], model="polynomial", degree=1
     )
     cells = collect(run, graph=known, arena=room).cells
-    assert cells.ray_counts is not None and cells.doubt_map is not None
+    assert cells.ray_counts is not None and cells.expected_error_map is not None
     dark = cells.ray_counts.by_place.share_unanswered
     column = int((1.9 - cells.origin[0]) / cells.cell)
     assert np.nanmin(dark[column:]) == 1.0
     assert np.nanmin(dark[: int((0.8 - cells.origin[0]) / cells.cell)]) < 0.1
-    (x, _, area), *_ = cells.doubt_map.places()
+    (x, _, area), *_ = cells.expected_error_map.places()
     assert x > 1.0
     assert area > 0.5
     moved = collect(replace(run, ranges=run.ranges + 1.0), graph=known, arena=room).cells.ray_counts
@@ -144,9 +144,9 @@ def test_the_report_counts_on_held_out_scans(seen: Review) -> None:
 
 def test_the_report_says_when_a_graph_was_fitted_to_what_it_is_scored_on(run: Run) -> None:
     own = collect(run, graph=build([run], model="polynomial", degree=2, harmonics=2))
-    assert "fitted to this run" in report(own)
+    assert "built from this run" in report(own)
     other = replace(run, ranges=run.ranges + 0.01)
-    assert "has not seen" in report(
+    assert "not used to build the graph" in report(
         collect(other, graph=build([run], model="polynomial", degree=2, harmonics=2))
     )
 
@@ -156,7 +156,7 @@ def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) 
     assert len(few.shown) == 50
     assert np.ptp(np.diff(few.shown)) <= 1
     assert few.cells.counts.sum() == run.n_scans
-    assert "Shown: 50 scans, evenly chosen" in report(few)
+    assert "Shown: 50 scans, evenly spaced" in report(few)
 
 
 def test_a_run_without_poses_is_refused(run: Run) -> None:
@@ -199,7 +199,7 @@ def test_every_stage_of_a_review_is_named(run: Run, graph: Sensorgraph, tmp_path
 
     review(run, path=tmp_path / "review.rrd", graph=graph, progress=bar)
     assert list(stages) == [
-        "evaluating", "evaluating what was held out", "predicting", "counting by place and heading", "writing",
+        "evaluating", "evaluating held-out scans", "predicting", "counting by place and heading", "writing",
     ]  # fmt: skip
     assert stages["writing"][0] == (0, run.n_scans)
 

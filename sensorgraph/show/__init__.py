@@ -1,1 +1,1 @@
-"""What people look at: `figures` draws pictures (PNG), `review` makes a file for rerun's viewer (*.rrd)."""
+"""Pictures and reviews: `figures` draws PNG pictures, `review` writes a file for rerun's viewer (*.rrd)."""

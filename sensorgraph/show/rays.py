@@ -1,4 +1,4 @@
-"""Which ray a person means: by its index, or by where it looks from the robot."""
+"""Select a ray by its index or by its bearing from the robot."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from sensorgraph.errors import SensorgraphError
 
 
 def ray_at(sensor: RangeSensor, bearing_deg: float) -> int:
-    """Return the index of the ray that looks nearest to a bearing.
+    """Return the index of the ray nearest to a bearing.
 
     Parameters
     ----------
-    bearing_deg : [deg] from straight ahead of the robot, counter-clockwise; the mount's yaw is counted
+    bearing_deg : [deg] Bearing from straight ahead of the robot, counter-clockwise; it includes the yaw of the mount.
 
     Raises
     ------
-    SensorgraphError : the sensor does not look there: the nearest ray is more than the widest step between rays away
+    SensorgraphError : The nearest ray is farther away than the widest step between rays.
     """
     looks = np.degrees(sensor.bearings + sensor.mount[2])
     turn = bearing_deg if math.isfinite(bearing_deg) else np.nan
@@ -28,18 +28,18 @@ def ray_at(sensor: RangeSensor, bearing_deg: float) -> int:
     step = float(np.diff(np.sort(looks)).max()) if len(looks) > 1 else 1.0
     if not off[nearest] <= step + 1e-9:
         raise SensorgraphError(
-            f"no ray looks to {bearing_deg:g}°: the sensor looks from {looks.min():.1f}° to {looks.max():.1f}°, "
-            "counted counter-clockwise from straight ahead; choose a `bearing` in between"
+            f"no ray at {bearing_deg:g}°: the sensor looks from {looks.min():.1f}° to {looks.max():.1f}°, "
+            "counter-clockwise from straight ahead; choose a `bearing` in this interval"
         )
     return nearest
 
 
 def chosen_ray(sensor: RangeSensor, ray: int | None, bearing_deg: float | None) -> int | None:
-    """Return the index of the ray that was asked for by index or by bearing [deg]; None: neither was given.
+    """Return the index of the ray given by index or by bearing [deg]; None if neither is given.
 
     Raises
     ------
-    SensorgraphError : both are given, or no ray looks there
+    SensorgraphError : Both are given, or no ray has this bearing.
     """
     if bearing_deg is None:
         return ray

@@ -1,7 +1,6 @@
-"""Files for rerun's viewer (*.rrd): how they are written, and the colours that all of them share.
+"""Write files for rerun's viewer (*.rrd), open and serve them, and define their common colours.
 
-No viewer is needed to write one. An .rrd is checked strictly, carries no wall-clock time, and can be made again at any
-time: the MCAP is the record.
+Writing needs no viewer. An .rrd has no wall-clock time and can be made again from the MCAP at any time.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ from sensorgraph.errors import SensorgraphError
 WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
 """Measured; predicted or simulated."""
 WALL, DIM, BACKGROUND = (150, 150, 165), (80, 100, 135), (18, 18, 22)
-"""Walls; what stands back, such as the driven path; behind everything."""
+"""Walls; background objects such as the driven path; the background."""
 
 LOOPBACK = "127.0.0.1"
-"""Viewers listen to this machine alone."""
+"""Viewers accept connections from this machine only."""
 
 
 @contextmanager
 def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Yield a recording to log to, with its own layout; on leaving the file is complete, after an exception not there."""
+    """Yield a recording with a layout; the file is complete at the end, and does not exist after an exception."""
     was_strict = rr.strict_mode()
     rr.set_strict_mode(True)
     try:
@@ -44,22 +43,22 @@ def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.Record
                 "sensorgraph",
                 recording_id=name,
                 send_properties=False,
-                batcher_config=rr.ChunkBatcherConfig.NEVER(),  # chunks do not depend on how busy the machine is
+                batcher_config=rr.ChunkBatcherConfig.NEVER(),  # chunks do not depend on the load of the machine
             )
             recording.set_log_time_enabled(False)
             stream = rr.binary_stream(recording)
             recording.send_blueprint(
                 layout, make_active=True, make_default=True
-            )  # a browser takes no default
+            )  # a browser ignores the default blueprint
             yield recording
-            part.write_bytes(stream.read() or b"")  # rerun's own file sink says nothing of a full disk
+            part.write_bytes(stream.read() or b"")  # rerun's own file sink does not report a full disk
             recording.disconnect()
     finally:
         rr.set_strict_mode(was_strict)
 
 
 def folded() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
-    """Return the viewer's panels, all of them collapsed."""
+    """Return the viewer's panels, all collapsed."""
     return (
         rrb.TimePanel(state="collapsed", timeline="time"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -72,22 +71,22 @@ def open_viewer(path: Path) -> subprocess.Popen[bytes]:
 
     Raises
     ------
-    SensorgraphError : there is no viewer
+    SensorgraphError : There is no viewer.
     """
     return subprocess.Popen([_viewer(path), "--bind", LOOPBACK, str(path)])
 
 
 @contextmanager
 def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
-    """Serve a file with rerun's web viewer, to this machine only; yield the address to open, and end with the block.
+    """Serve a file with rerun's web viewer to this machine until the block ends; yield the address to open.
 
     Parameters
     ----------
-    patience : [s] to wait for the server
+    patience : [s] Time limit for the start of the server.
 
     Raises
     ------
-    SensorgraphError : there is no viewer, or it does not answer
+    SensorgraphError : There is no viewer, or it does not answer.
     """
     page, data = _free_ports(2)
     command = [_viewer(path), str(path), "--serve-web", "--bind", LOOPBACK, "--port", str(data)]
@@ -105,24 +104,24 @@ def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
         yield f"http://{LOOPBACK}:{page}/?url={source}"
     finally:
         with suppress(ProcessLookupError):
-            os.killpg(server.pid, signal.SIGTERM)  # `rerun` is a script that starts the viewer proper
+            os.killpg(server.pid, signal.SIGTERM)  # `rerun` is a script that starts the viewer as a child
         server.wait()
 
 
 def _viewer(path: Path) -> str:
-    """Return the viewer of this environment, else that of PATH."""
+    """Return the viewer of this environment, else the viewer in PATH."""
     own = Path(sys.executable).parent
     viewer = shutil.which("rerun", path=str(own)) or shutil.which("rerun")
     if viewer is None:
         raise SensorgraphError(
-            f"no viewer: neither {own / 'rerun'} nor one in PATH; {path} is written, open it where "
-            "`pip install rerun-sdk` was run"
+            f"no viewer: expected {own / 'rerun'} or `rerun` in PATH; {path} is written, open it where "
+            "rerun-sdk is installed (`pip install rerun-sdk`)"
         )
     return viewer
 
 
 def _free_ports(count: int) -> list[int]:
-    """Return ports that nobody listens on now."""
+    """Return free ports."""
     with ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for one in sockets:

@@ -1,4 +1,4 @@
-"""A designed controller: its predicted drives and the real one, and the wall distance that each keeps."""
+"""Draw a designed controller: its predicted drives, the real drive, and their wall distances."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DISTANCE_BINS = 60
 def design_picture(
     found: ControllerDesign, path: Path, driven: ExecutedDrive | None = None, arena: Arena | None = None
 ) -> None:
-    """Draw predicted drives in the graph's walls, the drive in the arena if there is one, and their wall distances."""
+    """Draw the predicted drives in the graph's walls, the real drive if there is one, and their wall distances."""
     width = 5.0
     figure = new_figure(2 * width + 0.6, map_height(width, found.walls.bounds, 2.6, 8.0) + TITLE_ROOM)
     floor, chart = figure.subplots(1, 2)
@@ -43,7 +43,7 @@ def design_picture(
         floor.plot(*drive.poses[::every, :2].T, color=TEAL, lw=0.8, alpha=0.6, zorder=3)
     floor.plot(*found.start[:2], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
     floor.set_title(
-        "predicted drives" + (", and the drive" if driven is not None else ""),
+        "predicted drives" + (" and real drive" if driven is not None else ""),
         loc="left",
         fontsize=TITLE,
         color=INK,
@@ -60,17 +60,17 @@ def design_picture(
         color=TEAL,
         alpha=0.35,
         lw=0,
-        label="predicted, all drives",
+        label="predicted, range",
     )
     chart.plot(edges, shares.mean(axis=0), color=TEAL, lw=1.5, label="predicted, mean")
     if driven is not None:
         floor.plot(*driven.poses[::every, :2].T, color=ALARM, lw=1.2, zorder=4)
         real = WallDistance(arena or found.walls)
         chart.plot(edges, _share_below(_distances(driven, real), edges), color=ALARM, lw=1.5, label="driven")
-    chart.axvline(found.task.wall_distance, color=INK, lw=1.0, ls=":", label="asked")
-    chart.set_title("time spent nearer than that to a wall", loc="left", fontsize=TITLE, color=INK)
-    chart.set_xlabel("from the robot's centre to the nearest wall [m]", color=INK)
-    chart.set_ylabel("share of the time", color=INK)
+    chart.axvline(found.task.wall_distance, color=INK, lw=1.0, ls=":", label="requested")
+    chart.set_title("cumulative distribution of wall distance", loc="left", fontsize=TITLE, color=INK)
+    chart.set_xlabel("distance from the robot's centre to the nearest wall [m]", color=INK)
+    chart.set_ylabel("share of time", color=INK)
     chart.grid(color=SOLID, lw=FINE)
     chart.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
     reduce_frame(chart)

@@ -1,4 +1,4 @@
-"""Drives side by side: coverage over time, tracks on the floor."""
+"""Draw drives side by side: coverage over time, and tracks on the floor."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 MAX_TRACK_POINTS = 60_000
-"""Points of a drawn track; a longer one is thinned."""
+"""Maximum number of points of a drawn track; a longer track is thinned."""
 
 
 def race_picture(races: dict[str, tuple[Floats, Floats, Coverage]], arena: Arena, path: Path) -> None:
-    """Draw drives side by side: bins visited over time, and where each has been.
+    """Draw drives side by side: share of bins visited over time, and headings visited in each cell.
 
     Parameters
     ----------
-    races : label -> (minutes (n,), share of the reachable bins (n,) by then, Coverage)
+    races : Label -> (minutes (n,), share of the reachable bins (n,) visited by then, Coverage).
     """
     figure = new_figure(10.0, map_height(3.4, arena.bounds, 2.2, 8.0) + CHART_ROOM)
     axes = figure.subplots(1, 1 + len(races), width_ratios=[1.25, *([1.0] * len(races))])
@@ -54,7 +54,7 @@ def race_picture(races: dict[str, tuple[Floats, Floats, Coverage]], arena: Arena
         mesh = chart.pcolormesh(edges_x, edges_y, 100 * seen.T, cmap="viridis", vmin=0, vmax=100, zorder=1)
         chart.set_title(f"{label}: headings visited", fontsize=TEXT, color=INK, loc="left")
     axes[0].set(xlim=(0, None), ylim=(0, 103))
-    axes[0].set_xlabel("driven [min]", color=INK)
+    axes[0].set_xlabel("driving time [min]", color=INK)
     axes[0].set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
     axes[0].grid(color=SOLID, lw=FINE)
     axes[0].legend(loc="upper left", frameon=False, fontsize=TEXT, labelcolor=INK)
@@ -64,7 +64,7 @@ def race_picture(races: dict[str, tuple[Floats, Floats, Coverage]], arena: Arena
 
 
 def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> None:
-    """Draw tracks (n, 2) [m] over the same floor, one panel each."""
+    """Draw tracks (n, 2) [m] on the same floor, one panel each."""
     width = 5.0
     figure = new_figure(width * len(tracks), map_height(width, arena.bounds, 2.0, 8.0) + TITLE_ROOM)
     for axes, (name, track) in zip(
@@ -79,11 +79,11 @@ def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> No
 
 
 def growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], path: Path) -> None:
-    """Draw coverage over driving time, one panel for each arena and one line for each drive.
+    """Draw coverage over driving time, one panel per arena and one line per drive.
 
     Parameters
     ----------
-    races : arena -> label -> (seconds (n,), share of the reachable bins (n,) visited by then)
+    races : Arena -> label -> (seconds (n,), share of the reachable bins (n,) visited by then).
     """
     figure = new_figure(5.2 * len(races), 3.9)
     for number, (arena, lines) in enumerate(races.items()):
@@ -97,10 +97,10 @@ def growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], pat
             axes.plot(stamps / seconds, 100 * share, color=colour, lw=LINE, label=name)
         axes.set(xlim=(0, None), ylim=(0, 103))
         axes.set_title(arena, loc="left", fontsize=TITLE, color=INK)
-        axes.set_xlabel(f"driven [{unit}]", color=INK)
+        axes.set_xlabel(f"driving time [{unit}]", color=INK)
         axes.grid(color=SOLID, lw=FINE)
         axes.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
         reduce_frame(axes)
         if number == 0:
-            axes.set_ylabel("reachable (x, y, φ) bins met [%]", color=INK)
+            axes.set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
     save_figure(figure, path)

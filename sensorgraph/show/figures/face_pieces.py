@@ -1,4 +1,4 @@
-"""Pieces of faces with a value each: how visible a piece is, or how far off its predictions are."""
+"""Pieces of faces with one value each: the visibility of the piece, or its mean residual."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.raycast import laser_poses
 
 PIECE_LENGTH = 0.10
-"""[m] of a face, over which residuals are averaged."""
+"""[m] Length along a face over which residuals are averaged."""
 MAX_END_DISTANCE = 0.06
-"""[m] between a predicted end point and the face that it belongs to."""
+"""[m] Maximum distance between a predicted end point and its face."""
 SIDE_OFFSET = 0.02
-"""[m] towards the side that is seen: faces back to back are two."""
+"""[m] Offset towards the visible side, which separates faces that are back to back."""
 MIN_RAYS = 5
-"""Of a mean residual."""
+"""Minimum number of rays for a mean residual."""
 MAX_RESIDUAL = 0.2
-"""[m] of a mean residual; a larger one shows another surface."""
+"""[m] Maximum residual of a ray; a larger residual belongs to another surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FacePieces:
-    """Pieces of faces to colour."""
+    """Pieces of faces with their values."""
 
     ends: Floats
-    """(n, 2, 2) [m] from, to."""
+    """(n, 2, 2) [m] Start and end of each piece."""
     normals: Floats
-    """(n, 2) towards the side that is seen."""
+    """(n, 2) Unit normals towards the visible side."""
     values: Floats
-    """(n,) nan where nothing is known."""
+    """(n,) Values; nan where unknown."""
 
 
 def visible_pieces(model: Faces) -> FacePieces:
-    """Return the visible pieces of all faces; the value of each is its visibility."""
+    """Return the visible pieces of all faces, with their visibility as value."""
     owner, edge = visible_edges(model)
     return pieces_of(
         model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], model.faces.levels[edge]
@@ -54,7 +54,9 @@ def residual_pieces(model: Faces, ends: Floats, directions: Floats, residual: Fl
 
     Parameters
     ----------
-    ends : (n, 2) [m] predicted end points of rays with directions (n, 2) and residuals (n,) [m]
+    ends : (n, 2) [m] Predicted end points of rays.
+    directions : (n, 2) Unit vectors of the rays.
+    residual : (n,) [m]
     """
     owner, edge = visible_edges(model)
     starts, stops = model.faces.edges[edge], model.faces.edges[edge + 1]
@@ -79,7 +81,7 @@ def residual_pieces(model: Faces, ends: Floats, directions: Floats, residual: Fl
 
 
 def mean_by_index(index: Ints, values: Floats, use: Bools, n: int) -> Floats:
-    """Average the values (m,) in `use` over equal indices 0 ... n - 1; nan where there are fewer than MIN_RAYS."""
+    """Average the values (m,) with `use` for each index 0 ... n - 1; nan for fewer than MIN_RAYS values."""
     count = np.bincount(index[use], minlength=n)
     total = np.bincount(index[use], weights=values[use], minlength=n)
     return np.asarray(np.where(count >= MIN_RAYS, total / np.maximum(count, 1), np.nan))
@@ -104,7 +106,7 @@ def pieces_of(model: Faces, owner: Ints, low: Floats, high: Floats, values: Floa
 def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats]:
     """Return predicted end points (n, 2), directions (n, 2) and residuals (n,) [m] of the answered rays of a run.
 
-    Rays with a residual above MAX_RESIDUAL met another surface and are left out.
+    Rays with a residual above MAX_RESIDUAL are left out, because they hit another surface.
     """
     evaluation = evaluate(graph, run, force=True)
     poses = ray_poses(run, pair(run), evaluation.scan_indices)  # (n, n_rays or 1, 3)

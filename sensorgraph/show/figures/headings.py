@@ -1,4 +1,4 @@
-"""Coverage heading by heading: one small map each, on one sheet."""
+"""Draw the coverage of each heading as a small map, all on one sheet."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from sensorgraph.show.figures.style import ALARM, FLOOR, INK, SMALL, TEAL, fill_
 from sensorgraph.types import Floats
 
 MAX_HEADINGS = 16
-"""Headings that are drawn; of more, some evenly chosen."""
+"""Maximum number of headings that are drawn; of more headings, evenly spaced ones are drawn."""
 SHEET_WIDTH, SHEET_ASPECT = 10.0, 1.4
-"""[in] width of the sheet, and the width over height that it comes near to."""
+"""[in] Width of the sheet, and its approximate ratio of width to height."""
 
 
 class BinState(IntEnum):
-    """What can be said of an (x, y, phi) bin."""
+    """State of an (x, y, phi) bin."""
 
     NOT_REACHABLE = 0
     COVERED_IN_CORE = 1
@@ -34,20 +34,20 @@ class BinState(IntEnum):
 
 
 LABEL_AND_COLOUR = {
-    BinState.COVERED_IN_CORE: ("met in the inner half", TEAL),
-    BinState.COVERED: ("met", "#8fc7cf"),
-    BinState.COVERED_EARLIER: ("met by an earlier run", "#b9a77c"),
+    BinState.COVERED_IN_CORE: ("visited in the inner half", TEAL),
+    BinState.COVERED: ("visited", "#8fc7cf"),
+    BinState.COVERED_EARLIER: ("visited by an earlier run", "#b9a77c"),
     BinState.MISSED: ("missed", ALARM),
     BinState.NO_FORWARD_DRIVE: (
         "no forward drive there and back",
         REASONS["no_forward_drive_there_and_back"],
     ),
 }
-"""Of every state that is drawn."""
+"""State -> label and colour, for each state that is drawn."""
 
 
 def headings_picture(plan: Plan, arena: Arena, path: Path) -> None:
-    """Draw for each heading which cells the drive covers, and how; of many headings, some evenly chosen."""
+    """Draw for each heading the state of its cells; of many headings, draw evenly spaced ones."""
     from matplotlib.collections import LineCollection
 
     grid = plan.coverage
@@ -79,15 +79,16 @@ def headings_picture(plan: Plan, arena: Arena, path: Path) -> None:
     legend_above(axes, len(BinState))
     some = "" if len(shown) == grid.headings else f"; {len(shown)} of {grid.headings} headings are drawn"
     title_flush_left(
-        figure, f"Heading by heading: {100 * grid.fraction:.2f} % of {int(grid.reachable.sum()):,} bins{some}"
+        figure,
+        f"Coverage by heading: {100 * grid.fraction:.2f} % of {int(grid.reachable.sum()):,} bins{some}",
     )
     save_figure(figure, path)
 
 
 def _columns(n: int, step: Floats) -> int:
-    """Return how many maps to put side by side."""
+    """Return the number of maps in a row."""
     wanted = np.sqrt(n * SHEET_ASPECT * step[1] / step[0])
-    whole = [k for k in range(1, n + 1) if n % k == 0]  # a sheet without a gap, if that is not far off
+    whole = [k for k in range(1, n + 1) if n % k == 0]  # prefer a sheet without empty places
     nearest = min(whole, key=lambda k: abs(np.log(k / wanted)))
     return nearest if 0.6 < nearest / wanted < 1.7 else int(np.clip(round(wanted), 1, n))
 
@@ -122,7 +123,7 @@ def _map(axes: Any, arena: Arena, plan: Plan, states: NDArray[np.int64], shift: 
 
 
 def _name(axes: Any, plan: Plan, heading: int, corner: Floats, label: float) -> None:
-    """Write the heading and its coverage above a map, with an arrow that points there."""
+    """Write the heading and its coverage above a map, with an arrow in its direction."""
     grid = plan.coverage
     phi = heading * 2 * np.pi / grid.headings
     middle = corner + label * np.array([0.32, 0.42])
@@ -135,6 +136,6 @@ def _name(axes: Any, plan: Plan, heading: int, corner: Floats, label: float) -> 
     label_text = (
         f"{np.degrees(phi):.4g}°   {np.floor(10 * share) / 10:g} %"
         if reachable
-        else f"{np.degrees(phi):.4g}°   nothing counts"
+        else f"{np.degrees(phi):.4g}°   not reachable"
     )
     axes.text(*(corner + label * np.array([0.72, 0.42])), label_text, va="center", fontsize=SMALL, color=INK)

@@ -1,4 +1,4 @@
-"""Pictures of identified models: the series against what was predicted, the residual tests, the surface."""
+"""Draw identified models: the measured and predicted series, the residual tests, the surface."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 MAX_SAMPLES = 400
-"""Of the series that is drawn."""
+"""Maximum number of samples of the series that is drawn."""
 MAX_LAGS = 25
 
 
 def identified_picture(found: IdentifiedSignal, path: Path) -> None:
-    """Draw a model: the held-out series, its residual's autocorrelation, the tests, and its surface."""
+    """Draw a model: the held-out series, the autocorrelation of the residual, the tests, and the surface."""
     figure = new_figure(10.5, 6.2)
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.15, 1.0])
     series(top.subplots(), found)
@@ -52,7 +52,7 @@ def identified_picture(found: IdentifiedSignal, path: Path) -> None:
 
 
 def series(axes: Any, found: IdentifiedSignal, *, most: int = MAX_SAMPLES, unit: str = "") -> None:
-    """Draw the longest record held out: measured, one step ahead and, where it differs, free run."""
+    """Draw the longest held-out record: measured, one step ahead and, if it differs, free run."""
     i = int(np.argmax([len(m) for m in found.measured]))
     shown = slice(0, most)
     when = np.arange(len(found.measured[i]), dtype=np.float64) * (found.data.period or 1.0)
@@ -104,7 +104,7 @@ def _scatter(axes: Any, found: IdentifiedSignal) -> None:
 
 
 def _correlation(axes: Any, found: IdentifiedSignal) -> None:
-    """Draw the autocorrelation of the one-step residual, and the p-values of the tests."""
+    """Draw the autocorrelation of the one-step residual with its 95 % band, and the p-values of the tests."""
     total, n = np.zeros(MAX_LAGS + 1), 0
     pieces = [
         (m - p)[np.isfinite(m) & np.isfinite(p)] for m, p in zip(found.measured, found.one_step, strict=True)
@@ -123,7 +123,7 @@ def _correlation(axes: Any, found: IdentifiedSignal) -> None:
     axes.axhline(0, color=SOFT, lw=0.8)
     axes.set(ylim=(-1.05, 1.05))
     axes.set_xlabel("lag [samples]", color=INK, fontsize=TEXT)
-    axes.set_ylabel("correlation of the residual", color=INK, fontsize=TEXT)
+    axes.set_ylabel("autocorrelation of the residual", color=INK, fontsize=TEXT)
     lines = [f"{t['test']}: p {_p(t['p_value'])}" for t in found.validation[:8]]
     axes.text(
         0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=TINY, color=INK
@@ -136,18 +136,18 @@ def _p(value: float | None) -> str:
 
 
 def _surface(figure: Any, axes: Any, found: IdentifiedSignal) -> None:
-    """Draw the output over the two signals that move it most, the others at their medians."""
+    """Draw the output over the two signals of largest influence, with the others at their medians."""
     try:
         columns = lagged(found.test, found.model.terms, [found.model.output]).columns
         surface_map(figure, axes, found.model, columns)
-    except (IdentError, ValueError):  # fewer than two signals, or a basis that has no closed form
+    except (IdentError, ValueError):  # fewer than two signals, or a basis without a closed form
         axes.set_axis_off()
 
 
 def surface_map(figure: Any, axes: Any, model: Narmax, columns: dict[str, Floats]) -> None:
-    """Draw a model over two of its signals, and the data that it was asked about.
+    """Draw a model over its two signals of largest total Sobol index, and the data points.
 
-    The colours span what it says where there are data; grey is what lies beyond, perhaps a hundred times as large.
+    The colours span the output at the data points; grey marks values outside, where the model extrapolates.
     """
     from matplotlib import colormaps
     from matplotlib.ticker import MaxNLocator

@@ -1,4 +1,4 @@
-"""Which factor makes which quantity of behaviour vary: the drives, and bars of Sobol shares with their intervals."""
+"""Draw the influence of factors on a behaviour: the drives, and Sobol indices with their 95 % intervals."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from sensorgraph.show.figures.style import (
 
 SHOWN_TRACKS = 32
 SMALL = 8.5
-"""[pt] of the text in the charts."""
+"""[pt] Font size in the charts."""
 
 
 def influence_picture(found: Influence, path: Path) -> None:
-    """Draw some of the drives in the graph's walls, and a row of bars for every quantity that varies."""
+    """Draw some of the drives in the graph's walls, and a bar chart for each quantity that varies."""
     width = 4.2
     figure = new_figure(width + 7.0, map_height(width, found.walls.bounds, 4.2, 8.0) + TITLE_ROOM)
     left, right = figure.subfigures(1, 2, width_ratios=[width, 7.0])
@@ -36,7 +36,7 @@ def influence_picture(found: Influence, path: Path) -> None:
         floor.plot(*found.tracks[:, i, :2].T, color=TEAL, lw=0.7, alpha=0.4, zorder=3)
     floor.plot(*found.track[:, :2].T, color=INK, lw=1.4, zorder=4)
     floor.plot(*found.start[:2], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
-    floor.set_title("nothing varied (dark), some of the drives", loc="left", fontsize=TITLE, color=INK)
+    floor.set_title("nominal drive (dark), varied drives", loc="left", fontsize=TITLE, color=INK)
     shown = [j for j in range(len(QUANTITIES)) if is_determined(found, j)]
     if shown:
         names, s = list(found.factors), found.shares
@@ -45,7 +45,7 @@ def influence_picture(found: Influence, path: Path) -> None:
         for chart, j in zip(charts, shown, strict=True):
             label, _ = list(QUANTITIES.values())[j]
             for shift, share, span, colour, name in (
-                (-0.18, s.first, s.first_interval, TEAL, "alone"), (0.18, s.total, s.total_interval, SOLID, "in all")
+                (-0.18, s.first, s.first_interval, TEAL, "first order"), (0.18, s.total, s.total_interval, SOLID, "total")
             ):  # fmt: skip
                 bars = np.clip(share[:, j], 0.0, 1.2)
                 chart.barh(place + shift, bars, 0.34, color=colour, label=name, zorder=2)
@@ -57,5 +57,5 @@ def influence_picture(found: Influence, path: Path) -> None:
             reduce_frame(chart)
         charts[0].invert_yaxis()  # shared by all
         charts[-1].legend(frameon=False, fontsize=SMALL, labelcolor=INK, loc="lower right")
-        right.supxlabel("share of the variance, with 95 % interval", fontsize=SMALL, color=INK)
+        right.supxlabel("Sobol index (share of the variance), with 95 % interval", fontsize=SMALL, color=INK)
     save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""The map of a located run: returns, track, loop closures kept and refused, where it was lost, rival places."""
+"""Draw a located run: returns, track and its status, accepted and rejected loop closures, rival places."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Floats
 
 MOST_POINTS = 400_000
-"""Returns that are drawn."""
+"""Maximum number of returns that are drawn."""
 
 
 def localization_picture(run: Run, found: Localization, path: Path, *, walls: Floats | None = None) -> None:
-    """Draw where the robot was and what it saw from there.
+    """Draw the track of the robot and its returns in the map.
 
     Parameters
     ----------
-    walls : (n, 2, 2) [m, map] of the place that was known; None: none
+    walls : (n, 2, 2) [m, map] Walls of the known place. None: no walls are drawn.
     """
     ok = np.array(found.status) == "ok"
     shown = np.flatnonzero(ok) if ok.any() else np.arange(len(ok))
@@ -45,7 +45,7 @@ def localization_picture(run: Run, found: Localization, path: Path, *, walls: Fl
     low, high = np.percentile(inside, 0.5, axis=0) - 1.0, np.percentile(inside, 99.5, axis=0) + 1.0
     bounds = (low[0], low[1], high[0], high[1])
     figure = new_figure(9.0, map_height(8.4, bounds, 3.0, 12.0) + TITLE_ROOM)
-    figure.get_layout_engine().set(h_pad=0.12)  # [in] the title is not cut
+    figure.get_layout_engine().set(h_pad=0.12)  # [in] else the title is cut
     axes = figure.subplots()
     if walls is not None:
         for wall in walls:
@@ -55,15 +55,15 @@ def localization_picture(run: Run, found: Localization, path: Path, *, walls: Fl
     if found.rivals:
         x, y = np.concatenate(list(found.rivals.values()))[:, :2].T
         axes.plot(x, y, "x", color=AMBER, zorder=4, label=f"rival places: {len(x)}")
-    for closures, colour, label in ((found.refused, ALARM, "refused"), (found.kept, TEAL, "kept")):
+    for closures, colour, label in ((found.refused, ALARM, "rejected"), (found.kept, TEAL, "accepted")):
         for i, one in enumerate(closures):
             ends = found.poses[[one.first, one.second], :2]
-            text = f"closures {label}: {len(closures)}" if i == 0 else None
+            text = f"loop closures {label}: {len(closures)}" if i == 0 else None
             axes.plot(ends[:, 0], ends[:, 1], color=colour, lw=FINE, alpha=0.8, zorder=3, label=text)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     sigma = np.median(deviations(found)[shown, :2])
     axes.set_title(
-        f"{ok.sum():,} of {len(ok):,} scans located, ±{100 * sigma:.1f} cm",
+        f"{ok.sum():,} of {len(ok):,} scans located, median standard deviation {100 * sigma:.1f} cm",
         fontsize=TEXT,
         color=INK,
         loc="left",
@@ -83,7 +83,7 @@ def _draw_track(axes: object, found: Localization) -> None:
 
 
 def _returns(run: Run, found: Localization, shown: np.ndarray) -> Floats:
-    """Return the end points (n, 2) of rays in map, thinned."""
+    """Return the end points (n, 2) [m] of rays in map, thinned."""
     n_rays = run.sensor.n_rays
     scans = shown[:: max(1, len(shown) * n_rays // MOST_POINTS)]
     rays = laser_rays(run.sensor, run.stamps[scans], None, run.sensor.ray_delays)[0]

@@ -1,4 +1,4 @@
-"""Pictures of a plan: the route with time as colour; which bins count, which are left out, and why."""
+"""Draw a plan: the route with time as colour, the bins that count, and the bins left out with the reason."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from sensorgraph.show.figures.style import (
 )
 
 STEPS_PER_SIDE, MAX_ROUTE_POINTS = 400, 60_000
-"""Points of the drawn route: so many along the longer side of the arena, and in all no more than the second."""
+"""Number of route points along the longer side of the arena, and maximum number of points of the whole route."""
 MAX_RULED_CELLS = 40
-"""Cells along the longer side, up to which lines are drawn between them."""
+"""Maximum number of cells along the longer side for which grid lines are drawn."""
 REASONS = {
     "no_way_found": ALARM,
     "not_driven": AMBER,
@@ -43,11 +43,11 @@ REASONS = {
 }
 """Colours of planners.holes.REASON_TEXTS."""
 COUNTS = ("not_driven", "no_way_found")
-"""Reasons that count against a plan; drawn on top of the others."""
+"""Reasons that are failures of the plan; drawn on top of the others."""
 
 
 def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> None:
-    """Draw the plan over the arena with time as colour, its start and holes, and coverage over time."""
+    """Draw the route with time as colour, its start and its missed bins, and coverage over time."""
     width = 10.0
     figure = new_figure(width, map_height(width * 0.60, arena.bounds, 3.2, 11.0) + LEGEND_ROOM)
     left, right = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
@@ -67,7 +67,7 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
 
 
 def reach_picture(plan: Plan, arena: Arena, path: Path) -> None:
-    """Draw which bins count, cell by cell, and beside it what the plan leaves out, by reason."""
+    """Draw the bins that count in each cell and, in a second panel, the bins left out by reason."""
     left_out = unmet(plan.coverage, plan.reach, plan.lost)
     behind = cut_off(plan.reach)
     panels = 2 if behind.any() or any(where.any() for where in left_out.values()) else 1
@@ -77,7 +77,7 @@ def reach_picture(plan: Plan, arena: Arena, path: Path) -> None:
     axes = figure.subplots(1, panels, squeeze=False)[0]
     _what_counts(figure, axes[0], plan, arena)
     if panels == 2:
-        _what_is_left(axes[1], plan, arena)
+        _left_out(axes[1], plan, arena)
     save_figure(figure, path)
 
 
@@ -86,9 +86,9 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
 
     poses, stamps = plan.trajectory.poses, plan.trajectory.stamps
     extent = max(_side(plan), 1e-9)
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    step = max(extent / STEPS_PER_SIDE, way[-1] / MAX_ROUTE_POINTS)
-    shown = np.append(np.flatnonzero(np.diff(np.floor(way / step), prepend=-1.0)), len(way) - 1)
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    step = max(extent / STEPS_PER_SIDE, driven[-1] / MAX_ROUTE_POINTS)
+    shown = np.append(np.flatnonzero(np.diff(np.floor(driven / step), prepend=-1.0)), len(driven) - 1)
     line, when = poses[shown, :2], stamps[shown] / 60.0
     pieces = np.stack([line[:-1], line[1:]], axis=1)
     route = LineCollection(
@@ -110,7 +110,7 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
 
 
 def _holes(axes: Any, plan: Plan) -> None:
-    """Shade each cell by the share of its headings that the log misses."""
+    """Shade each cell by the share of its headings that the drive misses."""
     from matplotlib.colors import to_rgb
 
     grid = plan.coverage
@@ -121,7 +121,7 @@ def _holes(axes: Any, plan: Plan) -> None:
     shade[..., :3], shade[..., 3] = to_rgb(ALARM), 0.4 * missing.T
     x, y, _ = grid.edges
     axes.imshow(shade, origin="lower", extent=(x[0], x[-1], y[0], y[-1]), interpolation="nearest", zorder=1)
-    cells = f"headings missing, in {int((missing > 0).sum()):,} cells"
+    cells = f"headings missed in {int((missing > 0).sum()):,} cells"
     axes.scatter([], [], marker="s", s=40, color=ALARM, alpha=0.3, linewidths=0, label=cells)
 
 
@@ -131,7 +131,7 @@ def _side(plan: Plan) -> float:
 
 
 def _coverage_curve(axes: Any, plan: Plan) -> None:
-    """Draw the share of bins met against driving time."""
+    """Draw the share of bins visited over driving time."""
     stamps, share = plan.growth()
     minutes = stamps / 60.0
     axes.fill_between(minutes, 100 * share, color=TEAL, alpha=0.15, linewidth=0)
@@ -142,14 +142,14 @@ def _coverage_curve(axes: Any, plan: Plan) -> None:
         "reference time", (reference, 3), rotation=90, ha="right", va="bottom", fontsize=SMALL, color=SOFT
     )
     axes.set(xlim=(0, max(float(minutes[-1]), reference) * 1.02), ylim=(0, 101.5))
-    axes.set_xlabel("time [min]", color=INK)
+    axes.set_xlabel("driving time [min]", color=INK)
     axes.set_ylabel("bins covered [%]", color=INK)
     axes.grid(color=SOLID, lw=FINE)
     reduce_frame(axes)
 
 
 def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
-    """Shade each cell by the share of its headings that count; the line is how far the robot's centre can go."""
+    """Shade each cell by the share of its headings that count; a line bounds the area of the robot's centre."""
     grid, free = plan.coverage, plan.reach
     share = 100 * grid.reachable.mean(axis=2)
     draw_floor(axes, arena, solid=2)
@@ -170,13 +170,13 @@ def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
         )  # fmt: skip
     _start(axes, plan)
     _no_go(axes, plan)
-    axes.plot([], [], color=TEAL, lw=0.9, label="how far the robot's centre can go")
+    axes.plot([], [], color=TEAL, lw=0.9, label="limit of the robot's centre")
     cells, bins = int((share > 0).sum()), int(grid.reachable.sum())
-    _panel_title(axes, f"What counts: {bins:,} bins in {cells:,} cells", 4)
+    _panel_title(axes, f"Bins that count: {bins:,} in {cells:,} cells", 4)
 
 
-def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
-    """Shade each cell by the share of its headings that the plan leaves out, one colour for each reason."""
+def _left_out(axes: Any, plan: Plan, arena: Arena) -> None:
+    """Shade each cell by the share of its headings that the plan leaves out, with one colour per reason."""
     from matplotlib.colors import to_rgb
 
     free, grid = plan.reach, plan.coverage
@@ -199,18 +199,18 @@ def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
         name = f"{REASON_TEXTS[why]}: {amount}"
         axes.scatter([], [], marker="s", s=40, color=REASONS[why], linewidths=0, label=name)
     missing = int(grid.reachable.sum()) - int(grid.covered.sum())
-    _panel_title(axes, f"What is left out: {missing:,} of the bins that count", 2)
+    _panel_title(axes, f"Left out: {missing:,} of the bins that count", 2)
 
 
 def _panel_title(axes: Any, text: str, columns: int) -> None:
-    """Write a panel's title above its legend of so many columns."""
+    """Write a panel's title above its legend, which has `columns` columns."""
     rows = -(-len(axes.get_legend_handles_labels()[1]) // columns)
     axes.set_title(text, loc="left", fontsize=TITLE, color=INK, pad=7 + 13 * rows)
     legend_above(axes, columns)
 
 
 def _start(axes: Any, plan: Plan) -> None:
-    """Mark where the drive starts and where it ends."""
+    """Mark the start and the end of the drive."""
     first, last = plan.trajectory.poses[[0, -1], :2]
     apart = np.hypot(*(last - first)) > 0.02
     name = "start" if apart else "start and end"
@@ -220,7 +220,7 @@ def _start(axes: Any, plan: Plan) -> None:
 
 
 def _no_go(axes: Any, plan: Plan) -> None:
-    """Hatch the zones that the robot keeps out of."""
+    """Hatch the no-go zones."""
     from matplotlib.patches import Polygon
 
     for number, corners in enumerate(plan.report.get("no_go", [])):

@@ -1,4 +1,4 @@
-"""A picture of a sensorgraph: how likely each face or cell stops a ray, mean residuals, and space never looked through."""
+"""Draw a sensorgraph: the probability that each face or cell stops a ray, mean residuals, and unobserved space."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from sensorgraph.show.figures.style import (
 from sensorgraph.types import Bools, Floats
 
 PATCH_SIZE = 0.2
-"""[m] side of the squares over which residuals are averaged where there are no faces."""
-SHOWN_CHANCE = 0.1
-"""Of a cell to stop a ray: below it, the cell is not drawn."""
+"""[m] Side of the squares over which residuals are averaged where there are no faces."""
+MIN_PROBABILITY = 0.1
+"""Probability that a cell stops a ray below which the cell is not drawn."""
 COLOUR_BAR: dict[str, Any] = {
     "location": "right",
     "fraction": 0.03,
@@ -52,31 +52,29 @@ COLOUR_BAR: dict[str, Any] = {
 def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> None:
     """Draw a sensorgraph of faces or cells as PNG.
 
-    On the left the chance that each face or cell stops a ray. On the right the mean residuals of a run; without a
-    run, the density of the training returns. White has been looked through, grey never.
+    The left panel shows the probability that each face or cell stops a ray. The right panel shows the mean residuals
+    of a run or, without a run, the density of the training returns. White space was observed, grey space was not.
 
     Raises
     ------
-    SensorgraphError : the model has no geometry to draw, or knows no surface; or no ray of the run is predicted
+    SensorgraphError : The model has no geometry or no surface, or no ray of the run is predicted.
     """
     model = graph.model
     if not isinstance(model, (Faces, CellModel)):
         raise SensorgraphError(
-            f"the model {model.name} has neither faces nor cells to draw; build one of faces, "
-            "or look at it with `sensorgraph review`"
+            f"the model {model.name} has neither faces nor cells to draw; build a model of faces, "
+            "or use `sensorgraph review`"
         )
     residuals = None if run is None else predicted_ends(graph, run)
     if residuals is not None and len(residuals[0]) == 0:
-        raise SensorgraphError(
-            "the graph answers no ray of the run as it was measured; there is nothing to draw: give a run of its place"
-        )
+        raise SensorgraphError("no ray of the run agrees with the graph; give a run of the same place")
     (x0, y0), (x1, y1) = _limits(model)
     width = 12.0
     tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)
     figure = new_figure(width, tall + 0.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes in (left, right):
-        _looked_through(axes, model)
+        _observed_space(axes, model)
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
         axes.set_xlabel("x [m]", color=INK)
         reduce_frame(axes)
@@ -87,12 +85,12 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     elif isinstance(model, Faces):
         _training_returns(figure, right, model)
     else:
-        right.set_title("residuals: give a run", loc="left", fontsize=SUBTITLE, color=SOFT)
+        right.set_title("residuals: give a run with --run", loc="left", fontsize=SUBTITLE, color=SOFT)
     save_figure(figure, path)
 
 
 def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
-    """Return lower left and upper right corner (2,) [m] of the picture."""
+    """Return the lower left and the upper right corner (2,) [m] of the picture."""
     corner, side, known = _crossed_cells(model)
     index = np.argwhere(known)
     if isinstance(model, Faces) and model.faces.n_faces:
@@ -101,7 +99,7 @@ def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
     elif len(index):
         low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
     else:
-        raise SensorgraphError("the graph knows no surface; there is nothing to draw")
+        raise SensorgraphError("the graph has no surface to draw; build it from a run with returns")
     margin = 0.03 * float((high - low).max()) + 0.05
     return low - margin, high + margin
 
@@ -121,8 +119,8 @@ def _image(axes: Any, corner: Floats, side: float, values: Any, **style: Any) ->
     return axes.imshow(turned, origin="lower", extent=extent, interpolation="nearest", **style)
 
 
-def _looked_through(axes: Any, model: Faces | CellModel) -> None:
-    """Paint the space that training rays have crossed white, the rest grey."""
+def _observed_space(axes: Any, model: Faces | CellModel) -> None:
+    """Paint the space crossed by training rays white, and other space grey."""
     from matplotlib.colors import to_rgb
 
     axes.set_facecolor(SOLID)
@@ -136,17 +134,17 @@ def _cells_of(model: Faces | CellModel) -> CellModel | None:
 
 
 def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
-    """Draw how likely a ray that meets a face or a cell stops there."""
-    title = "chance that a ray stops"
+    """Draw the probability that a ray stops at a face or in a cell."""
+    title = "probability that a ray stops"
     cells, image = _cells_of(model), None
     if cells is not None:
         table = cells.table
         per_direction = -np.expm1(-RATES[table.rate] * table.cell)
-        chance = per_direction.max(axis=1)  # from the direction that sees the cell best
-        value = np.where(table.rows >= 0, chance[table.rows], 0.0)
-        shown = np.ma.masked_less(value, SHOWN_CHANCE)
+        probability = per_direction.max(axis=1)  # from the direction in which the cell is most visible
+        value = np.where(table.rows >= 0, probability[table.rows], 0.0)
+        shown = np.ma.masked_less(value, MIN_PROBABILITY)
         image = _image(axes, table.low, table.cell, shown, cmap="viridis_r", vmin=0, vmax=1, zorder=1)
-        title += f" in each cell of {100 * table.cell:.0f} cm"
+        title += f", cells of {100 * table.cell:.0f} cm"
     else:
         assert isinstance(model, Faces)
         pieces = visible_pieces(model)
@@ -154,30 +152,30 @@ def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
         image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", (0.0, 1.0))
         title += f": {model.faces.n_faces} faces"
     axes.set_title(title, loc="left", fontsize=SUBTITLE, color=INK)
-    colour_bar(figure, image, axes, "chance", **COLOUR_BAR)
+    colour_bar(figure, image, axes, "probability", **COLOUR_BAR)
 
 
 def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
-    """Draw the training returns per metre of each visible piece, and the returns that no face explains."""
+    """Draw the training returns per metre of each visible piece, and returns that no face explains."""
     owner, edge = visible_edges(model)
     length = np.maximum(model.faces.edges[edge + 1] - model.faces.edges[edge], 1e-3)
     hits = model.hits[owner] if model.statistics is None else model.statistics.stops[edge]
     pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
     value = np.log10(np.maximum(pieces.values, 1.0))
     image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
-    axes.set_title("identified from so many returns a metre", loc="left", fontsize=SUBTITLE, color=INK)
+    axes.set_title("training returns per metre", loc="left", fontsize=SUBTITLE, color=INK)
     if model.statistics is not None and len(model.statistics.unexplained_hits.cells):
         axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
         axes.set_title(
-            "identified from so many returns a metre; red: explained by no face", loc="left", fontsize=SUBTITLE, color=INK
+            "training returns per metre; red: returns that no face explains", loc="left", fontsize=SUBTITLE, color=INK
         )  # fmt: skip
-    colour_bar(figure, image, axes, "log10 of returns a metre", **COLOUR_BAR)
+    colour_bar(figure, image, axes, "log10 (returns per metre)", **COLOUR_BAR)
 
 
 def _mean_residuals(
     figure: Any, axes: Any, model: Faces | CellModel, ends: Floats, directions: Floats, residual: Floats
 ) -> None:
-    """Draw the mean residual along each face; where cells predict, in squares."""
+    """Draw the mean residual along each face or, for a model with cells, in squares."""
     if _cells_of(model) is None:
         assert isinstance(model, Faces)
         pieces = residual_pieces(model, ends, directions, residual)
@@ -210,13 +208,13 @@ def _mean_residuals(
 
 
 def _colour_limit(value: Floats) -> float:
-    """Return the size at which colours end: nine values in ten lie below."""
+    """Return the magnitude at which the colour scale ends, the 90 % quantile."""
     known = np.abs(value[np.isfinite(value)])
     return max(float(np.quantile(known, 0.9)), 1e-3) if len(known) else 1.0
 
 
 def _draw_pieces(axes: Any, ends: Floats, value: Floats, colours: str, limits: tuple[float, float]) -> Any:
-    """Draw pieces (n, 2, 2) coloured by value (n,); nan is thin grey."""
+    """Draw pieces (n, 2, 2) coloured by value (n,); nan is drawn as a thin grey line."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import Normalize
 

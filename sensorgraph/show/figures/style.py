@@ -1,4 +1,4 @@
-"""What all pictures share: colours, an empty figure, the floor of an arena, a colour bar, the file.
+"""Common elements of the pictures: colours, an empty figure, the floor of an arena, a colour bar, the file.
 
 matplotlib is imported when the first figure is made.
 """
@@ -16,28 +16,28 @@ from planners.arena import Arena
 from sensorgraph.types import Floats
 
 INK, SOFT = "#23262f", "#8b90a0"
-"""Lines and text; what stands back."""
+"""Lines and text; secondary lines and text."""
 FLOOR, SOLID = "#ffffff", "#d9dce4"
-"""Free space; what is solid, or was never seen."""
+"""Free space; solid or unobserved space."""
 TEAL, AMBER, ALARM = "#2a788e", "#c9892b", "#d1345b"
-"""Good or the main series; the second; bad, or what the eye shall find."""
+"""Good, or the main series; the second series; bad, or highlighted."""
 
 TINY, SMALL, TEXT, SUBTITLE, TITLE, HEADLINE = 7, 8, 9, 10, 10.5, 11.5
-"""[pt] sizes of type: statistics within a chart, ticks and legends, labels, and three ranks of titles."""
+"""[pt] Font sizes: statistics within a chart, ticks and legends, labels, and three levels of titles."""
 FINE, LINE = 0.6, 1.9
-"""[pt] widths of grid lines and of a main curve."""
+"""[pt] Widths of grid lines and of a main curve."""
 TITLE_ROOM, LEGEND_ROOM, CHART_ROOM = 0.6, 1.2, 0.7
-"""[in] beside a map's own height: for a title, for a title and a legend, for the axes of a chart."""
+"""[in] Height in addition to a map: for a title, for a title and a legend, for the axes of a chart."""
 
 
 def map_height(extent: float, bounds: Sequence[float], least: float, most: float) -> float:
-    """Return the height [in] of a map `extent` [in] wide with bounds (x0, y0, x1, y1) [m], within limits."""
+    """Return the height [in] of a map that is `extent` [in] wide, limited to `least` ... `most`; bounds in [m]."""
     x0, y0, x1, y1 = bounds
     return float(np.clip(extent * (y1 - y0) / max(x1 - x0, 1e-9), least, most))
 
 
 def new_figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
-    """Return an empty figure, `width` x `height` [in], for a file and not for a window."""
+    """Return an empty figure of `width` x `height` [in] that is drawn to a file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -47,13 +47,13 @@ def new_figure(width: float, height: float, *, layout: Any = "constrained") -> A
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure as PNG; the file is complete or not there."""
+    """Write a figure as PNG; after an error there is no partial file."""
     with atomic_file(path) as part:
         figure.savefig(part, format="png", metadata={"Software": None})
 
 
 def draw_floor(axes: Any, arena: Arena, *, solid: int = -1) -> None:
-    """Draw free space, solid matter and walls; `solid` is the zorder of solid matter."""
+    """Draw free space, solid space and walls; `solid` is the zorder of solid space."""
     from matplotlib.collections import LineCollection
 
     x0, y0, x1, y1 = arena.bounds
@@ -75,7 +75,7 @@ def fill_solid(
     pad: float = 0.0,
     zorder: int,
 ) -> None:
-    """Fill what is not free within the bounds of the arena and `pad` [m] around them, moved by `shift` (2,) [m]."""
+    """Fill the space that is not free within the bounds of the arena plus `pad` [m], moved by `shift` (2,) [m]."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
@@ -85,7 +85,7 @@ def fill_solid(
     rings = [
         ring for polygon in polygons for ring in (polygon.exterior, *polygon.interiors) if len(ring.coords)
     ]
-    if rings:  # one patch: what was never seen of a building is of thousands of polygons
+    if rings:  # one patch, because the unobserved space of a building has thousands of polygons
         outline = Outline.make_compound_path(*(Outline(_moved(r, shift), closed=True) for r in rings))
         axes.add_artist(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
 
@@ -105,7 +105,7 @@ def reduce_frame(axes: Any) -> None:
 
 
 def colour_bar(figure: Any, mapped: Any, axes: Any, label: str, **placing: Any) -> None:
-    """Put a colour bar for what is `mapped` to colours beside one or several axes."""
+    """Add a colour bar for the mappable `mapped` next to one or several axes."""
     bar = figure.colorbar(mapped, ax=axes, **placing)
     bar.set_label(label, color=INK, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL, colors=INK)

@@ -1,5 +1,5 @@
-"""A run, and a sensorgraph against it, as one file for rerun's viewer.
+"""Write a run and the errors of a sensorgraph on it as one file for rerun's viewer.
 
-`review` does all of it: it collects the `contents` (scans in the map, `cells`, scores), and writes them with a `report`,
-`maps` and the layout of the `views`.
+`review` collects the `contents` (scans in the map, `cells`, scores) and writes them with a `report`, `maps` and the
+layout of the `views`.
 """

@@ -1,6 +1,6 @@
-"""The (x, y, phi) cells of a review: where the run has been, what was answered there, and what was wrong.
+"""The (x, y, phi) cells of a review: visits, answered rays and wrong rays.
 
-"Not answered" and "wrong" are two things: the first says drive there, the second says the model fails there.
+A place that is not answered needs a drive. A place with wrong answers shows that the model fails there.
 """
 
 from __future__ import annotations
@@ -21,38 +21,37 @@ from sensorgraph.planning.priority import uncertainty
 from sensorgraph.types import Bools, Floats, Ints
 
 CELL_SIZE, MAX_CELLS = 0.25, 40_000
-"""[m] side of a cell, doubled until no more than so many are needed."""
+"""[m] Side of a cell, which is doubled until there are at most MAX_CELLS cells."""
 N_HEADINGS = 16
-"""Heading bins of a full turn."""
-DOUBT_HEADINGS = 4
-"""Headings in which the graph is asked what it would not answer from a place."""
-DOUBT_RAYS = 60
-"""Rays that it is asked for in each; those between see much the same."""
+"""Number of heading bins in a full turn."""
+EXPECTED_ERROR_HEADINGS = 4
+"""Number of headings in which the expected error of a place is predicted."""
+EXPECTED_ERROR_RAYS = 60
+"""Approximate number of rays that are predicted in each heading; neighbouring rays are similar."""
 MIN_RAYS_THROUGH = 20
-"""Rays through a cell that make it free where there is no map."""
+"""Number of rays through a cell above which it is free, if there is no map."""
 MAX_REACH = 10.0
-"""[m] that a ray without a return is taken to be free."""
+"""[m] Length over which a ray without a return is assumed to be free."""
 SATURATING_UNANSWERED = 0.5
-"""Share of a cell's rays not answered, from which its colour is that of not answered alone."""
+"""Share of unanswered rays in a cell above which its colour is that of "not answered"."""
 SATURATING_WRONG = 0.1
-"""Share of a cell's answered rays that are wrong, from which its colour is that of wrong alone, or more: see
-`RayCounts.saturating_wrong`."""
+"""Minimum of `RayCounts.saturating_wrong`."""
 WORTH_A_VISIT = 0.2
-"""Doubt of a place above which it is worth a visit: about the share of rays not answered from there."""
+"""Expected error of a place above which a visit is suggested; about the share of rays not answered from there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayCounts:
-    """How many rays were scored, answered and wrong in each cell: (nx, ny, n_phi), or (nx, ny) over all headings."""
+    """Numbers of rays scored, answered and wrong in each cell: (nx, ny, n_phi), or (nx, ny) over all headings."""
 
     scored: Ints
     answered: Ints
     wrong: Ints
-    """Answered, and more than 5 cm off."""
+    """Rays that are answered with an error above 5 cm."""
 
     @classmethod
     def of(cls, evaluation: Evaluation, poses: Floats, grid: Coverage) -> RayCounts:
-        """Count the rays of each scan in the cell of its pose (n_scans, 3), all on the grid."""
+        """Count the rays of each scan in the cell of its pose (n_scans, 3); all poses are on the grid."""
         scored = np.isfinite(evaluation.residual)
         answered = scored & evaluation.answered_rays
         wrong = answered & (np.abs(np.nan_to_num(evaluation.residual)) > OFF_DISTANCE)
@@ -63,24 +62,24 @@ class RayCounts:
 
     @property
     def by_place(self) -> RayCounts:
-        """Over all headings."""
+        """Counts over all headings."""
         return RayCounts(
             scored=self.scored.sum(axis=2), answered=self.answered.sum(axis=2), wrong=self.wrong.sum(axis=2)
         )
 
     @property
     def share_unanswered(self) -> Floats:
-        """Of the scored rays; nan where none was scored."""
+        """Share of the scored rays that are not answered; nan where no ray was scored."""
         return _share(self.scored - self.answered, self.scored)
 
     @property
     def share_wrong(self) -> Floats:
-        """Of the answered rays; nan where none was answered."""
+        """Share of the answered rays that are wrong; nan where no ray was answered."""
         return _share(self.wrong, self.answered)
 
     @property
     def saturating_wrong(self) -> float:
-        """Share wrong from which colours saturate: SATURATING_WRONG, or the 90 % quantile of the cells if that is more."""
+        """Share of wrong rays at which colours saturate: SATURATING_WRONG or the 90 % quantile of the cells, if larger."""
         share = self.share_wrong
         known = share[np.isfinite(share)]
         return max(SATURATING_WRONG, float(np.quantile(known, 0.9))) if len(known) else SATURATING_WRONG
@@ -88,63 +87,63 @@ class RayCounts:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReviewCells:
-    """(x, y, phi) cells: how often each was visited, and how well the graph predicts what is seen from there."""
+    """(x, y, phi) cells with the number of visits and the errors of the graph from there."""
 
     grid: Coverage
-    """Visits of all scans; `reachable` are the cells that are free by the arena, or by the rays that crossed them."""
+    """Visits of all scans; `reachable` marks cells that are free in the arena, or that rays crossed."""
     error: Floats | None
-    """(nx, ny, n_phi) [m] mean over scans of the median |residual| of a scan; nan where nothing was scored."""
+    """(nx, ny, n_phi) [m] Mean over scans of the median |residual| of a scan; nan where no ray was scored."""
     ray_counts: RayCounts | None
-    doubt_map: DoubtMap | None
-    """Where the graph would not answer; None without a graph."""
+    expected_error_map: ExpectedErrorMap | None
+    """Expected error of the graph in each free place; None without a graph."""
 
     @property
     def origin(self) -> Floats:
-        """(2,) [m] lower left corner."""
+        """(2,) [m] Lower left corner."""
         return self.grid.origin
 
     @property
     def cell(self) -> float:
-        """[m]"""
+        """[m] Side of a cell."""
         return self.grid.cell
 
     @property
     def counts(self) -> Ints:
-        """(nx, ny, n_phi) scans; heading bins centred on multiples of 2 pi / n_phi."""
+        """(nx, ny, n_phi) Number of scans; heading bins are centred on multiples of 2 pi / n_phi."""
         return np.asarray(self.grid.counts, dtype=np.intp)
 
     @property
     def error_top(self) -> float:
-        """[m] error at which colours end: the 95 % quantile of the cells."""
+        """[m] Error at which the colour scale ends: the 95 % quantile of the cells."""
         if self.error is None or not np.isfinite(self.error).any():
             return 1.0
         return float(np.nanquantile(self.error, 0.95)) or 1e-3
 
     @property
     def free(self) -> Bools:
-        """(nx, ny) cells that are free as far as is known."""
+        """(nx, ny) Cells that are known to be free."""
         return np.asarray(self.grid.reachable.any(axis=2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DoubtMap:
-    """How little the graph knows of each free place: the priority by which a next plan would drive."""
+class ExpectedErrorMap:
+    """Expected error of the graph in each free place, by which `plan --priority` orders a drive."""
 
     origin: Floats
-    """(2,) [m]"""
+    """(2,) [m] Lower left corner."""
     cell: float
-    """[m]"""
-    doubt: Floats
-    """(nx, ny) mean over headings and rays, 1 where none would be answered; nan where not free."""
+    """[m] Side of a cell."""
+    expected_error: Floats
+    """(nx, ny) Mean over headings and rays; 1 where no ray is answered, nan where the place is not free."""
 
     def places(self, n: int = 3) -> list[tuple[float, float, float]]:
-        """Return the n largest areas of a doubt above WORTH_A_VISIT: x, y [m] of the worst cell, and the area [m²]."""
-        is_open = np.nan_to_num(self.doubt) > WORTH_A_VISIT
+        """Return the n largest areas with an expected error above WORTH_A_VISIT: x, y [m] of the worst cell, area [m²]."""
+        is_open = np.nan_to_num(self.expected_error) > WORTH_A_VISIT
         parts, count = ndimage.label(is_open, structure=np.ones((3, 3)))
         sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
         out = []
         for k in np.argsort(-sizes, kind="stable")[:n]:
-            here = np.where(parts == k + 1, self.doubt, -np.inf)
+            here = np.where(parts == k + 1, self.expected_error, -np.inf)
             i, j = np.unravel_index(int(here.argmax()), here.shape)
             x, y = self.origin + (np.array([i, j]) + 0.5) * self.cell
             out.append((float(x), float(y), float(sizes[k]) * self.cell**2))
@@ -161,13 +160,14 @@ def count_cells(
     graph: Sensorgraph | None,
     cell: float | None,
 ) -> ReviewCells:
-    """Count visits, errors and rays in the cells, and ask the graph what it does not know.
+    """Count visits, errors and rays in the cells, and predict the expected error of the graph.
 
     Parameters
     ----------
-    visited : (n, 3) poses of all scans; `shown`: those (m, 3) that were evaluated
-    rays : lasers (m, n_rays or 1, 3) in map and bearings with ranges as (m, n_rays, 2): bearing in map [rad], range [m]
-    cell : [m]; None: CELL_SIZE, or coarser where that would be too many
+    visited : (n, 3) [m, m, rad] Poses of all scans.
+    shown : (m, 3) [m, m, rad] Poses of the evaluated scans.
+    rays : Lasers (m, n_rays or 1, 3) in map, and (m, n_rays, 2) with bearing in map [rad] and range [m].
+    cell : [m] Side of a cell. None: CELL_SIZE, or larger if there would be too many cells.
     """
     ends = _ends(*rays)
     if arena is not None:
@@ -192,12 +192,12 @@ def count_cells(
         ray_counts=None
         if evaluation is None
         else RayCounts.of(evaluation, shown[evaluation.scan_indices], grid),
-        doubt_map=None if graph is None else _doubt_map(graph, grid),
+        expected_error_map=None if graph is None else _expected_error_map(graph, grid),
     )
 
 
 def sum_in_cells(values: Floats, poses: Floats, grid: Coverage) -> Floats:
-    """Add up values (n,) in the cells (nx, ny, n_phi) of their poses (n, 3), all of them on the grid."""
+    """Add up values (n,) in the cells (nx, ny, n_phi) of their poses (n, 3); all poses are on the grid."""
     bins, _ = grid.bins(poses)
     flat = np.ravel_multi_index(tuple(bins.T), grid.counts.shape)
     total = np.bincount(flat, weights=values, minlength=grid.counts.size)
@@ -222,7 +222,7 @@ def _error(evaluation: Evaluation, shown: Floats, grid: Coverage) -> Floats:
 
 
 def _ends(lasers: Floats, rays: Floats) -> Floats:
-    """Return where rays end, (m, n_rays, 2) [m, map]; without a return MAX_REACH away, broken ones at the laser."""
+    """Return the end points (m, n_rays, 2) [m, map]; a missing return ends at MAX_REACH, a broken one at the laser."""
     bearing, ranges = rays[..., 0], rays[..., 1]
     reach = np.minimum(ranges, MAX_REACH)[..., None]
     ends = lasers[..., :2] + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
@@ -232,18 +232,18 @@ def _ends(lasers: Floats, rays: Floats) -> Floats:
 def _free(
     origin: Floats, side: float, shape: NDArray[np.int_], arena: Arena | None, lasers: Floats, ends: Floats
 ) -> Bools:
-    """Tell which cells (nx, ny) are free: whose middle is in the arena; without one, which many rays crossed."""
+    """Return which cells (nx, ny) are free: their centre is in the arena or, without an arena, many rays crossed them."""
     nx, ny = map(int, shape)
     if arena is not None:
         i, j = np.indices((nx, ny))
         middles = origin + (np.stack([i, j], axis=-1).reshape(-1, 2) + 0.5) * side
         return np.asarray(arena.contains(middles).reshape(nx, ny))
     origins = np.broadcast_to(lasers[..., :2], ends.shape).reshape(-1, 2)
-    way = ends.reshape(-1, 2) - origins
-    length = np.hypot(*way.T)
-    went = length > side
-    crossed = ObservedSpace.of(  # up to a cell before the return: that one is a wall's
-        origins[went], way[went] / length[went, None], length[went] - side, cell=side
+    rays = ends.reshape(-1, 2) - origins
+    length = np.hypot(*rays.T)
+    long = length > side
+    crossed = ObservedSpace.of(  # up to one cell before the return, which contains the wall
+        origins[long], rays[long] / length[long, None], length[long] - side, cell=side
     )
     a, b = np.round((origin - crossed.origin) / crossed.cell).astype(int)
     free = np.zeros((nx, ny), dtype=np.bool_)
@@ -252,14 +252,18 @@ def _free(
     return free
 
 
-def _doubt_map(graph: Sensorgraph, grid: Coverage) -> DoubtMap:
-    """Ask the graph from the middle of coarser cells, of which all four quarters are free."""
+def _expected_error_map(graph: Sensorgraph, grid: Coverage) -> ExpectedErrorMap:
+    """Predict from the centres of cells of twice the size whose four quarters are free."""
     free: Bools = np.asarray(grid.reachable.any(axis=2))
     nx, ny = np.array(free.shape) // 2
     whole: Bools = np.asarray(free[: 2 * nx, : 2 * ny].reshape(nx, 2, ny, 2).all(axis=(1, 3)))
-    coarse = Coverage.empty(origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=DOUBT_HEADINGS)
-    value = uncertainty(graph, coarse, max_rays=DOUBT_RAYS).mean(axis=2)
-    return DoubtMap(origin=grid.origin, cell=coarse.cell, doubt=np.where(whole, value, np.nan))
+    coarse = Coverage.empty(
+        origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=EXPECTED_ERROR_HEADINGS
+    )
+    value = uncertainty(graph, coarse, max_rays=EXPECTED_ERROR_RAYS).mean(axis=2)
+    return ExpectedErrorMap(
+        origin=grid.origin, cell=coarse.cell, expected_error=np.where(whole, value, np.nan)
+    )
 
 
 def _share(part: Floats | Ints, whole: Floats | Ints) -> Floats:

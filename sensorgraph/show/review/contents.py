@@ -1,4 +1,4 @@
-"""What a review shows, as plain arrays: scans in the map, coverage, error by place, heading and ray."""
+"""The contents of a review as arrays: scans in the map, coverage, error by place, heading and ray."""
 
 from __future__ import annotations
 
@@ -24,66 +24,66 @@ from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.raycast import laser_poses
 
 MAX_SCANS = 5000
-"""Scans that a review file holds: enough to look at, small enough to open at once."""
+"""Maximum number of scans in a review file, so that it opens quickly."""
 
 
 ARC_POINTS = 9
-"""Points of the arc of a cone."""
+"""Number of points of the arc of a cone."""
 
 
 class RayVerdict(IntEnum):
-    """What came of a measured ray."""
+    """Verdict on a measured ray."""
 
     UNSCORED = 0
-    """Nothing to compare."""
+    """There is no measurement or no prediction to compare."""
     RIGHT = 1
-    """Answered, and within 5 cm."""
+    """Answered with an error of at most 5 cm."""
     WRONG = 2
-    """Answered, and farther off."""
+    """Answered with a larger error."""
     UNANSWERED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Review:
-    """A run in the map, and what a sensorgraph predicts of it: everything that is drawn."""
+    """A run in the map, and the predictions of a sensorgraph for it, as arrays."""
 
     run: Run
     name: str
-    """What to call the run."""
+    """Name of the run in texts."""
     pairing: Pairing
     shown: NDArray[np.intp]
-    """(n_shown,) indices of the scans in the review."""
+    """(n_shown,) Indices of the scans in the review."""
     lasers: Floats
-    """(n_shown, n_rays, 3) [m, m, rad] laser in map when each ray was taken; (n_shown, 1, 3) without a sweep."""
+    """(n_shown, n_rays, 3) [m, m, rad] Laser in map at the time of each ray; (n_shown, 1, 3) without a sweep."""
     measured: Floats
-    """(n_shown, n_rays) [m]"""
+    """(n_shown, n_rays) [m] Measured ranges."""
     predicted: Floats | None
-    """(n_shown, n_rays) [m] where answered, else nan; +inf where no return is predicted."""
+    """(n_shown, n_rays) [m] Predicted ranges; nan if not answered, +inf if no return is predicted."""
     evaluation: Evaluation | None
-    """Of the shown scans."""
+    """Evaluation of the shown scans."""
     held_out: Evaluation | None
-    """Of the held-out scans, if the graph was built from this run with a split."""
+    """Evaluation of the held-out scans, if the graph was built from this run with a split."""
     cells: ReviewCells
     arena: Arena | None
     planned: Floats | None
-    """(n, 2) [m] the planned path."""
+    """(n, 2) [m] The planned path."""
     plan: Mapping[str, Any] | None
-    """plan.json"""
+    """Content of plan.json."""
     graph: Sensorgraph | None
     deviations: Floats | None = None
-    """(n_shown, 3) [m, m, rad] standard deviations of x, y, phi as the run states them; None: it does not."""
+    """(n_shown, 3) [m, m, rad] Standard deviations of x, y, phi given in the run; None without covariances."""
 
     def points(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
-        """Return the end points (n, 2) [m, map] of each shown scan in `part`; `ranges` (n_shown, n_rays) [m]."""
+        """Return the end points (n, 2) [m, map] of each shown scan in `part`, from ranges (n_shown, n_rays) [m]."""
         lasers, ranges = self.lasers[part], ranges[part]
         phi = lasers[..., 2] + self.run.sensor.bearings
         ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
         return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
 
     def arcs(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
-        """Return the arcs (n, ARC_POINTS, 2) [m, map] on which the nearest surfaces of cones lie, of each shown scan in `part`.
+        """Return the arcs (n, ARC_POINTS, 2) [m, map] of each shown scan in `part`, from ranges (n_shown, n_rays) [m].
 
-        `ranges` (n_shown, n_rays) [m]; of a thin ray the arc is a point.
+        The nearest surface of a cone lies on its arc. The arc of a thin ray is a point.
         """
         lasers, ranges, sensor = self.lasers[part], ranges[part], self.run.sensor
         turns = np.linspace(-0.5, 0.5, ARC_POINTS) * (sensor.cones[:, None] if len(sensor.cones) else 0.0)
@@ -93,14 +93,14 @@ class Review:
 
     @property
     def robots(self) -> Floats:
-        """(n_shown, 3) [m, m, rad] in map: the laser, or base_link where several sensors are read as one."""
+        """(n_shown, 3) [m, m, rad] Poses in map of the laser, or of base_link for several sensors."""
         if not self.run.sensor.is_composite:
             return self.lasers[:, 0]
         return self.pairing.poses[self.shown]
 
     @property
     def verdicts(self) -> NDArray[np.uint8]:
-        """(n_shown, n_rays) the RayVerdict of each measured ray."""
+        """(n_shown, n_rays) RayVerdict of each measured ray."""
         out = np.full(self.measured.shape, RayVerdict.UNSCORED, dtype=np.uint8)
         if self.evaluation is not None:
             residual = self.evaluation.residual
@@ -127,29 +127,29 @@ def collect(
     force: bool = True,
     progress: ProgressBars = no_progress,
 ) -> Review:
-    """Collect what there is to see of a run, and of a sensorgraph against it.
+    """Collect the contents of a review of a run, with a sensorgraph or without.
 
     Parameters
     ----------
-    arena : walls to draw; None: none
-    name : what to call the run; None: the file it says it came from
-    planned : (n, 2) [m] path of the plan
-    cell : [m] of the maps; None: 0.25, or coarser where that would be too many
-    max_scans : of a longer run, so many are shown, evenly chosen
-    force : take a run whose poses jump, too; False: refuse it, as the commands do
+    arena : Arena whose walls are drawn. None: no walls are drawn.
+    name : Name of the run. None: the name of its source file.
+    planned : (n, 2) [m] Path of the plan.
+    cell : [m] Side of a cell of the maps. None: 0.25, or larger if there would be too many cells.
+    max_scans : Maximum number of scans that are shown, evenly spaced.
+    force : Accept a run whose poses jump. False: refuse it, as the commands do.
 
     Raises
     ------
-    SensorgraphError : no scan has a pose, the poses jump, or the sensor of the run is not that of the graph
+    SensorgraphError : No scan has a pose, the poses jump, or run and graph have different sensors.
     """
     pairing = pair(run)
     check_jumps(run, pairing, force=force)
     index = np.flatnonzero(pairing.paired)
     if not len(index):
-        raise SensorgraphError(f"{pairing}; nothing to place in the map: record poses with the scans")
+        raise SensorgraphError(f"{pairing}; no scan can be placed in the map: record poses with the scans")
     shown = index[np.linspace(0, len(index) - 1, min(len(index), max_scans)).round().astype(np.intp)]
     part, poses = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown]), pairing.poses[shown]
-    if (np.diff(run.stamps) == 0).any():  # scans that share a stamp are paired in their order: keep the pairs
+    if (np.diff(run.stamps) == 0).any():  # scans with equal stamps are paired in order: keep these pairs
         part = replace(part, pose_stamps=part.stamps, poses=poses, pose_covariances=np.zeros((0, 3, 3)))
     evaluation = held_out = predicted = None
     if graph is not None:
@@ -158,7 +158,7 @@ def collect(
     if graph is not None and evaluation is not None:
         split = graph.origin.get("split")
         if split is not None and training_scans(graph, run) is not None:
-            with progress("evaluating what was held out", "scans") as tick:
+            with progress("evaluating held-out scans", "scans") as tick:
                 held_out = evaluate(graph, run, split=split, force=True, progress=tick)
         predicted = np.full(part.ranges.shape, np.nan)
         with progress("predicting", ""):
@@ -197,7 +197,7 @@ def collect(
 
 
 def _deviations(run: Run, shown: NDArray[np.intp]) -> Floats | None:
-    """Return the stated standard deviations (n_shown, 3) of the poses nearest to some scans."""
+    """Return the standard deviations (n_shown, 3) given in the run for the poses nearest to the shown scans."""
     if len(run.pose_covariances) == 0:
         return None
     after = np.clip(np.searchsorted(run.pose_stamps, run.stamps[shown]), 0, len(run.pose_stamps) - 1)

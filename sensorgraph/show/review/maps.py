@@ -1,4 +1,4 @@
-"""The maps of a review, for the viewer: what was answered where, and the (x, y, phi) cells above the floor."""
+"""The maps of a review for the viewer: verdicts by place, and the (x, y, phi) cells above the floor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sensorgraph.show.review.contents import RayVerdict
 from sensorgraph.types import Bools, Floats
 
 EMPTY, FREE = (40, 40, 46), (78, 84, 104)
-"""ReviewCells where nothing was scored, and of them those that are free and were not visited."""
+"""Colours of cells in which no ray was scored: other cells, and free cells that were not visited."""
 VERDICT_COLOURS = {
     RayVerdict.RIGHT: (60, 178, 165),
     RayVerdict.WRONG: (255, 60, 110),
@@ -22,26 +22,30 @@ VIRIDIS = np.array(
      (170, 220, 50), (253, 231, 37)], dtype=np.float64,
 )  # fmt: skip
 MANY_VISITS = 10
-"""Scans in a cell at which its colour is the brightest."""
+"""Number of scans in a cell at which its colour is brightest."""
 RGB = NDArray[np.uint8]
 
 
 def map_labels(cells: ReviewCells) -> dict[str, str]:
-    """Return the maps that there are, name -> label, most important first; the report explains the colours."""
+    """Return the available maps, name -> label, most important first; the report explains the colours."""
     out = {}
     if cells.ray_counts is not None:
         out["verdict"] = "teal right, pink wrong, violet not answered"
-    if cells.doubt_map is not None:
-        out["next"] = "drive next"
+    if cells.expected_error_map is not None:
+        out["next"] = "expected error"
     if cells.ray_counts is not None:
-        out |= {"unanswered": "unanswered", "wrong": "wrong", "error": "error"}
+        out |= {"unanswered": "not answered", "wrong": "wrong", "error": "error"}
     return out | {"coverage": "coverage"}
 
 
 def log_maps(recording: rr.RecordingStream, cells: ReviewCells) -> None:
     """Log every map as an image in place."""
     for name, image in images(cells).items():
-        side = cells.doubt_map.cell if name == "next" and cells.doubt_map is not None else cells.cell
+        side = (
+            cells.expected_error_map.cell
+            if name == "next" and cells.expected_error_map is not None
+            else cells.cell
+        )
         place = rr.Transform3D(translation=[*cells.origin, 0], scale=[side, side, 1])
         recording.log(f"plan/{name}", place, static=True)
         pixels = rr.Image(image.transpose(1, 0, 2), draw_order=-10)
@@ -58,16 +62,16 @@ def images(cells: ReviewCells) -> dict[str, RGB]:
         out["unanswered"] = colours(places.share_unanswered / SATURATING_UNANSWERED)
         out["wrong"] = colours(places.share_wrong / places.saturating_wrong)
         out["error"] = colours(_mean(cells.error, axis=2) / cells.error_top)
-    if cells.doubt_map is not None:
-        out["next"] = colours(cells.doubt_map.doubt)
+    if cells.expected_error_map is not None:
+        out["next"] = colours(cells.expected_error_map.expected_error)
     return out
 
 
 def verdict_colours(counts: RayCounts, saturating_wrong: float, free: Bools | None = None) -> RGB:
-    """Colour cells by what came of their rays: dark where none was scored, slate where `free` and not visited.
+    """Colour cells by the verdicts on their rays; cells without scored rays are dark, `free` ones slate.
 
-    The colour goes from right to wrong with the share of the answered rays that are wrong, up to `saturating_wrong`,
-    and from there to not answered with the share not answered: one wrong ray in twenty is many.
+    With s = share wrong / `saturating_wrong` and u = share not answered / SATURATING_UNANSWERED, both limited to 1,
+    the colour is (1 - u) (right + s (wrong - right)) + u not_answered.
     """
     right, wrong, open_ = (np.array(VERDICT_COLOURS[name], dtype=np.float64) for name in VERDICT_COLOURS)
     off = np.clip(np.nan_to_num(counts.share_wrong) / saturating_wrong, 0, 1)[..., None]
@@ -80,7 +84,7 @@ def verdict_colours(counts: RayCounts, saturating_wrong: float, free: Bools | No
 
 
 def log_voxels(recording: rr.RecordingStream, cells: ReviewCells) -> None:
-    """Log the (x, y, phi) cells over the floor; a full turn is half as high as the floor is wide."""
+    """Log the (x, y, phi) cells above the floor; the height of a full turn is half the width of the floor."""
     nx, ny, _ = cells.counts.shape
     high = 0.5 * max(nx, ny) * cells.cell / N_HEADINGS
     if cells.ray_counts is not None:
@@ -112,7 +116,7 @@ def log_voxels(recording: rr.RecordingStream, cells: ReviewCells) -> None:
 
 
 def colours(value: Floats) -> RGB:
-    """Colour values 0 ... 1 of any shape by viridis, as RGB uint8; nan is dark grey, unlike any value."""
+    """Map values 0 ... 1 of any shape to viridis colours, RGB uint8; nan is dark grey."""
     place = np.clip(np.nan_to_num(value), 0, 1) * (len(VIRIDIS) - 1)
     low = np.minimum(place.astype(np.intp), len(VIRIDIS) - 2)
     mixed = VIRIDIS[low] + (place - low)[..., None] * (VIRIDIS[low + 1] - VIRIDIS[low])

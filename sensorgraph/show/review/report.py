@@ -1,4 +1,4 @@
-"""The report of a review, in markdown: scores, coverage, where to drive next, what the colours mean."""
+"""The report of a review in Markdown: scores, coverage, suggested drives, legend of the colours."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sensorgraph.show.review.contents import Review
 
 
 def report(review: Review) -> str:
-    """Return the report that is shown beside the pictures, in markdown."""
+    """Return the report in Markdown, which is shown next to the pictures."""
     run, cells = review.run, review.cells
     visited = int((cells.counts > 0).sum())
     lines = [
         f"# {review.name}",
         f"{review.pairing}, {run.stamps[-1] - run.stamps[0]:.0f} s, {run.sensor.n_rays} rays. "
         f"Shown: {len(review.shown):,} scans"
-        + (", evenly chosen." if len(review.shown) < review.pairing.paired.sum() else ", all of them."),
+        + (", evenly spaced." if len(review.shown) < review.pairing.paired.sum() else ", all of them."),
         "",
         f"**Coverage**: {visited:,} cells of {cells.cell:g} m × {360 / N_HEADINGS:g}° visited.",
     ]
@@ -30,7 +30,7 @@ def report(review: Review) -> str:
     if review.evaluation is None or review.graph is None:
         lines += [
             "",
-            "No graph given: build one, and review this run against it.",
+            "No sensorgraph was given. Build one and give it with `--graph` to see its errors on this run.",
         ]
         return "\n".join(lines)
     lines += ["", "| | all rays | answered |", "|---|---|---|", *_rows(review.held_out or review.evaluation)]
@@ -41,73 +41,77 @@ def report(review: Review) -> str:
 
 
 def _poses(review: Review) -> str:
-    """Say how well the poses are known, and where the robot was lost."""
+    """Return a sentence on the standard deviations of the poses and the scans without a pose."""
     assert review.deviations is not None
     place = 100 * np.hypot(*review.deviations[:, :2].T) / np.sqrt(2)
     turn = np.degrees(review.deviations[:, 2])
-    said = (
+    text = (
         f"**Poses**: standard deviation {np.median(place):.2g} cm, {np.median(turn):.2g}° (median), "
-        f"{np.quantile(place, 0.99):.2g} cm, {np.quantile(turn, 0.99):.2g}° (99 %), as the log states."
+        f"{np.quantile(place, 0.99):.2g} cm, {np.quantile(turn, 0.99):.2g}° (99 % quantile), from the log."
     )
     missing = int((~review.pairing.paired).sum())
-    return said + (f" {missing:,} scans have no pose: lost, or not sure." if missing else "")
+    return text + (
+        f" {missing:,} scans have no pose: the robot was lost or its place ambiguous." if missing else ""
+    )
 
 
 def _cells_and_next_drive(cells: ReviewCells) -> list[str]:
-    """Say in how many cells which verdict is frequent, and where to drive next."""
+    """Return sentences on the numbers of cells with frequent errors, and on suggested drives."""
     lines = []
     if cells.ray_counts is not None:
         places = cells.ray_counts.by_place
         often = 0.5 * places.saturating_wrong
         dark, off = places.share_unanswered > WORTH_A_VISIT, places.share_wrong > often
         lines.append(
-            f"**Cells**: of {int((places.scored > 0).sum()):,} places scored, {int(dark.sum()):,} leave more than "
-            f"{100 * WORTH_A_VISIT:.0f} % of the rays unanswered, in {int(off.sum()):,} more than {100 * often:.0f} % of the "
-            f"answered ones are wrong; {int((cells.free & (cells.counts.sum(axis=2) == 0)).sum()):,} free places were "
+            f"**Cells**: {int((places.scored > 0).sum()):,} places were scored. In {int(dark.sum()):,} more than "
+            f"{100 * WORTH_A_VISIT:.0f} % of the rays are not answered. In {int(off.sum()):,} more than {100 * often:.0f} % of the "
+            f"answered rays are wrong. {int((cells.free & (cells.counts.sum(axis=2) == 0)).sum()):,} free places were "
             "not visited."
         )
-    if cells.doubt_map is not None:
-        stretches = [
-            f"({x:.1f}, {y:.1f}) and around, {area:.1f} m²" for x, y, area in cells.doubt_map.places()
-        ]
+    if cells.expected_error_map is not None:
+        areas = [f"({x:.1f}, {y:.1f}) m ({area:.1f} m²)" for x, y, area in cells.expected_error_map.places()]
         lines += [""] if lines else []
-        if stretches:
+        if areas:
             lines.append(
-                "**Drive next**: " + "; ".join(stretches) + ": plan with this graph as the priority."
+                f"**Suggested drives**: the expected error exceeds {100 * WORTH_A_VISIT:.0f} % around "
+                + ", ".join(areas)
+                + ". Plan the next run with `sensorgraph plan --priority GRAPH`."
             )
         else:
             lines.append(
-                f"**Drive next**: from no free place would more than {100 * WORTH_A_VISIT:.0f} % go unanswered."
+                f"**Suggested drives**: none; the expected error of every free place is below {100 * WORTH_A_VISIT:.0f} %."
             )
     return lines
 
 
 def _legend(review: Review) -> list[str]:
-    """Say what the colours mean; the viewer has no colour bar."""
+    """Return the legend of the colours, because the viewer has no colour bar."""
     cells = review.cells
     if cells.ray_counts is None:
         return []
     pink = 100 * cells.ray_counts.by_place.saturating_wrong
     return [
-        "**Colours**: teal right, pink more than 5 cm off, violet not answered, white not scored; orange predicted, "
-        "where the graph answers.",
+        "**Rays**: teal is right (error below 5 cm), pink is wrong, violet is not answered, white is not scored. "
+        "Orange is the prediction of answered rays.",
         "",
-        f"**Maps**: a cell is all pink from {pink:.0f} % wrong, all violet from {100 * SATURATING_UNANSWERED:.0f} % not answered; "
-        "slate is free and not visited, dark was never looked through. *next*: yellow, from there nothing would be "
-        f"answered. *unanswered* 0 to {100 * SATURATING_UNANSWERED:.0f} %, *wrong* 0 to {pink:.0f} % of the answered rays, *error* 0 "
-        f"to {100 * cells.error_top:.2g} cm, *coverage* 0 to {N_HEADINGS} headings; dark to yellow.",
+        f"**Cells**: pink saturates at {pink:.0f} % wrong, violet at {100 * SATURATING_UNANSWERED:.0f} % not answered. "
+        "Slate is free and not visited, dark is unobserved.",
+        "",
+        "**Other maps**, from dark to yellow: *expected error* 0 to 100 %, "
+        f"*not answered* 0 to {100 * SATURATING_UNANSWERED:.0f} %, *wrong* 0 to {pink:.0f} % of the answered rays, "
+        f"*error* 0 to {100 * cells.error_top:.2g} cm, *coverage* 0 to {N_HEADINGS} headings.",
     ]
 
 
 def _training(review: Review, graph: Sensorgraph) -> str:
-    """Say whether the scores are of scans that the graph was fitted to."""
+    """Return a sentence that says whether the scored scans are training scans of the graph."""
     if review.held_out is not None:
         return (
             f"Scored on the scans held out of the build ({graph.origin['split']}); the maps show all scans."
         )
     if training_scans(graph, review.run) is None:
-        return "Scored on a run that the graph has not seen."
-    return "The graph was fitted to this run: on new scans the numbers are worse."
+        return "Scored on a run that was not used to build the graph."
+    return "The graph was built from this run; errors on new scans are larger."
 
 
 def _rows(evaluation: Evaluation) -> list[str]:
@@ -126,7 +130,7 @@ def _rows(evaluation: Evaluation) -> list[str]:
         row("MAE", "mae_m", 100, "cm"),
         row("RMSE", "rmse_m", 100, "cm"),
         row("within 10 cm", "within_0.1m", 100, "%"),
-        row("wrong by > 5 cm", "wrong_5cm", 100, "%"),
+        row("error > 5 cm", "wrong_5cm", 100, "%"),
         row("within 3 sigma", "within_3sigma", 100, "%"),
         row("Pearson r", "pearson_r", 1, ""),
     ]

@@ -1,4 +1,4 @@
-"""`review`: one call from a run to a file for rerun's viewer."""
+"""Write a review of a run as a file for rerun's viewer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensorgraph.show.review.views import write
 from sensorgraph.types import ProgressBars, no_progress
 
 PLAN_STEP = 10
-"""Every so many poses of a plan are drawn."""
+"""Step between the drawn poses of a plan."""
 
 
 def review(
@@ -32,31 +32,31 @@ def review(
     force: bool = True,
     progress: ProgressBars = no_progress,
 ) -> Review:
-    """Write what there is to see of a run, and of a sensorgraph against it, as a file for rerun's viewer.
+    """Write a review of a run, and of a sensorgraph on it, as a file for rerun's viewer.
 
-    Scans in the map, coverage, error by place, heading and ray, and a report. No viewer is needed to write it; open
-    it with `rerun FILE`.
+    The file contains scans in the map, coverage, error by place, heading and ray, and a report. Writing needs no
+    viewer; open the file with `rerun FILE`.
 
     Parameters
     ----------
-    run : a run, or a file that `logs.read` opens
-    path : the file to write, *.rrd
-    graph : a sensorgraph, or its file
-    plan : a plan or its folder, whose path is drawn, too
-    arena : walls to draw; None: those that the run keeps, if it keeps any
-    ray : index of the ray whose series is shown; None: the one that looks straight ahead
-    name : what to call the run; None: the file it says it came from
-    force : take a run whose poses jump, too; False: refuse it, as the commands do
-    progress : opens a bar for each stage
+    run : Run, or a file that `logs.read` opens.
+    path : File to write, *.rrd.
+    graph : Sensorgraph, or its file.
+    plan : Plan or its folder, whose path is drawn.
+    arena : Arena whose walls are drawn. None: no walls are drawn.
+    ray : Index of the ray whose time series is shown. None: the ray straight ahead.
+    name : Name of the run. None: the name of its source file.
+    force : Accept a run whose poses jump. False: refuse it, as the commands do.
+    progress : Opens a progress bar for each stage.
 
     Returns
     -------
-    Review with everything that is drawn, as arrays
+    Review with the drawn contents as arrays.
 
     Raises
     ------
-    SensorgraphError : the file is not named *.rrd, no scan has a pose, the ray does not exist, or graph and run do not fit
-    LogError : the run cannot be read
+    SensorgraphError : The file is not named *.rrd, no scan has a pose, the ray does not exist, or graph and run differ.
+    LogError : The run cannot be read.
     """
     path = Path(path)
     if path.suffix != ".rrd":

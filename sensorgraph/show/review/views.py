@@ -1,4 +1,4 @@
-"""The .rrd file of a review: what is logged on which path, and the layout of the viewer."""
+"""Write the .rrd file of a review: the logged entities and the layout of the viewer."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from sensorgraph.types import Floats, Progress
 
 SCANS_PER_CHUNK = 500
 CLOUD_REACH, MAX_CLOUD_POINTS = 20.0, 60_000
-"""[m] and points of the cloud that stands in for the walls where there is no map."""
+"""[m] and [points] Limits of the point cloud that replaces the walls if there is no map."""
 ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
-"""Colours. A negative radius below is in points of the screen, not in metres."""
+"""Colours. Negative radii below are in screen points, not in metres."""
 DEVIATIONS = {"x [cm]": WHITE, "y [cm]": ORANGE, "phi [deg]": ROBOT}
-"""Series of the standard deviations of the poses."""
+"""Series of the standard deviations of the poses -> colour."""
 
 
 def write(review: Review, path: Path, *, ray: int | None = None, progress: Progress | None = None) -> None:
@@ -32,7 +32,7 @@ def write(review: Review, path: Path, *, ray: int | None = None, progress: Progr
 
     Parameters
     ----------
-    ray : whose series is shown; None: the one that looks straight ahead
+    ray : Index of the ray whose time series is shown. None: the ray straight ahead.
     """
     sensor = review.run.sensor
     if ray is None:
@@ -50,7 +50,7 @@ def write(review: Review, path: Path, *, ray: int | None = None, progress: Progr
 
 
 def _log_static(recording: rr.RecordingStream, review: Review) -> None:
-    """Log what does not change: walls, paths, maps, cells, bars, report."""
+    """Log the static entities: walls, paths, maps, cells, bars, report."""
     flip = rr.Transform3D(scale=[1, -1, 1])  # the 2-D view's y points down
     recording.log("plan", flip, static=True)
     if review.arena is not None:
@@ -120,7 +120,7 @@ def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray:
 
 
 def _layers(review: Review) -> Iterator[tuple[str, Floats, tuple[int, int, int]]]:
-    """Yield name, ranges (n_shown, n_rays) and colour of the points: measured ones by verdict, then predicted."""
+    """Yield name, ranges (n_shown, n_rays) and colour of each layer: measured points by verdict, then predicted points."""
     verdicts = review.verdicts
     yield "measured", np.where(verdicts == RayVerdict.UNSCORED, review.measured, np.nan), WHITE
     if review.predicted is not None:
@@ -134,7 +134,7 @@ def _layers(review: Review) -> Iterator[tuple[str, Floats, tuple[int, int, int]]
 
 
 def _layout(review: Review, ray: int) -> rrb.Blueprint:
-    """Two rows of three: scan on arena, maps, cells; one ray, error per ray or of the poses, report."""
+    """Return the layout. Above: scan on arena, maps, cells. Below: one ray, error per ray or of the poses, report."""
     x0, y0, x1, y1 = _extent(review)
     bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     scan = rrb.Spatial2DView(
@@ -182,7 +182,7 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
     far = float(np.quantile(returns, 0.98)) if len(returns) else review.run.sensor.range_max
     degrees = np.degrees(review.run.sensor.bearings[ray])
     series = rrb.TimeSeriesView(
-        name=f"ray {ray} at {degrees:.0f} degrees [m]",
+        name=f"range of ray {ray} at {degrees:.0f} degrees [m]",
         origin="/ray",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * far)),
         plot_legend=rrb.Corner2D.LeftTop,
@@ -200,10 +200,10 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
 
 
 def _middle(review: Review) -> list[rrb.View]:
-    """Return the view of the errors per ray; without a graph that of the poses' standard deviations, if there are any."""
+    """Return the view of the error per ray or, without a graph, of the standard deviations of the poses if known."""
     if review.evaluation is not None:
         bars = rrb.BarChartView(
-            name="RMSE per ray [cm] over bearing [degrees]",
+            name="RMSE of each ray [cm] over bearing [degrees]",
             origin="/error_per_ray",
             plot_legend=rrb.PlotLegend(visible=False),
         )
@@ -221,8 +221,8 @@ def _middle(review: Review) -> list[rrb.View]:
 
 
 def _scan_name(review: Review) -> str:
-    """Say what the colours of the scan mean."""
-    what = "nearest surface somewhere on each arc" if measures_cones(review.run.sensor) else "measured"
+    """Return the title of the scan view, which explains its colours."""
+    what = "measured: nearest surface on each arc" if measures_cones(review.run.sensor) else "measured"
     if review.predicted is None:
         return what
     return f"{what}: teal right, pink wrong, violet not answered; orange predicted"
