@@ -170,7 +170,7 @@ def test_a_graph_of_cones_is_kept_and_is_not_updated(
     poses = free_poses(room, 20, np.random.default_rng(5))
     np.testing.assert_array_equal(again.predict(poses).ranges, graph.predict(poses).ranges)
     run = run_of(room, ring(), 50, 6)
-    with pytest.raises(SensorgraphError, match="cones, which are not updated; build it again"):
+    with pytest.raises(SensorgraphError, match="cones, which cannot be updated; build it again"):
         sg.build(run, update=graph)
     with pytest.raises(SensorgraphError, match="cells take thin rays: set `model` faces"):
         sg.build(run, model="cells")

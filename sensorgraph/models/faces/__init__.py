@@ -1,1 +1,1 @@
-"""Model `faces`: straight, one-sided faces with visible stretches; exact where walls are straight."""
+"""Model `faces`: straight, one-sided faces with visible stretches; exact for straight walls."""

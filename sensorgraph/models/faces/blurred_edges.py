@@ -1,9 +1,10 @@
-"""Edges among crossings whose places are known up to the noise of the poses.
+"""Edges among crossings whose positions are uncertain due to the noise of the poses.
 
-Where poses are off by a little, rays on both sides of a sharp edge do both: stop and pass. The more rays, the surer it
-is that this margin is neither: cut as it stands, an edge becomes a stair of stretches that are not there, and the longer
-the log the more steps. Here a crossing at t with standard error τ stops with the chance that a sharp edge at s leaves it,
-`before` + (`after` - `before`) Φ((t - s) / τ). A stretch stays only if it is worth its price against one edge so blurred.
+P(stop | t) = before + (after - before) Φ((t - s) / τ) for a crossing at t with standard error τ, and a sharp edge at s.
+
+With noisy poses, rays on both sides of a sharp edge stop and pass. A partition that neglects this cuts the edge into
+several spurious stretches, and their number grows with the length of the log. Here a stretch is kept only if it gains
+more log likelihood over one blurred edge than its complexity penalty.
 """
 
 from __future__ import annotations
@@ -22,20 +23,23 @@ MAX_ERRORS, WINDOW = EDGES.max_step_errors, EDGES.window_errors
 MIN_CHANCE = EDGES.min_visibility
 PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
 MIN_ERROR = 1e-7
-"""[m] below it a crossing's place is exact."""
+"""[m] Standard error below which the position of a crossing is exact."""
 
 
 @kernel
 def blur_edges(
-    t: Any, stop: Any, weight: Any, error: Any, edges: Any, levels: Any, errors: Any, price: Any
+    t: Any, stop: Any, weight: Any, error: Any, edges: Any, levels: Any, errors: Any, penalty: Any
 ) -> Any:
-    """Drop stretches that blurred edges explain, and move the others' edges to where they explain most.
+    """Remove stretches that one blurred edge explains, and move the other edges to the maximum of the likelihood.
+
+    Stretches are tested from narrow to wide. A stretch is removed if the log likelihood of one blurred edge, plus
+    `penalty`, is at least that of the two edges of the stretch.
 
     Parameters
     ----------
-    t, stop, weight, error : (n,) crossings of one face as in `Crossings`, sorted
-    edges, levels, errors : (m + 1,) of its stretches, the level after the last edge 0; errors: of the edges' places [m]
-    price : [nats] that a stretch must be worth
+    t, stop, weight, error : (n,) Crossings of one face as in `Crossings`, sorted.
+    edges, levels, errors : (m + 1,) Edges of its stretches, visibility after each (the last is 0), standard errors [m].
+    price : [nats] Complexity penalty of a stretch.
 
     Returns
     -------
@@ -53,18 +57,18 @@ def blur_edges(
         if j < 0:
             break
         is_kept[j] = True
-        spread = _error_about(t, error, 0.5 * (e[j] + e[j + 1]))
+        spread = _mean_error(t, error, 0.5 * (e[j] + e[j + 1]))
         if width > MAX_ERRORS * spread:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 2], e[j + 1] + WINDOW * spread)
         a, b = np.searchsorted(t, low), np.searchsorted(t, high)
         before, own, after = level[j - 1], level[j], level[j + 1]
-        stairs = max(
+        two_edges = max(
             _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 1.0),
             _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 0.0),
         )
-        place, one = _best_place(t, stop, weight, error, a, b, before, after, e[j], e[j + 1])
-        if one + price < stairs:
+        place, one_edge = _best_place(t, stop, weight, error, a, b, before, after, e[j], e[j + 1])
+        if one_edge + penalty < two_edges:
             continue
         e[j], se[j] = place, max(se[j], se[j + 1])
         for k in range(j + 1, n - 1):
@@ -75,7 +79,7 @@ def blur_edges(
         is_kept[j - 1] = is_kept[j] = False
         _fit_levels(t, stop, weight, error, e, level, n)
     for j in range(1, n - 1):
-        spread = _error_about(t, error, e[j])
+        spread = _mean_error(t, error, e[j])
         if spread < MIN_ERROR:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 1], e[j] + WINDOW * spread)
@@ -90,14 +94,14 @@ def blur_edges(
 
 
 @inner_kernel
-def _below(x: Any) -> Any:
+def _normal_cdf(x: Any) -> Any:
     """Return Φ(x)."""
     return 0.5 * math.erfc(-x * 0.7071067811865476)
 
 
 @kernel
-def _error_about(t: Any, error: Any, place: Any) -> Any:
-    """Return the standard error [m] of the crossings about a place, those next to it."""
+def _mean_error(t: Any, error: Any, place: Any) -> Any:
+    """Return the mean standard error [m] of the crossings next to a position."""
     middle: Any = np.searchsorted(t, place)
     total, count = 0.0, 0
     for i in range(max(middle - 10, 0), min(middle + 10, len(t))):
@@ -107,7 +111,7 @@ def _error_about(t: Any, error: Any, place: Any) -> Any:
 
 
 @inner_kernel
-def _nats(y: Any, w: Any, p: Any) -> Any:
+def _log_likelihood(y: Any, w: Any, p: Any) -> Any:
     p = min(max(p, MIN_CHANCE), 1.0 - MIN_CHANCE)
     return w * (y * math.log(p) + (1.0 - y) * math.log(1.0 - p))
 
@@ -117,13 +121,13 @@ def _two_edges(
     t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, own: Any, after: Any,
     first: Any, second: Any, blur: Any,
 ) -> Any:  # fmt: skip
-    """Return the log likelihood of crossings a ... b - 1 by two edges; `blur` 0: as if their places were exact."""
+    """Return the log likelihood of crossings a ... b - 1 for two edges; with `blur` 0 their positions are exact."""
     total = 0.0
     for i in range(a, b):
         tau = max(blur * error[i], MIN_ERROR)
-        p = before + (own - before) * _below((t[i] - first) / tau)
-        p += (after - own) * _below((t[i] - second) / tau)
-        total += _nats(stop[i], weight[i], p)
+        p = before + (own - before) * _normal_cdf((t[i] - first) / tau)
+        p += (after - own) * _normal_cdf((t[i] - second) / tau)
+        total += _log_likelihood(stop[i], weight[i], p)
     return total
 
 
@@ -131,7 +135,7 @@ def _two_edges(
 def _best_place(
     t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, after: Any, low: Any, high: Any
 ) -> Any:
-    """Return where between low and high one blurred edge explains crossings a ... b - 1 best, and how well."""
+    """Return the position between low and high at which one blurred edge is most likely, and its log likelihood."""
     best, place = -np.inf, 0.5 * (low + high)
     centre, half = place, 0.5 * (high - low)
     for _ in range(SEARCH_ROUNDS):
@@ -141,8 +145,8 @@ def _best_place(
                 continue
             total = 0.0
             for i in range(a, b):
-                p = before + (after - before) * _below((t[i] - s) / max(error[i], MIN_ERROR))
-                total += _nats(stop[i], weight[i], p)
+                p = before + (after - before) * _normal_cdf((t[i] - s) / max(error[i], MIN_ERROR))
+                total += _log_likelihood(stop[i], weight[i], p)
             if total > best:
                 best, place = total, s
         centre, half = place, half / SEARCH_HALF
@@ -151,12 +155,12 @@ def _best_place(
 
 @inner_kernel
 def _information(t: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, after: Any, place: Any) -> Any:
-    """Return the Fisher information [1/m²] of a blurred edge's place."""
+    """Return sum_i w_i (dp_i/ds)² / (p_i (1 - p_i)): the Fisher information [1/m²] of a blurred edge's position."""
     total = 0.0
     for i in range(a, b):
         tau = max(error[i], MIN_ERROR)
         x = (t[i] - place) / tau
-        p = min(max(before + (after - before) * _below(x), MIN_CHANCE), 1.0 - MIN_CHANCE)
+        p = min(max(before + (after - before) * _normal_cdf(x), MIN_CHANCE), 1.0 - MIN_CHANCE)
         slope = (after - before) * 0.3989422804014327 * math.exp(-0.5 * x * x) / tau
         total += weight[i] * slope * slope / (p * (1.0 - p))
     return total
@@ -164,8 +168,8 @@ def _information(t: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, a
 
 @kernel
 def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, n: Any) -> Any:
-    """Set the visibility of n - 1 stretches by EM: a crossing near an edge may have been beyond it."""
-    stopped, looked = np.zeros(n), np.zeros(n)
+    """Set the visibility of n - 1 stretches by EM; a crossing near an edge may belong to the adjacent stretch."""
+    stopped, crossed = np.zeros(n), np.zeros(n)
     near, count = np.empty(len(t), np.int64), 0
     j = 0
     for i in range(len(t)):
@@ -177,21 +181,21 @@ def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, 
             count += 1
         else:
             stopped[j] += stop[i] * weight[i]
-            looked[j] += weight[i]
+            crossed[j] += weight[i]
     if count == 0:
         return
     now, all_ = np.empty(n), np.empty(n)
     for _ in range(LEVEL_PASSES):
         for k in range(n):
-            now[k], all_[k] = stopped[k], looked[k]
+            now[k], all_[k] = stopped[k], crossed[k]
         j = 0
         for m in range(count):
             i = near[m]
             while j < n - 2 and t[i] >= e[j + 1]:
                 j += 1
             tau = max(error[i], MIN_ERROR)
-            left = _below((e[j] - t[i]) / tau) if j > 0 else 0.0
-            right = _below((t[i] - e[j + 1]) / tau) if j < n - 2 else 0.0
+            left = _normal_cdf((e[j] - t[i]) / tau) if j > 0 else 0.0
+            right = _normal_cdf((t[i] - e[j + 1]) / tau) if j < n - 2 else 0.0
             share = max(1.0 - left - right, 0.0)
             p = share * level[j]
             if j > 0:

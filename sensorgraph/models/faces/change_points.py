@@ -1,4 +1,9 @@
-"""The edges of visible stretches: change points in what rays did along a face."""
+"""Edges of visible stretches: change points in the outcomes of rays along a face.
+
+Optimal partitioning (Jackson et al. 2005): F(b) = min_{a < b} (F(a) + penalty + C(a, b)), with F(0) = -penalty.
+Cost of a stretch: C(a, b) = -s log p - (w - s) log(1 - p), with p = (s + prior_stops) / (w + prior_crossings).
+The sums s of the stops and w of the weights run over the crossings between a and b.
+"""
 
 from __future__ import annotations
 
@@ -32,18 +37,18 @@ PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.
 
 
 class Crossings(NamedTuple):
-    """What rays did where they crossed faces, sorted along each face."""
+    """Outcomes of rays where they crossed faces, sorted along each face."""
 
     t: Floats
-    """(n_looks,) [m] abscissa."""
+    """(n_looks,) [m] abscissa of the crossing."""
     stop: Floats
-    """(n_looks,) chance that the ray stopped there, given that it came so far."""
+    """(n_looks,) probability that the ray stopped there, given that it came that far."""
     weight: Floats
-    """(n_looks,) chance that it came so far, times the rays that it stands for."""
+    """(n_looks,) probability that the ray came that far, times the number of rays it represents."""
     error: Floats
     """(n_looks,) [m] standard error of the abscissa, from the noise of the poses."""
     bounds: Ints
-    """(n_faces + 1,) where each face's crossings begin."""
+    """(n_faces + 1,) index of each face's first crossing."""
 
     def at(self, k: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return abscissae, stops, weights and errors of face k."""
@@ -59,12 +64,11 @@ class Crossings(NamedTuple):
 
 
 def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
-    """Replace bins by stretches of constant visibility whose edges lie where outcomes change.
+    """Replace bins by stretches of constant visibility with edges at the change points of the outcomes.
 
-    The outcomes of all crossings of a face, sorted along it, are cut by dynamic programming (optimal partitioning,
-    Jackson et al. 2005) at the places that are worth more than `FaceEdgeSettings.min_gain` nats; an edge lies midway between the
-    crossings on both sides of it, or where it explains them best if their places are uncertain (`blurred_edges`). A face
-    may be left that stops nothing: see `is_visible`.
+    The crossings of each face, sorted along it, are partitioned by dynamic programming. An edge lies midway between
+    the adjacent crossings; if their positions are uncertain, it lies at the maximum of the likelihood
+    (`blurred_edges`). Faces that stop no ray remain; see `is_visible`.
     """
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
@@ -88,7 +92,7 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
 def crossings_of(
     rays: Rays, faces: FaceSet, noise: ReturnNoise, pose_errors: tuple[float, float] = (0.0, 0.0)
 ) -> Crossings:
-    """List what rays did at faces; `pose_errors` [m, rad] are left in refined poses, beside the noise."""
+    """List the crossings of rays with faces; the errors of refined poses `pose_errors` [m, rad] add to the noise."""
     xy, yaw = np.hypot([noise.sigma_xy, noise.sigma_yaw], pose_errors)
     face, t, stop, weight, error = _list_crossings(
         rays.origins,
@@ -108,14 +112,14 @@ def crossings_of(
 def sorted_crossings(
     face: Ints, t: Floats, stop: Floats, weight: Floats, error: Floats, n_faces: int
 ) -> Crossings:
-    """Sort crossings (n,) by face, then along it."""
+    """Sort crossings (n,) by face, then by abscissa."""
     order = np.argsort(_sort_key(face, t), kind="stable")
     bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
     return Crossings(t[order], stop[order], weight[order], error[order], bounds)
 
 
 def is_visible(faces: FaceSet) -> Bools:
-    """Tell which faces (n_faces,) stop anything."""
+    """Return a mask (n_faces,) of the faces with a visible stretch."""
     return np.array(
         [
             (faces.levels[faces.first[k] : faces.first[k + 1]] > MIN_VISIBILITY).any()
@@ -126,7 +130,7 @@ def is_visible(faces: FaceSet) -> Bools:
 
 
 def _sort_key(face: Ints, t: Floats) -> Floats:
-    """Return a key (n,) that sorts by face, then by abscissa: one sort instead of two."""
+    """Return a key (n,) that sorts by face, then by abscissa, so that one sort suffices."""
     if len(t) == 0:
         return np.zeros(0)
     low, high = t.min(), t.max()
@@ -134,7 +138,7 @@ def _sort_key(face: Ints, t: Floats) -> Floats:
 
 
 def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
-    """Return some faces; neighbours that are gone become -1."""
+    """Return some faces; neighbours that are removed become -1."""
     parts = [np.arange(faces.first[k], faces.first[k + 1]) for k in index]
     place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
     renamed = np.full(faces.n_faces + 1, -1, dtype=np.intp)
@@ -155,7 +159,7 @@ def _list_crossings(
     origins: Any, directions: Any, ranges: Any, range_max: Any, weights: Any, faces: Any, buckets: Any, noise: Any,
     var_xy: Any, var_yaw: Any,
 ) -> Any:  # fmt: skip
-    """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, that chance, error."""
+    """List all crossings: face, abscissa, P(stop | reached), P(reached) times the ray's weight, standard error."""
     size = 3 * len(ranges) + 64
     face, rows = np.empty(size, np.int32), np.empty((4, size))
     at, stop, weight, error = rows[0], rows[1], rows[2], rows[3]
@@ -191,25 +195,25 @@ def _list_crossings(
 
 
 def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:
-    """Cut sorted crossings into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
+    """Partition sorted crossings; return edges, visibility after each (the last is 0) and standard errors."""
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
-    price = FACES.edges.min_gain + 0.5 * np.log(len(t))
-    cuts = _without_idle_cuts(_partition(stop, weight, price), stop, weight, price)
-    stopped, looked = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
-    level = (stopped + PRIOR_STOPS) / (looked + PRIOR_CROSSINGS)
+    penalty = FACES.edges.min_gain + 0.5 * np.log(len(t))
+    cuts = _without_weak_cuts(_partition(stop, weight, penalty), stop, weight, penalty)
+    stopped, crossed = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
+    level = (stopped + PRIOR_STOPS) / (crossed + PRIOR_CROSSINGS)
     inner = cuts[1:-1]
     edges = np.concatenate([t[:1], (t[inner - 1] + t[inner]) / 2, t[-1:]])
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
     level = np.append(level, 0.0)
     if len(inner) and error.any():
-        edges, level, gap = blur_edges(t, stop, weight, error, edges, level, gap, price)
+        edges, level, gap = blur_edges(t, stop, weight, error, edges, level, gap, penalty)
     level[level < MIN_VISIBILITY * FACES.edges.visibility_factor] = 0.0
     return edges + 1e-9 * np.arange(len(edges)), level, gap
 
 
-def _without_idle_cuts(cuts: Ints, stop: Floats, weight: Floats, price: float) -> Ints:
-    """Drop cuts that are not worth their price: those of stretches with more runs than the partition looks back."""
+def _without_weak_cuts(cuts: Ints, stop: Floats, weight: Floats, penalty: float) -> Ints:
+    """Remove cuts whose gain is below the penalty; they occur in stretches with more runs than the partition allows."""
 
     def cost(first: int, last: int) -> float:
         s, w = sums[last] - sums[first]
@@ -222,7 +226,7 @@ def _without_idle_cuts(cuts: Ints, stop: Floats, weight: Floats, price: float) -
     k = 1
     while k < len(kept) - 1:
         a, b, c = kept[k - 1 : k + 2]
-        if cost(a, c) - cost(a, b) - cost(b, c) < price:
+        if cost(a, c) - cost(a, b) - cost(b, c) < penalty:
             del kept[k]
             k = max(k - 1, 1)
         else:
@@ -231,10 +235,10 @@ def _without_idle_cuts(cuts: Ints, stop: Floats, weight: Floats, price: float) -
 
 
 @kernel
-def _partition(stop: Any, weight: Any, price: Any) -> Any:
-    """Cut outcomes where it pays: the first crossing of every stretch, and their count."""
+def _partition(stop: Any, weight: Any, penalty: Any) -> Any:
+    """Partition outcomes by dynamic programming; return the first crossing of every stretch and the number n."""
     n = len(stop)
-    starts = np.empty(n + 1, np.int64)  # runs of equal outcome: edges lie between them
+    starts = np.empty(n + 1, np.int64)  # of runs of equal outcome; edges lie between runs
     n_runs = 0
     for i in range(n):
         if i == 0 or (stop[i] > 0.5) != (stop[i - 1] > 0.5):
@@ -251,12 +255,12 @@ def _partition(stop: Any, weight: Any, price: Any) -> Any:
     best, since = np.empty(n_runs + 1), np.zeros(n_runs + 1, np.int64)
     for b in range(n_runs + 1):
         best[b] = np.inf
-    best[0] = -price
+    best[0] = -penalty
     for b in range(1, n_runs + 1):
         for a in range(max(0, b - MAX_RUNS), b):
             s, w = ones[b] - ones[a], all_[b] - all_[a]
             p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
-            cost = best[a] + price - s * np.log(p) - (w - s) * np.log(1 - p)
+            cost = best[a] + penalty - s * np.log(p) - (w - s) * np.log(1 - p)
             if cost < best[b]:
                 best[b], since[b] = cost, a
     cuts = np.empty(n_runs + 1, np.int64)

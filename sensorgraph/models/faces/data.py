@@ -1,4 +1,4 @@
-"""What a model of faces holds, and its form in a file."""
+"""Fields of the model `faces`, and their form in a file."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ class FacesData:
     faces: FaceSet
     noise: ReturnNoise
     hits: Floats
-    """(n_faces,) training returns that each face explains."""
+    """(n_faces,) number of training returns that each face explains."""
     observed: ObservedSpace
     returns: float
     """Share of the training rays that returned."""
     mount: Floats
-    """(3,) [m, m, rad] laser in the frame of the poses, as identified."""
+    """(3,) [m, m, rad] identified pose of the laser in the frame of the poses."""
     calibration: Calibration
-    """How the laser differs from what was stated; identity for a perfect one."""
+    """Identified deviation of the laser from its specification; none for a perfect laser."""
     n_rays: int = 0
-    """Training rays."""
+    """Number of training rays."""
     statistics: SufficientStatistics | None = None
-    """What new runs are added to."""
+    """Statistics to which new runs are added."""
     cells: CellModel | None = None
-    """What predicts where long faces do not explain enough."""
+    """Model that predicts in place of the faces if these leave too much unexplained."""
 
 
 def stored(model: FacesData) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return plain data and arrays that hold the whole model."""
+    """Return plain data and arrays that describe the whole model."""
     noise = {name: getattr(model.noise, name) for name in ReturnNoise.__dataclass_fields__}
     calibration, terms = model.calibration.state()
     header: dict[str, Any] = {
@@ -76,11 +76,11 @@ def stored(model: FacesData) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 def restored_fields(
     sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
 ) -> dict[str, Any]:
-    """Return the fields of the model whose plain data and arrays `stored` gave.
+    """Return the fields of the model from the output of `stored`.
 
     Raises
     ------
-    ValueError : an array has a wrong shape, or points outside another one, or a number that no model has
+    ValueError : An array has a wrong shape or invalid indices, or a number is out of range.
     """
     for name in ("first", "neighbour"):
         check_shape(name, arrays[name], (arrays[name].size,), "iu")
@@ -88,7 +88,7 @@ def restored_fields(
         **{name: np.asarray(arrays[name], _INTEGER_FIELDS.get(name, float)) for name in FaceSet._fields}
     )
     _check_face_set(faces)
-    _check_rest(faces, header, arrays)
+    _check_other_fields(faces, header, arrays)
     statistics = _with_prefix("memory.", arrays)
     return {
         "sensor": sensor,
@@ -118,19 +118,21 @@ def restored_fields(
 
 
 def _with_prefix(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return the arrays whose names begin with a prefix, by the rest of their names."""
+    """Return the arrays whose names begin with a prefix, with the prefix removed."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 ROUNDING = 1e-6
-"""By which a stored share may exceed 1, and the length of a normal differ from it."""
+"""Tolerance of a stored share above 1, and of the length of a normal."""
 MAX_DISTANCE = 1e8
-"""[m] of a stored face from the origin of map."""
+"""[m] Maximum distance of a stored face from the origin of map."""
 _INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
 
 
-def _check_rest(faces: FaceSet, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse what belongs to the faces and cannot be so."""
+def _check_other_fields(
+    faces: FaceSet, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> None:
+    """Check everything but the faces themselves."""
     check_shape("hits", arrays["hits"], (faces.n_faces,), "f")
     check_shape("mount", arrays["mount"], (3,), "f")
     check_shape("crossed.origin", arrays["crossed.origin"], (2,), "f")
@@ -155,14 +157,14 @@ def _check_rest(faces: FaceSet, header: Mapping[str, Any], arrays: Mapping[str, 
 
 
 def _check_face_set(faces: FaceSet) -> None:
-    """Refuse arrays that kernels would read beyond their ends."""
+    """Check arrays that kernels would otherwise read beyond their ends."""
     k, e = faces.n_faces, len(faces.edges)
     shapes = {name: np.shape(getattr(faces, name)) for name in FaceSet._fields}
-    right = {"normals": (k, 2), "offsets": (k,), "first": (k + 1,)} | dict.fromkeys(
+    expected = {"normals": (k, 2), "offsets": (k,), "first": (k + 1,)} | dict.fromkeys(
         ("edges", "levels", "blur", "neighbour"), (e,)
     )
-    if shapes != right:
-        raise ValueError(f"faces have shapes {shapes}, expected {right}")
+    if shapes != expected:
+        raise ValueError(f"faces have shapes {shapes}, expected {expected}")
     if faces.first[0] != 0 or faces.first[-1] != e or (np.diff(faces.first) < 1).any():
         raise ValueError(
             f"faces' edges start at {faces.first.tolist()[:8]} ..., expected 0 to {e}, increasing"
@@ -171,14 +173,16 @@ def _check_face_set(faces: FaceSet) -> None:
     check_range("blur", faces.blur, 0)
     ends = faces.first[1:] - 1
     if faces.levels[ends].any():
-        raise ValueError("something is visible beyond the last edge of a face, expected nothing")
+        raise ValueError("levels is positive at the last edge of a face, expected 0")
     inside = np.ones(e, dtype=np.bool_)
     inside[ends] = False
     if (np.diff(faces.edges)[inside[:-1]] < 0).any():
         raise ValueError("the edges of a face are not in increasing order")
     if (np.abs(np.hypot(*faces.normals.T) - 1) > ROUNDING).any():
-        raise ValueError("a normal of a face has not length 1")
+        raise ValueError("a normal of a face is not a unit vector")
     check_range("offsets", faces.offsets, -MAX_DISTANCE, MAX_DISTANCE)
     check_range("edges", faces.edges, -MAX_DISTANCE, MAX_DISTANCE)
     if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
-        raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")
+        raise ValueError(
+            f"neighbour reaches {faces.neighbour.max()}, expected less than {k}, the number of faces"
+        )

@@ -1,4 +1,4 @@
-"""Print the equations of one ray: each face as a rational function of the pose, and where the face is visible."""
+"""Equations of one ray as text: each face as a rational function of the pose, and its visible stretches."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def face_equations(
     ray: int,
     bearing: float,
 ) -> list[str]:
-    """Write the equations of a ray, face by face, those that explain most returns first; one line each.
+    """Return the equations of a ray as text, face by face, in the order of the returns that the faces explain.
 
     Parameters
     ----------
-    hits : (n_faces,) training returns of each face
-    mount : (3,) [m, m, rad] laser in the frame of the poses
-    bearing : [rad] of the ray in the laser frame
+    hits : (n_faces,) Training returns of each face.
+    mount : (3,) [m, m, rad] Pose of the laser in the frame of the poses.
+    bearing : [rad] Bearing of the ray in the laser frame.
     """
     lines = [
         f"ray {ray}, bearing {math.degrees(bearing):.2f}°: the first of these faces that stops it",
-        "(x, y, phi: pose; c = cos phi, s = sin phi; a face counts where its denominator is negative)",
+        "(x, y, phi: pose; c = cos phi, s = sin phi; only faces with a negative denominator count)",
     ]
     for k in np.argsort(-hits, kind="stable").tolist():
         lines.append(f"face {k}: r = {_rational(faces, k, mount, float(bearing + mount[2]))}")
@@ -40,11 +40,11 @@ def face_equations(
     spread = f"{noise.sigma:.4f} m"
     if noise.sigma_xy > 0 or noise.sigma_yaw > 0:
         spread += f" of range, {noise.sigma_xy:.4f} m and {noise.sigma_yaw:.5f} rad of pose"
-    return [*lines, *_laser_terms(terms, ray), f"returns spread by {spread}"]
+    return [*lines, *_laser_terms(terms, ray), f"the standard deviation of a return is {spread}"]
 
 
 def _laser_terms(terms: RayTerms, ray: int) -> list[str]:
-    """Write what the laser adds to the range of a face; nothing for a perfect one."""
+    """Return what the laser adds to the range of a face as text; empty for a perfect laser."""
     added = terms.equation(ray)
     if not added:
         return []
@@ -55,7 +55,7 @@ def _laser_terms(terms: RayTerms, ray: int) -> list[str]:
 
 
 def _rational(faces: FaceSet, k: int, mount: Floats, bearing: float) -> str:
-    """Write (d - n·q) / (n·u) in x, y, c, s for a ray at `bearing` [rad] in the frame of the poses."""
+    """Return r = (d - n·q) / (n·u) as text in x, y, c, s, for a ray at `bearing` [rad] in the frame of the poses."""
     (nx, ny), d = faces.normals[k], faces.offsets[k]
     mx, my = mount[:2]
     cos, sin = math.cos(bearing), math.sin(bearing)
@@ -65,11 +65,11 @@ def _rational(faces: FaceSet, k: int, mount: Floats, bearing: float) -> str:
 
 
 def _visible_stretches(faces: FaceSet, k: int) -> str:
-    """Write the visible stretches of a face over t, the abscissa along it."""
+    """Return the visible stretches of a face as text, in terms of the abscissa t along it."""
     a, b = faces.first[k], faces.first[k + 1] - 1
     (nx, ny), edges, levels = faces.normals[k], faces.edges, faces.levels
     parts = [
-        f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (chance {levels[j]:.3f})"
+        f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (probability {levels[j]:.3f})"
         for j in range(a, b)
         if levels[j] > MIN_VISIBILITY
     ]
@@ -77,7 +77,7 @@ def _visible_stretches(faces: FaceSet, k: int) -> str:
 
 
 def sum_text(parts: list[tuple[float, str]]) -> str:
-    """Write a sum of products, leaving zeros out."""
+    """Return a sum of products as text, without terms that are 0."""
     text = ""
     for value, name in parts:
         if abs(value) < 5e-6:

@@ -1,4 +1,4 @@
-"""Fit faces to rays: select on moments, explain by EM, split what bends, select again among what is left."""
+"""Fit of faces to rays: select lines on moments, estimate visibility by EM, split bent faces, repeat for the rest."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ logger = logging.getLogger(__name__)
 
 FIT = FACES.fit
 SELECT_PASSES, SPLIT_PASSES, FINAL_PASSES = 4, 2, 5
-"""Passes over the rays that a selection, a split and the last fit take, about; they only tell progress."""
+"""Approximate cost of a selection, a split and the last fit in passes over the rays; used for progress only."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedFaces:
-    """What `fit_faces` found."""
+    """Result of `fit_faces`."""
 
     faces: FaceSet
     noise: ReturnNoise
     expectation: Expectation
-    """Of the last pass, over `n_rays` rays."""
+    """Expectation of the last pass, over `n_rays` rays."""
     n_rays: int
     statistics: SufficientStatistics | None = None
-    """What new runs are added to; None in drafts."""
+    """Statistics to which new runs are added; None for drafts."""
 
     @property
     def hits(self) -> Floats:
-        """(n_faces,) expected returns from each face, of the rays that those fitted to stand for."""
+        """(n_faces,) expected returns from each face, among the rays that the fitted ones represent."""
         return (self.expectation if self.statistics is None else self.statistics).line_sums[:, 5]
 
 
@@ -53,14 +53,14 @@ def fit_faces(
     pose_errors: tuple[float, float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> FittedFaces:
-    """Find the faces that explain rays.
+    """Fit faces to rays.
 
     Parameters
     ----------
-    rays : their weights count in the statistics; places and directions count alike in the fit
-    hit_moments : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
-    sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
-    pose_errors : [m, rad] left in poses that were refined by these rays: it does not show in the noise any more
+    rays : Rays whose weights count in the statistics; in the fit all rays count equally.
+    hit_moments : Pooled hits of all rays, of which `rays` are a sample. None: those of `rays`.
+    sigma : [m] Initial range noise; the noise of ranges and poses is estimated.
+    pose_errors : [m, rad] Errors of poses that were refined with these rays; the estimated noise does not include them.
     """
     work = WorkCounter(progress, fit_cost(len(rays)))
     if hit_moments is None:
@@ -69,12 +69,12 @@ def fit_faces(
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
     work.add(SELECT_PASSES * len(draft))
     for _ in range(FIT.rounds):
-        more = _lines_unexplained(draft, expectation, noise)
+        more = _select_unexplained(draft, expectation, noise)
         faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
         work.add((SPLIT_PASSES + FIT.round_passes) * len(draft))
-        logger.info("%d faces, %.4f nats a ray", faces.n_faces, expectation.log_likelihood / len(draft))
+        logger.info("%d faces, %.4f nats per ray", faces.n_faces, expectation.log_likelihood / len(draft))
     faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     work.add(len(draft))
@@ -97,9 +97,9 @@ def fit_faces(
 
 
 def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
-    """Find straight faces of a draft of the rays, whose returns may be off by `sigma` [m] for any reason.
+    """Fit straight faces to a subset of the rays, whose returns have the standard deviation `sigma` [m].
 
-    Nothing is split: what bends a face may be the sensor.
+    Bent faces are not split, since the sensor may cause the bend.
     """
     draft = _thinned(replace(rays, weights=None), FIT.draft_rays)
     faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
@@ -109,16 +109,16 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
 def _select_and_fit(
     rays: Rays, hit_moments: HitMoments, sigma: float
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:
-    """Select faces; once more with a wider band if hits spread wider than was thought (noise of the poses)."""
+    """Select faces; repeat with a wider band if the hits spread more than assumed, due to noise of the poses."""
     for _ in range(FIT.max_selections):
         lines = select_lines(hit_moments, sigma=sigma)
         faces, noise, expectation = _em(
             rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=FIT.first_passes
         )
-        wide = _spread_across_faces(expectation, noise)
-        if wide < FIT.wide_ratio * sigma:
+        spread = _spread_across_faces(expectation, noise)
+        if spread < FIT.wide_ratio * sigma:
             break
-        sigma = wide
+        sigma = spread
     return faces, noise, expectation
 
 
@@ -135,14 +135,14 @@ def _spread_across_faces(expectation: Expectation, noise: ReturnNoise) -> float:
 def _em(
     rays: Rays, faces: FaceSet, noise: ReturnNoise, *, passes: int
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:
-    """Alternate E and M steps; the lines rest in the first of several, until visibility has settled."""
+    """Alternate E and M steps; in the first of several passes only visibility is updated, not the lines."""
     for i in range(passes):
         expectation = e_step(rays, faces, noise)
         faces, noise = m_step(faces, expectation, noise, refit=i > 0 or passes == 1)
     return faces, noise, expectation
 
 
-def _lines_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise) -> Lines:
+def _select_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise) -> Lines:
     """Select lines among the returns that no face explains."""
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
@@ -150,9 +150,9 @@ def _lines_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:
-    """Take some rays if there are too many: of each place and direction, up to the same number.
+    """Return at most `most` rays, with up to the same number from each place and direction.
 
-    Rays from the same place in the same direction tell the same once more, and those of a place that was passed once
+    Further rays from the same place in the same direction add little information, while rays from a place visited once
     are all there is.
     """
     if len(rays) <= most:
@@ -162,6 +162,6 @@ def _thinned(rays: Rays, most: int) -> Rays:
 
 
 def fit_cost(n_rays: int) -> int:
-    """Return how many rays `fit_faces` looks at in all its passes, about: a measure of its time."""
+    """Return the approximate number of rays that `fit_faces` processes in all its passes, as a measure of its time."""
     draft, final = min(n_rays, FIT.draft_rays), min(n_rays, FIT.final_rays)
     return (SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + 1) * draft + FINAL_PASSES * final

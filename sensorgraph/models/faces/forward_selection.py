@@ -1,8 +1,11 @@
-"""Forward selection of faces on pooled moments: the face that explains most hits first (ERR, with faces as terms).
+"""Forward selection of faces on pooled moments: the face that explains most hits first.
 
-Each cell of hits votes for the lines through it whose normal agrees with its surroundings (a Hough transform);
-the strongest line is fitted by total least squares, cut where its run of hits ends, and its cells are taken away.
-The cost depends on the cells that were hit, not on the length of the log.
+The criterion is the error reduction ratio, with faces as terms. A line n·p = d minimises sum_i w_i (n·p_i - d)²
+(total least squares): n is the eigenvector of the smaller eigenvalue of the covariance of its hits.
+
+Each cell of hits votes for the lines through it whose normal agrees with its surroundings (Hough transform). The
+strongest line is fitted, cut at gaps in its hits, and its cells are removed. The cost depends on the number of cells
+that were hit, not on the length of the log.
 """
 
 from __future__ import annotations
@@ -30,12 +33,12 @@ REFITS, MAX_LINES, MAX_FAILURES = SELECTION.refits, SELECTION.max_lines, SELECTI
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lines:
-    """One-sided lines n·p = d with the stretch of abscissae t·p where hits were pooled; t is n turned by +90°."""
+    """One-sided lines n·p = d with the interval of abscissae t·p of their hits; t is n turned by +90°."""
 
     normals: Floats
-    """(n_faces, 2) unit, towards the side that was seen."""
+    """(n_faces, 2) unit vectors, towards the visible side."""
     offsets: Floats
-    """(n_faces,) [m]."""
+    """(n_faces,) [m] distances d from the origin of map."""
     spans: Floats
     """(n_faces, 2) [m] first and last abscissa."""
 
@@ -43,7 +46,7 @@ class Lines:
         return len(self.offsets)
 
     def joined(self, other: Lines) -> Lines:
-        """Return both, self first."""
+        """Return the lines of both, those of self first."""
         return Lines(
             normals=np.concatenate([self.normals, other.normals]),
             offsets=np.concatenate([self.offsets, other.offsets]),
@@ -58,12 +61,12 @@ class Lines:
 def select_lines(
     hit_moments: HitMoments, *, sigma: float, limits: LineLimits = SELECTION.first_lines
 ) -> Lines:
-    """Select lines until none is left within the limits.
+    """Select lines until no more lines satisfy the limits.
 
     Parameters
     ----------
-    sigma : [m] spread of hits across a face (range noise and pose noise)
-    limits : hits and length that a line needs, and the gap that ends it
+    sigma : [m] Standard deviation of hits across a face (range noise and pose noise).
+    limits : Minimum hits and length of a line, and the gap that ends it.
     """
     if len(hit_moments.cells) == 0:
         return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
@@ -72,7 +75,7 @@ def select_lines(
     grid = np.full((int(shape[0]), int(shape[1])), -1, dtype=np.int32)
     column, row = (hit_moments.cells - low).T
     grid[column, row] = np.arange(len(hit_moments.cells), dtype=np.int32)
-    middle = hit_moments.centres.mean(axis=0)  # keeps d small far from the origin
+    middle = hit_moments.centres.mean(axis=0)  # so that d is small far from the origin of map
     rows = _select_lines(
         grid,
         np.ascontiguousarray(column),
@@ -80,7 +83,7 @@ def select_lines(
         hit_moments.centres - middle,
         hit_moments.moments,
         float(max(SELECTION.band_sigmas * sigma, SELECTION.min_band_cells * HIT_CELL)),
-        limits.least_hits,
+        limits.min_hits,
         limits.gap,
         limits.min_length,
     )
@@ -101,9 +104,9 @@ def _select_lines(
     centres: Any,
     moments: Any,
     band: Any,
-    least: Any,
+    min_hits: Any,
     gap: Any,
-    shortest: Any,
+    min_length: Any,
 ) -> Any:
     n_cells = len(column)
     angle = _normal_bins(grid, column, row, centres, moments)
@@ -136,7 +139,7 @@ def _select_lines(
                 tops[a] = votes[a, places[a]]
                 stale[a] = False
         best = np.argmax(tops)
-        if tops[best] < MIN_VOTES_SHARE * least:
+        if tops[best] < MIN_VOTES_SHARE * min_hits:
             break
         a, k = int(best), int(places[best])
         line, members = _fit_run(
@@ -149,11 +152,11 @@ def _select_lines(
             angle,
             band,
             gap,
-            shortest,
-            least,
+            min_length,
+            min_hits,
         )
         if len(members) == 0:
-            votes[a, k] = 0.0  # nothing there after all
+            votes[a, k] = 0.0  # no line satisfies the limits there
             stale[a] = True
             failures += 1
             continue
@@ -188,7 +191,7 @@ def _vote(
 
 @kernel
 def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
-    """Find each cell's angle bin by the moments of 5 x 5 cells or 9 x 9 seen from the same side; -1 where unclear."""
+    """Return the angle bin of each cell's normal, from the moments of surrounding cells; -1 if it is unclear."""
     n_cells = len(column)
     nx, ny = grid.shape
     angle = np.empty(n_cells)
@@ -239,12 +242,12 @@ def _fit_run(
     angle: Any,
     band: Any,
     gap: Any,
-    shortest: Any,
-    least: Any,
+    min_length: Any,
+    min_hits: Any,
 ) -> Any:
-    """Fit the line near (c, s, d) to its strongest run of live cells; no members where there is none.
+    """Fit the line near (c, s, d) to its strongest run of live cells; return no members if there is no such run.
 
-    One loop on purpose: it runs for each candidate line, and shares its buffers between the rounds.
+    The function is one loop for speed: it runs for every candidate line and reuses its buffers between the rounds.
     """
     nx, ny = c, s
     none = np.empty(0, np.int64)
@@ -306,7 +309,7 @@ def _fit_run(
             yy += w * y * y + vyy
             ux += moments[i, 6]
             uy += moments[i, 7]
-        if m0 < least or high - low + HIT_CELL < shortest:
+        if m0 < min_hits or high - low + HIT_CELL < min_length:
             return line, none
         cx, cy = mx / m0, my / m0
         xx, xy, yy = xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy

@@ -1,7 +1,7 @@
-"""Pooled moments of where rays ended: the one pass over the data that faces are selected from.
+"""Pooled moments of the end points of rays, from which faces are selected.
 
-Hits fall in small cells; each cell keeps count, first and second moments of its end points and the sum of the
-ray directions. Moments of several runs add up (`merge`), so logs can be streamed, merged and distributed.
+Hits are assigned to small cells. Each cell stores count, first and second moments of its end points and the sum of
+the ray directions. Moments of several runs can be added (`merge`), so logs can be streamed, merged and distributed.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats
 
 HIT_CELL = FACES.reduction.hit_cell
-"""[m] side of a cell."""
+"""[m] Side of a cell."""
 N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
-_KEY_OFFSET = 1 << 30  # cells along an axis that a key can tell apart: ± this
+_KEY_OFFSET = 1 << 30  # a key distinguishes ± this many cells along an axis
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HitMoments:
-    """Moments of hits in the cells of a grid whose cell (0, 0) has its corner at the origin of map."""
+    """Moments of hits in the cells of a grid; the corner of cell (0, 0) is the origin of map."""
 
     cells: NDArray[np.int64]
-    """(n_cells, 2) column and row, in order of the key (row by column)."""
+    """(n_cells, 2) column and row, in the order of the key (by column, then row)."""
     moments: Floats
-    """(n_cells, 8) count, x, y, xx, xy, yy [m about the cell's centre], sum of ray directions."""
+    """(n_cells, 8) count, x, y, xx, xy, yy [m, relative to the cell's centre], sum of ray directions."""
 
     @classmethod
     def empty(cls) -> HitMoments:
-        """Hold nothing yet."""
+        """Return moments without hits."""
         return cls(cells=np.zeros((0, 2), dtype=np.int64), moments=np.zeros((0, N_MOMENTS)))
 
     @classmethod
     def of(cls, points: Floats, directions: Floats, weights: Floats | None = None) -> HitMoments:
-        """Pool end points (n, 2) [m] of rays with directions (n, 2); `weights` (n,) count them, default 1."""
+        """Pool end points (n, 2) [m] of rays with directions (n, 2) and weights (n,), 1 by default."""
         weights = np.ones(len(points)) if weights is None else weights
         n, keys, moments = _pool(points, directions, weights, HIT_CELL)
         keys, moments = keys[:n], moments[:n]
@@ -47,7 +47,7 @@ class HitMoments:
         return cls(cells=_cells(keys), moments=moments[order])
 
     def merge(self, other: HitMoments) -> HitMoments:
-        """Add the moments of two disjoint sets of hits."""
+        """Return the moments of two disjoint sets of hits together."""
         mine, theirs = _keys(self.cells), _keys(other.cells)
         keys = np.union1d(mine, theirs)
         moments = np.zeros((len(keys), N_MOMENTS))
@@ -57,12 +57,12 @@ class HitMoments:
 
     @property
     def counts(self) -> Floats:
-        """(n_cells,) hits."""
+        """(n_cells,) number of hits."""
         return np.asarray(self.moments[:, 0], dtype=np.float64)
 
     @property
     def centres(self) -> Floats:
-        """(n_cells, 2) [m] in map."""
+        """(n_cells, 2) [m] centres of the cells in map."""
         return np.asarray((self.cells + 0.5) * HIT_CELL, dtype=np.float64)
 
 
@@ -76,9 +76,9 @@ def _cells(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel
 def _pool(points: Any, directions: Any, weights: Any, cell: Any) -> Any:
-    """Add up moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive.
+    """Sum moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive.
 
-    Returns the count of cells, and arrays whose first so many rows hold keys and moments.
+    Returns the number of cells n, and arrays whose first n rows hold keys and moments.
     """
     size = 1 << 12
     table: Any = np.empty(size, np.int64)  # slot -> row of moments

@@ -1,10 +1,10 @@
 """Model `faces`: on each visible face the range is exactly rational in (x, y, cos phi, sin phi).
 
-For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / (n·u), linear to identify. Faces come
-from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
-points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
-Where long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead (`cells`).
-What the class holds and how it is stored stands in `data`.
+Range of a ray from q in direction u to the face n·p = d: r = (d - n·q) / (n·u). It is linear in the unknowns.
+Faces are selected by forward selection on pooled moments. Their visible stretches follow from EM over hits and passes
+and from change points. A prediction is the mixture of all faces that a ray crosses, weighted by the probability that
+it stops there. If long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead
+(`cells`). The module `data` defines the fields of the class and their stored form.
 """
 
 from __future__ import annotations
@@ -58,22 +58,22 @@ PREDICTION = FACES.prediction
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Faces(FacesData):
-    """Faces with their visible stretches, the noise about them, and the space that was looked through."""
+    """Faces with their visible stretches, the noise of returns, and the observed space."""
 
     name: ClassVar[str] = "faces"
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it.
+        """Identify faces from scans; the options `calibrate` and `cells` are decided by the data if None.
 
         Raises
         ------
-        SensorgraphError : an option is unknown, or no ray returned
+        SensorgraphError : An option is unknown, or no ray returned.
         """
         if unknown := sorted(options.keys() - {"calibrate", "cells"}):
             raise SensorgraphError(
                 f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
-                "give `model` polynomial"
+                "set `model` to polynomial or remove the option"
             )
         fitted = cls.fit_blocks(
             blocks_of(scans),
@@ -90,16 +90,16 @@ class Faces(FacesData):
 
     @cached_property
     def buckets(self) -> BucketGrid:
-        """Which faces are near where: what rays march through."""
+        """Grid of the faces near each place, for the march of rays."""
         return bucket_grid(self.faces)
 
     @property
     def is_cluttered(self) -> bool:
-        """Tell whether faces leave so much unexplained that cells predict better; cells take thin rays."""
+        """Return whether faces leave so much unexplained that cells predict better; cells need thin rays."""
         return self.noise.stray > PREDICTION.max_stray and not measures_cones(self.sensor)
 
     def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
-        """Add cells from the same scans; from then on they predict."""
+        """Add cells fitted to the same scans; these then predict in place of the faces."""
         if scans.pose_frame == "base_link":
             scans = replace(scans, sensor=replace(scans.sensor, mount=self.mount))
         return replace(self, cells=CellModel.fit(scans, progress=progress))
@@ -117,19 +117,19 @@ class Faces(FacesData):
         calibrate: bool | None = None,
         progress: ProgressBars = no_progress,
     ) -> Self:
-        """Identify faces from blocks of scans that need not be in memory together.
+        """Identify faces from blocks of scans, which need not fit into memory together.
 
         Parameters
         ----------
-        n_scans : how many scans all blocks hold, about
-        map_blocks : where the blocks are reduced; `map`: here, one after the other
-        can_mount : the poses are of a base that carries the laser; False where they are the laser's own
-        calibrate : identify the laser with the faces; None: where that is worth it
-        progress : a bar for each stage: reading scans, fitting faces, testing and calibrating the laser
+        n_scans : Approximate number of scans in all blocks.
+        map_blocks : Function that reduces the blocks; `map` runs here, one block after the other.
+        can_mount : Whether the poses are those of a base that carries the laser. False: they are the laser's own.
+        calibrate : Whether to identify the laser with the faces. None: decide by evidence.
+        progress : Opens a bar for each stage: reading scans, fitting faces, testing and calibrating the laser.
 
         Raises
         ------
-        SensorgraphError : no ray returned
+        SensorgraphError : No ray returned.
         """
         with progress("reading scans", "scans") as tick:
             reduced = reduce_blocks(
@@ -153,7 +153,7 @@ class Faces(FacesData):
             reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate, progress=progress
         )
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
-            # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
+            # for a larger log, the grid of all rays, a few cm off, is more complete than that of a sample
             reduced = replace(reduced, observed=observed_by(found.rays))
         fitted, scale = found.fitted, scale_of(found.rays, reduced.n_rays)
         return cls(
@@ -177,20 +177,21 @@ class Faces(FacesData):
         map_blocks: MapBlocks = map,
         progress: ProgressBars = no_progress,
     ) -> Self:
-        """Add blocks of new scans, of the same laser, without the old ones.
+        """Add blocks of new scans of the same laser, without the old scans.
 
         Raises
         ------
-        SensorgraphError : the model is of cones or predicts with cells, remembers too little of its rays, or no new ray
-            returned
+        SensorgraphError : The model is of cones, predicts with cells or lacks statistics, or no new ray returned.
         """
         if self.cells is not None:
             raise SensorgraphError(
-                "the graph predicts with cells, which are not updated; build it again from all runs"
+                "the graph predicts with cells, which cannot be updated; build it again from all runs"
             )
         if self.statistics is None:
             is_of_cones = measures_cones(self.sensor)
-            why = "is of cones, which are not updated" if is_of_cones else "remembers too little of its rays"
+            why = (
+                "is of cones, which cannot be updated" if is_of_cones else "lacks the statistics of its rays"
+            )
             raise SensorgraphError(f"the graph {why}; build it again from all runs")
         with progress("reading scans", "scans") as tick:
             new = reduce_blocks(
@@ -230,11 +231,13 @@ class Faces(FacesData):
             table, supported = cone_table(self, _lasers(poses, self.mount), rays, which_of(point))
         else:
             table, supported = self._thin_table(poses, rays, which_of(point))
-        sure = (table[..., P_OFF] < PREDICTION.max_p_off) | (table[..., NO_RETURN] > 1 - PREDICTION.max_p_off)
-        return to_prediction(table, point, supported & sure)
+        is_certain = (table[..., P_OFF] < PREDICTION.max_p_off) | (
+            table[..., NO_RETURN] > 1 - PREDICTION.max_p_off
+        )
+        return to_prediction(table, point, supported & is_certain)
 
     def _thin_table(self, poses: Floats, rays: Ints, which: int) -> tuple[Floats, Bools]:
-        """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` gives, and whether the way there was seen."""
+        """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` does, and whether the rays lie in observed space."""
         table = np.empty((len(poses), len(rays), 6))
         supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
         x, y, cos, sin = _lasers(poses, self.mount)
@@ -250,9 +253,9 @@ class Faces(FacesData):
     def draw(
         self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
     ) -> Floats:
-        """Draw one reading of rays (n_rays,) at poses (n_poses, 3), with range noise and without the poses' noise.
+        """Draw one reading of rays (n_rays,) at poses (n_poses, 3), with range noise and without the noise of poses.
 
-        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings.
         """
         if self.cells is not None:
             return self.cells.draw(poses, uniform, normal, rays)
@@ -266,7 +269,7 @@ class Faces(FacesData):
         return out
 
     def equation(self, ray: int) -> str:
-        """Print the explicit equations of one ray, face by face, those that explain most returns first."""
+        """Return the equations of one ray as text, face by face, in the order of the returns that the faces explain."""
         if measures_cones(self.sensor):
             return "\n".join(cone_equations(self, _start_of(ray, self.sensor, self.mount), ray))
         lines = face_equations(
@@ -274,46 +277,46 @@ class Faces(FacesData):
             ray=ray, bearing=float(self.sensor.bearings[ray]),
         )  # fmt: skip
         if self.cells is not None:
-            lines += ["", "where these leave too much unexplained, as in this log, cells predict:"]
+            lines += ["", "the faces leave too much of this log unexplained, so cells predict:"]
             lines.append(self.cells.equation(ray))
         return "\n".join(lines)
 
     def summary(self) -> Mapping[str, str]:
-        """Return what a reader wants to know first."""
+        """Return the main facts as label -> text."""
         stretches = int((self.faces.levels > MIN_VISIBILITY).sum())
         return {
             "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
             "noise": f"{1e3 * self.noise.sigma:.1f} mm of range, {1e3 * self.noise.sigma_xy:.1f} mm and "
             f"{math.degrees(self.noise.sigma_yaw):.3f}° of pose",
-            "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
+            "unexplained": f"{self.noise.stray:.2g} returns per metre travelled",
             **self.calibration.summary(),
             **({} if self.cells is None else {f"cells, {k}": v for k, v in self.cells.summary().items()}),
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return plain data and arrays that hold the whole model."""
+        """Return plain data and arrays that describe the whole model."""
         return stored(self)
 
     @classmethod
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave.
+        """Recreate the model from the output of `state`.
 
         Raises
         ------
-        ValueError : an array has a wrong shape, or points outside another one
+        ValueError : An array has a wrong shape or invalid indices, or a number is out of range.
         """
         return cls(**restored_fields(sensor, header, arrays))
 
 
 def _start_of(ray: int, sensor: RangeSensor, mount: Floats) -> Floats:
-    """Return where a ray starts (3,) [m, m, rad] in the frame of the poses: at the laser, or at one of several sensors."""
+    """Return the start of a ray (3,) [m, m, rad] in the frame of the poses: the laser, or one of several sensors."""
     return compose(mount, np.append(sensor.origins[ray], 0.0)) if sensor.is_composite else mount
 
 
 def _lasers(poses: Floats, mount: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, y, cos and sin (n_poses,) of the heading of a laser mounted at `mount` (3,)."""
+    """Return x, y, cos and sin (n_poses,) of the poses of a laser mounted at `mount` (3,)."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     mx, my, yaw = mount
     x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
@@ -324,7 +327,7 @@ def _lasers(poses: Floats, mount: Floats) -> tuple[Floats, Floats, Floats, Float
 def _fit_cones(
     reduced: Reduction, sensor: RangeSensor, mount: Floats, *, can_mount: bool, progress: ProgressBars
 ) -> dict[str, Any]:
-    """Return the fields of faces that were fitted to cones; the sensors are taken as stated."""
+    """Return the fields of faces fitted to cones; the sensors are not calibrated."""
     with progress("fitting faces", "%") as tick:
         found = fit_cones(readings_of_cones(reduced.sample, sensor, mount), progress=tick)
     return {
@@ -341,7 +344,7 @@ def _fit_cones(
 
 
 def _block_ticks(tick: Progress, n_scans: int) -> Callable[[], None]:
-    """Return what to call after each block, to tell how many of the scans were read."""
+    """Return a function to call after each block, which reports the number of scans read."""
     done = 0
     tick(0, n_scans)
 

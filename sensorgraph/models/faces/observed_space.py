@@ -1,4 +1,4 @@
-"""Space that training rays have crossed: where a prediction may be trusted, because someone has looked."""
+"""Space that training rays crossed, in which predictions are supported by data."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from sensorgraph.types import Bools, Floats
 
 PREDICTION = FACES.prediction
 MAX_COUNT = 255
-"""Rays that a cell counts, at most: one byte."""
+"""Maximum count of a cell, which fits into one byte."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObservedSpace:
-    """A grid of counts: how many training rays went through each cell, up to and with the cell of the return."""
+    """A grid that counts the training rays through each cell, up to and including the cell of the return."""
 
     origin: Floats
     """(2,) [m] corner of cell (0, 0)."""
     cell: float
-    """[m]"""
+    """[m] Side of a cell."""
     counts: NDArray[np.uint8]
-    """(nx, ny) rays, 255 at most."""
+    """(nx, ny) number of rays, at most 255."""
     free: Bools
-    """(nx, ny) whether a ray that returned went through; or any, if missing returns are of free rays."""
+    """(nx, ny) whether a returned ray crossed the cell; or any ray, if missing returns are rays through free space."""
 
     @classmethod
     def of(
@@ -42,7 +42,7 @@ class ObservedSpace:
         returned: Bools | None = None,
         cell: float = PREDICTION.observed_cell,
     ) -> ObservedSpace:
-        """Count rays (n, 2), (n, 2) that met nothing up to `reach` (n,) [m]; those `returned` (n,), or all, show free space."""
+        """Count rays (n, 2), (n, 2) up to `reach` (n,) [m]; rays in the mask `returned` (n,), or all, mark free space."""
         low, high = _extent(origins, directions, reach)
         while np.prod((high - low) / cell + 4) > PREDICTION.max_observed_cells:
             cell *= 2
@@ -50,23 +50,23 @@ class ObservedSpace:
         shape = np.ceil((high - corner) / cell).astype(int) + 2
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
         free = np.zeros(counts.shape, dtype=np.bool_)
-        shows = np.ones(len(reach), dtype=np.bool_) if returned is None else returned
-        _count_rays(origins, directions, reach, shows, corner, cell, counts, free)
+        marks_free = np.ones(len(reach), dtype=np.bool_) if returned is None else returned
+        _count_rays(origins, directions, reach, marks_free, corner, cell, counts, free)
         return cls(origin=corner, cell=cell, counts=counts, free=free)
 
     def with_missing(self, ranges: Floats, range_max: float) -> ObservedSpace:
-        """Take the way of missing returns among `ranges` (n,) [m], counted already, for free if they show that."""
+        """Mark all counted cells as free if the missing returns among `ranges` (n,) [m] are consistent with that."""
         return replace(self, free=self.counts > 0) if missing_returns_are_free(ranges, range_max) else self
 
     @cached_property
     def distance_to_unobserved(self) -> NDArray[np.uint8]:
-        """(nx, ny) cells to the nearest one that nothing crossed, the longer of both axes; the grid ends in such."""
+        """(nx, ny) Chebyshev distance in cells to the nearest cell without rays; cells outside the grid have none."""
         known = np.pad(self.counts > 0, 1)
         far = distance_transform_cdt(known, metric="chessboard")[1:-1, 1:-1]
         return np.minimum(far, MAX_COUNT).astype(np.uint8)
 
     def merge(self, other: ObservedSpace) -> ObservedSpace:
-        """Add the counts of two sets of rays; the finer grid, or both where that is too many cells, is made coarser."""
+        """Add the counts of two sets of rays; a finer grid is coarsened, and both are if the sum has too many cells."""
         if self.cell != other.cell:
             fine, coarse = sorted((self, other), key=lambda grid: grid.cell)
             return fine.coarser().merge(coarse)
@@ -89,7 +89,7 @@ class ObservedSpace:
         )
 
     def coarser(self) -> ObservedSpace:
-        """Return the grid of cells twice as wide; a ray counts once for each fine cell it went through."""
+        """Return a grid of cells twice as wide; a ray counts once for each fine cell that it crossed."""
         corner = np.round(self.origin / self.cell).astype(int)
         before = corner % 2
         after = (before + self.counts.shape) % 2
@@ -104,7 +104,7 @@ class ObservedSpace:
         )
 
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
-        """Tell for rays (n, 2), (n, 2) whether every cell up to `reach` (n,) [m] was crossed."""
+        """Return whether rays (n, 2), (n, 2) crossed only observed cells up to `reach` (n,) [m]."""
         out = np.zeros(len(origins), dtype=np.bool_)
         _are_rays_observed(
             origins, directions, reach, self.origin, self.cell, self.distance_to_unobserved, out
@@ -113,12 +113,12 @@ class ObservedSpace:
 
 
 def missing_returns_are_free(ranges: Floats, range_max: float) -> bool:
-    """Tell whether rays without a return can all have been free; `ranges` (n,) [m], not finite where nothing returned.
+    """Return whether all missing returns, the infinite `ranges` (n,) [m], may be rays through free space.
 
-    Nothing returns from beyond `range_max`, nor from surfaces that are black, smooth or of glass. If all missing returns
-    were of free rays, these would have gone on to `range_max`, and other rays of that length would have been stopped on
-    the way at one rate: once in a mean free path, the metres gone over the returns. They were not where from beyond
-    some range fewer returns came than that rate makes of the missing ones; looked at where a mean free path is left.
+    A ray does not return from beyond `range_max`, or from black, smooth or transparent surfaces. If all missing returns
+    are free up to `range_max`, rays stop at the rate 1 / mean_free_path. The mean free path is the total length of all
+    rays divided by the number of returns. At least n_missing (range_max - r) / mean_free_path returns are then expected
+    beyond a range r. Return False if there are fewer, for any r that is a mean free path or more below `range_max`.
     """
     returned = np.sort(ranges[np.isfinite(ranges)])
     n_missing, n = len(ranges) - len(returned), len(returned)
@@ -131,9 +131,11 @@ def missing_returns_are_free(ranges: Floats, range_max: float) -> bool:
 
 
 @inner_kernel
-def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, room: Any) -> Any:
-    """Walk the cells of a ray, as far at a time as there is `ObservedSpace.distance_to_unobserved`; stop at one that nothing crossed."""
-    nx, ny = room.shape
+def is_ray_observed(
+    px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, clearance: Any
+) -> Any:
+    """Return whether all cells of a ray are observed; jumps of `ObservedSpace.distance_to_unobserved` cells."""
+    nx, ny = clearance.shape
     x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
     i: Any = int(np.floor(x))
     j: Any = int(np.floor(y))
@@ -143,7 +145,7 @@ def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any,
     per_y = 1.0 / uy if abs(uy) > 1e-12 else 1e300
     reach = reach / cell
     while True:
-        jump: Any = np.int64(room[i, j])  # signed: it is taken away as well
+        jump: Any = np.int64(clearance[i, j])  # signed, since it is also subtracted
         if jump == 0:
             return False
         r_x = ((i + jump if ux > 0 else i + 1 - jump) - x) * per_x if per_x < 1e299 else 1e300
@@ -164,17 +166,24 @@ def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any,
 
 @outer_kernel
 def _are_rays_observed(
-    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any
+    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, clearance: Any, out: Any
 ) -> Any:
     for k in range(len(out)):
         out[k] = is_ray_observed(
-            origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, room
+            origins[k, 0],
+            origins[k, 1],
+            directions[k, 0],
+            directions[k, 1],
+            reach[k],
+            origin,
+            cell,
+            clearance,
         )
 
 
 @kernel
 def _extent(origins: Any, directions: Any, reach: Any) -> Any:
-    """Return the corners of the box around all rays."""
+    """Return the corners of the bounding box of all rays."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for k in range(len(reach)):
         for axis in range(2):
@@ -187,7 +196,7 @@ def _extent(origins: Any, directions: Any, reach: Any) -> Any:
 
 @outer_kernel
 def _count_rays(
-    origins: Any, directions: Any, reach: Any, shows: Any, origin: Any, cell: Any, counts: Any, free: Any
+    origins: Any, directions: Any, reach: Any, marks_free: Any, origin: Any, cell: Any, counts: Any, free: Any
 ) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):
@@ -203,7 +212,7 @@ def _count_rays(
         while 0 <= i < nx and 0 <= j < ny:
             if counts[i, j] < MAX_COUNT:
                 counts[i, j] += 1
-            if shows[k]:
+            if marks_free[k]:
                 free[i, j] = True
             if next_x < next_y:
                 if next_x > reach[k]:

@@ -1,7 +1,8 @@
-"""Faces in a bucket grid, and the march of one ray through it: which faces it crosses, in order.
+"""March of a ray through a bucket grid of faces: the faces that it crosses, in order of range.
 
-A face is a one-sided line n·p = d with a visibility that is constant between edges along it: the chance that a
-ray crossing there stops. Kernels take the arrays of a `FaceSet`, in this order, as `faces`.
+Range to the face n·p = d from q in direction u: r = (d - n·q) / (n·u), for n·u < 0 (faces are one-sided).
+The visibility of a face, the probability that a crossing ray stops, is constant between edges along it. Kernels take
+the arrays of a `FaceSet`, in this order, as `faces`.
 """
 
 from __future__ import annotations
@@ -20,56 +21,56 @@ BUCKET_SIZE, END_MARGIN, MIN_VISIBILITY = MARCH.bucket_size, MARCH.end_margin, M
 BACK_SIDE_MARGIN, MIN_BACK_VISIBILITY = MARCH.back_side_margin, MARCH.min_back_visibility
 MAX_CANDIDATES = MARCH.max_candidates
 CANDIDATE_SLOTS = MAX_CANDIDATES + 1
-"""Length of the arrays that candidates are listed in."""
+"""Length of the arrays that hold candidates."""
 
 
 class FaceSet(NamedTuple):
-    """Faces as plain arrays, for kernels; lengths in m."""
+    """Faces as plain arrays for kernels; lengths in m."""
 
     normals: Floats
-    """(n_faces, 2) unit, towards the side that is seen."""
+    """(n_faces, 2) unit vectors, towards the visible side."""
     offsets: Floats
-    """(n_faces,)"""
+    """(n_faces,) distances d of the lines from the origin of map."""
     first: Ints
-    """(n_faces + 1,) where each face's edges start; face k has edges first[k] to first[k + 1] - 1."""
+    """(n_faces + 1,) index of each face's first edge; face k has edges first[k] to first[k + 1] - 1."""
     edges: Floats
-    """(n_edges,) abscissae t·p, increasing on a face, t = (-n_y, n_x)."""
+    """(n_edges,) abscissae t·p, increasing along a face, t = (-n_y, n_x)."""
     levels: Floats
-    """(n_edges,) visibility from an edge to the next; that of a face's last edge is 0."""
+    """(n_edges,) visibility from an edge to the next; 0 after the last edge of a face."""
     blur: Floats
-    """(n_edges,) standard error of an edge's place."""
+    """(n_edges,) standard error of an edge's position."""
     neighbour: Ints
-    """(n_edges,) the face that goes on where this one ends; -1 for none."""
+    """(n_edges,) face that continues where this one ends; -1: none."""
 
     @property
     def n_faces(self) -> int:
-        """Count of faces."""
+        """Number of faces."""
         return len(self.offsets)
 
     @property
     def tangents(self) -> Floats:
-        """(n_faces, 2) unit, n turned by +90°."""
+        """(n_faces, 2) unit vectors: n turned by +90°."""
         return np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
 
 
 class BucketGrid(NamedTuple):
-    """Which faces pass through each bucket of a grid."""
+    """Faces that pass through each bucket of a grid."""
 
     origin: Floats
-    """(2,) [m]"""
+    """(2,) [m] corner of the grid."""
     shape: tuple[int, int]
     start: Ints
-    """(nx * ny + 1,)"""
+    """(nx * ny + 1,) index of each bucket's first member."""
     members: Ints
     """(n,) faces, bucket by bucket."""
 
 
 def bucket_grid(faces: FaceSet) -> BucketGrid:
-    """Note for every bucket the faces that it must offer.
+    """List the faces of each bucket.
 
     Raises
     ------
-    SensorgraphError : the faces lie so far apart that the grid would be larger than any place
+    SensorgraphError : The faces are so far apart that the grid would be too large.
     """
     if faces.n_faces == 0:
         return BucketGrid(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
@@ -88,7 +89,7 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
         width, depth = np.ptp(points, axis=0)
         raise SensorgraphError(
             f"faces lie {width:,.0f} x {depth:,.0f} m apart, expected at most {MARCH.max_buckets * BUCKET_SIZE**2 / 1e6:,.0f} "
-            "km² in all: leave out poses or ranges that are far off (sensorgraph inspect), and build the graph again"
+            "km² in all: remove poses or ranges that are far off (sensorgraph inspect), and build the graph again"
         )
     counts = np.zeros(shape[0] * shape[1] + 1, dtype=np.intp)
     _rasterise(*faces[:5], origin, shape[0], shape[1], counts, np.zeros(0, dtype=np.intp))
@@ -111,7 +112,7 @@ def _rasterise(
     at: Any,
     members: Any,
 ) -> Any:
-    """Count the buckets of each face in `at`, or fill `members` from there on if it is not empty."""
+    """Count the buckets of each face in `at`, or fill `members` from these indices if it is not empty."""
     fill = len(members) > 0
     for k in range(len(offsets)):
         low, high = 1e300, -1e300
@@ -154,7 +155,7 @@ def _rasterise(
 
 @inner_kernel
 def edge_before(edges: Any, a: Any, b: Any, t: Any) -> Any:
-    """Return j in a - 1 ... b - 1 with edges[j] <= t < edges[j + 1]: a - 1 before the first, b - 1 after the last."""
+    """Return j with edges[j] <= t < edges[j + 1] among a ... b - 1; a - 1 before the first, b - 1 after the last."""
     low, high = a, b
     while low < high:
         middle = (low + high) // 2
@@ -180,13 +181,13 @@ def crossed_faces(
     j: Any,
     t: Any,
 ) -> Any:
-    """List the faces that a ray crosses up to `reach` [m], nearest first.
+    """List the faces that a ray crosses up to `reach` [m], nearest first; return their number.
 
-    One loop on purpose: every ray of every prediction runs through it.
+    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`. Stops early
+    when the probability of being under way is below `least`. The entry r[MAX_CANDIDATES] is the range at which the ray
+    meets a face from behind, which is only possible from unobserved space.
 
-    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`; stops early once
-    the chance of getting so far is under `least`. Returns how many. r[MOST] is the range at which the ray meets
-    a face from behind: it can only come from where nobody has looked.
+    The function is one loop for speed, since every ray of every prediction runs through it.
     """
     normals, offsets, first, edges, levels, _, _ = faces
     origin, shape, start, members = buckets
@@ -194,7 +195,7 @@ def crossed_faces(
     n = 0
     r[MAX_CANDIDATES] = 1e300
     x, y = qx - origin[0], qy - origin[1]
-    per_x = 1.0 / ux if abs(ux) > 1e-15 else 1e300  # [m] of way to a metre along the axis, with its sign
+    per_x = 1.0 / ux if abs(ux) > 1e-15 else 1e300  # [m/m] length of the ray per metre along the axis, signed
     per_y = 1.0 / uy if abs(uy) > 1e-15 else 1e300
     width, depth = nx * BUCKET_SIZE, ny * BUCKET_SIZE
     enter, leave = 0.0, reach

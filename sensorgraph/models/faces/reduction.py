@@ -1,8 +1,8 @@
-"""Reduction: what one pass over scans leaves of them; it adds up, so logs can be streamed, merged and distributed.
+"""Reduction of scans in one pass: sums that can be added, so that logs can be streamed, merged and distributed.
 
-A block of scans becomes pooled moments of its hits, counts of the space its rays crossed, and a sample of its rays.
-Blocks are cut at fixed places and merged in their order, so that the sums agree to the last bit however the blocks
-were read and wherever they were reduced.
+A block of scans is reduced to pooled moments of its hits, counts of the space that its rays crossed, and a sample of
+its rays. Blocks have fixed boundaries and are merged in order, so the sums are identical to the last bit,
+independently of how the logs were read and where the blocks were reduced.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ MAX_SAMPLED_RAYS = FACES.reduction.max_sampled_rays
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RaySample:
-    """Some rays, as the log has them: at which pose, which ray, what range."""
+    """Some rays as logged: pose, index and range."""
 
     poses: Floats
-    """(n, 3) [m, m, rad] of the scan."""
+    """(n, 3) [m, m, rad] pose of the scan."""
     beams: NDArray[np.int32]
     """(n,) index of the ray in its scan."""
     ranges: Floats
-    """(n,) [m]; +inf nothing seen."""
+    """(n,) [m] range; +inf: no return."""
     ray_poses: Floats | None = None
-    """(n, 3) [m, m, rad] where the ray was taken, of a laser that sweeps; None: all at `poses`."""
+    """(n, 3) [m, m, rad] pose at the time of the ray, for a sweeping laser; None: `poses`."""
     weights: Floats | None = None
-    """(n,) rays that each stands for; None: all the same."""
+    """(n,) number of rays that each ray represents; None: all the same."""
 
     @property
     def poses_of_rays(self) -> Floats:
-        """(n, 3) [m, m, rad] where each ray was taken, whether the laser sweeps or not."""
+        """(n, 3) [m, m, rad] pose at the time of each ray, for a sweeping laser or not."""
         return self.poses if self.ray_poses is None else self.ray_poses
 
     def __len__(self) -> int:
         return len(self.ranges)
 
     def merge(self, other: RaySample) -> RaySample:
-        """Put two samples one after the other."""
+        """Concatenate two samples."""
         return _concatenate([self, other])
 
     def spread_evenly(self, sensor: RangeSensor) -> RaySample:
-        """Return MAX_SAMPLED_RAYS of them at most, as many of each place and direction as far as there are any."""
+        """Return at most MAX_SAMPLED_RAYS rays, with up to the same number from each place and direction."""
         if len(self) <= MAX_SAMPLED_RAYS:
             return self
         poses = self.poses_of_rays
@@ -73,7 +73,7 @@ class RaySample:
         )
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
-        """Return them as rays from a laser mounted at `mount` (3,)."""
+        """Return the rays of a laser mounted at `mount` (3,)."""
         poses = self.poses_of_rays
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x = poses[:, 0] + cos * mount[0] - sin * mount[1]
@@ -93,24 +93,24 @@ EMPTY_SAMPLE = RaySample(poses=np.zeros((0, 3)), beams=np.zeros(0, dtype=np.int3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
-    """What is left of any number of scans."""
+    """The reduction of any number of scans."""
 
     hit_moments: HitMoments
     observed: ObservedSpace
     sample: RaySample
     n_rays: int
-    """All that were neither broken nor too near."""
+    """Number of rays that are valid and not too close."""
     n_returns: int
 
     def spread_evenly(self, sensor: RangeSensor) -> Reduction:
-        """Return the same with a sample that is spread evenly, whose weights add up to all rays."""
+        """Return the reduction with a sample that is spread evenly, whose weights sum to the number of all rays."""
         sample = self.sample.spread_evenly(sensor)
         if sample.weights is not None:
             sample = replace(sample, weights=sample.weights * (self.n_rays / sample.weights.sum()))
         return replace(self, sample=sample)
 
     def merge(self, other: Reduction) -> Reduction:
-        """Add up two disjoint sets of scans, those of `self` first."""
+        """Add the reductions of two disjoint sets of scans, those of `self` first."""
         return Reduction(
             hit_moments=self.hit_moments.merge(other.hit_moments),
             observed=self.observed.merge(other.observed),
@@ -122,15 +122,15 @@ class Reduction:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Scans that are reduced in one go."""
+    """Scans that are reduced together."""
 
     first: int
-    """How many scans came before, in this log and those before it."""
+    """Number of scans before this block, in this log and the preceding ones."""
     scans: TrainingScans
 
 
 class MapBlocks(Protocol):
-    """`map`, or something like it that spreads the work; results come in the order of the items."""
+    """`map`, or a function that distributes the work and returns results in the order of the items."""
 
     def __call__(
         self, function: Callable[[Block], Reduction], items: Iterable[Block], /
@@ -140,17 +140,17 @@ class MapBlocks(Protocol):
 
 
 def blocks_of(scans: TrainingScans, first: int = 0, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
-    """Cut scans into blocks."""
+    """Divide scans into blocks."""
     for start in range(0, len(scans), size):
         yield Block(first=first + start, scans=scans.part(slice(start, start + size)))
 
 
 def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
-    """Reduce one block for a laser mounted at `mount` (3,); `share` of its rays are kept in the sample."""
+    """Reduce one block for a laser mounted at `mount` (3,); the sample keeps `share` of its rays."""
     scans = block.scans
     sensor, poses, bearings = scans.sensor, scans.poses, scans.sensor.bearings
     ranges = np.ascontiguousarray(scans.ranges, dtype=np.float64)
-    if scans.ray_poses is not None:  # each ray is a scan of its own, with its bearing in the heading below
+    if scans.ray_poses is not None:  # each ray is a separate scan; the heading below includes its bearing
         poses, ranges, bearings = scans.ray_poses.reshape(-1, 3), ranges.reshape(-1, 1), np.zeros(1)
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + cos * mount[0] - sin * mount[1], poses[:, 1] + sin * mount[0] + cos * mount[1]
@@ -190,18 +190,18 @@ def reduce_blocks(
     map_blocks: MapBlocks = map,
     tick: Callable[[], None] | None = None,
 ) -> Reduction | None:
-    """Reduce blocks and merge what is left of them in their order; None where there is no block.
+    """Reduce blocks and merge the results in order; None without blocks.
 
     Parameters
     ----------
-    n_rays : of all blocks together, about: it says how thin the sample is
-    map_blocks : where the blocks are reduced; `map`: here, one after the other
+    n_rays : Approximate number of rays in all blocks; it determines the share of the sample.
+    map_blocks : Function that reduces the blocks; `map` runs here, one block after the other.
     """
     work = partial(reduce_block, mount=mount, share=min(1.0, MAX_COLLECTED_RAYS / max(n_rays, 1)))
     total: Reduction | None = None
     samples: list[RaySample] = []
     for part in map_blocks(work, blocks):
-        samples.append(part.sample)  # put together once, not again with every block
+        samples.append(part.sample)  # concatenated once, not with every block
         part = replace(part, sample=EMPTY_SAMPLE)
         total = part if total is None else total.merge(part)
         if tick is not None:
@@ -236,7 +236,7 @@ def _flatten(
     reach: Any,
     place: Any,
 ) -> Any:
-    """List rays that are neither broken nor too near: where they start, point and end (nan: nothing seen)."""
+    """List valid rays that are not too close: their starts, directions and end points (nan without a return)."""
     n, n_returns = 0, 0
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):
@@ -259,7 +259,7 @@ def _flatten(
 
 
 def _is_sampled(place: NDArray[np.int64], first: int, share: float) -> NDArray[np.bool_]:
-    """Choose rays by a hash of their number in the log (splitmix64, Steele et al. 2014): the same ones always."""
+    """Select rays by a hash of their number in the log (splitmix64, Steele et al. 2014), so that the choice is fixed."""
     with np.errstate(over="ignore"):
         z = (place.astype(np.uint64) + np.uint64(first)) * np.uint64(0x9E3779B97F4A7C15)
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -1,4 +1,4 @@
-"""Draw readings from faces: ray by ray one outcome of the mixture, by numbers that the caller has drawn."""
+"""Draws of readings from faces: one outcome of the mixture for each ray, from given random numbers."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ def draw_rays(
     normal: Any,
     out: Any,
 ) -> Any:
-    """Fill out (n_poses, n_rays) [m]: the first face in whose share of the mixture `uniform` falls, else +inf.
+    """Fill out (n_poses, n_rays) [m] with the first crossing m for which uniform >= prod_{i<=m} (1 - alpha_i), or +inf.
 
-    The laser adds what its terms say (`constant`, `slope`, `incidence`), and `sigma` [m] times `normal`. Edges are blurred by what is not known of them, as in a prediction.
+    The reading is r_m plus the ray terms of the laser (`constant`, `slope`, `incidence`) and `sigma` [m] times `normal`.
+    Edges are blurred by their standard errors, as in a prediction.
     """
     normals, _, first, edges, levels, blur, neighbour = faces
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
@@ -43,7 +44,7 @@ def draw_rays(
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
             n = crossed_faces(x[i], y[i], ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
-            passed = 1.0
+            survival = 1.0
             out[i, b] = np.inf
             for m in range(n):
                 f = k[m]
@@ -52,14 +53,14 @@ def draw_rays(
                 if e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
                     e += 1
                 off = t[m] - edges[e]
-                beside = neighbour[e]
-                is_end = beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0
+                adjacent = neighbour[e]
+                is_end = adjacent < 0 or normals[adjacent, 0] * ux + normals[adjacent, 1] * uy >= 0
                 if is_end and off * off < EDGE_GATE * (blur[e] ** 2 + MIN_EDGE_VARIANCE):
                     before = levels[e - 1] if e > first[f] else 0.0
                     share = 0.5 * math.erfc(-off / math.sqrt(2.0 * (blur[e] ** 2 + MIN_EDGE_VARIANCE)))
                     alpha = before + (levels[e] - before) * share
-                passed *= 1.0 - alpha
-                if uniform[i, b] >= passed:
+                survival *= 1.0 - alpha
+                if uniform[i, b] >= survival:
                     den = normals[f, 0] * ux + normals[f, 1] * uy
                     shown = constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
                     out[i, b] = r[m] + shown + sigma * normal[i, b]

@@ -1,14 +1,14 @@
-"""Settings of the model `faces`: every tuned number of `models/faces` with its unit, its meaning and what set it.
+"""Settings of the model `faces`: every tuned number of `models/faces` with unit, meaning and source.
 
-One frozen dataclass, `FacesSettings`, with one group per step of the fit; `FACES` is the instance that the modules use.
-Some are constants of compiled code: `planners.kernel` compiles anew after a change of any file that names it, as this one.
+`FacesSettings` has one group per step of the fit, and the modules use its instance `FACES`. Some settings are
+constants of compiled code: `planners.kernel` recompiles after a change of any file that names it, as this one.
 
-Unless a group says otherwise, its numbers were set on random offices, by median error, share of wrong rays, seconds and
-bytes as printed by
+Unless a group states otherwise, the values were set on random offices. The criteria are median error, share of wrong
+rays, time and file size, as printed by
 
     python -m benchmarks.office_graph
 
-Widths and distances are those of a laser with a noise of about 1 cm.
+Widths and distances suit a laser with a noise of about 1 cm.
 """
 
 from __future__ import annotations
@@ -19,138 +19,139 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, kw_only=True)
 class FaceReductionSettings:
-    """What one pass over a log keeps (`reduction`, `hit_moments`, `sufficient_statistics`).
+    """Data that one pass over a log keeps (`reduction`, `hit_moments`, `sufficient_statistics`).
 
-    Time and memory decide: `python -m benchmarks.build_speed`.
+    The values were set by time and memory: `python -m benchmarks.build_speed`.
     """
 
     scans_per_block: int = 8192
-    """Scans of a block."""
+    """Number of scans in a block."""
     max_collected_rays: int = 3_000_000
-    """Rays taken of a whole log, in the mean, ..."""
+    """Expected number of rays collected from a whole log."""
     max_sampled_rays: int = 1_500_000
-    """... of which the sample holds so many, spread evenly over places and directions."""
+    """Number of collected rays that are sampled, spread evenly over places and directions."""
     hit_cell: float = 0.02
-    """[m] side of the cells in which hits are pooled."""
+    """[m] Side of the cells in which hits are pooled."""
     kept_crossings: int = 12
-    """Crossings kept on each side of an edge."""
-    stand_ins: int = 16
-    """Crossings that stand for all others of a stretch."""
+    """Number of crossings kept on each side of an edge."""
+    representatives: int = 16
+    """Number of crossings that represent all others of a stretch."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LineLimits:
-    """What makes a line of its own."""
+    """Requirements of a line."""
 
-    least_hits: float
+    min_hits: float
+    """Minimum number of hits."""
     gap: float
-    """[m] a longer stretch without hits ends a line."""
+    """[m] Length without hits that ends a line."""
     min_length: float
-    """[m]"""
+    """[m] Minimum length."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LineSelectionSettings:
     """Forward selection of lines on pooled hits (`forward_selection`)."""
 
-    first_lines: LineLimits = LineLimits(least_hits=12.0, gap=0.10, min_length=0.03)
-    """Of lines among all hits."""
-    later_lines: LineLimits = LineLimits(least_hits=4.0, gap=0.05, min_length=0.02)
-    """Of lines among hits that no face explains: a chair's leg has few."""
+    first_lines: LineLimits = LineLimits(min_hits=12.0, gap=0.10, min_length=0.03)
+    """Limits of lines among all hits."""
+    later_lines: LineLimits = LineLimits(min_hits=4.0, gap=0.05, min_length=0.02)
+    """Limits of lines among unexplained hits; the leg of a chair has few hits."""
     n_angles: int = 240
-    """Normals over the full turn: faces have one side."""
+    """Number of normal angles over the full circle, since faces are one-sided."""
     vote_spread: int = 3
-    """Angle bins beside its own that a cell votes for."""
+    """Number of neighbouring angle bins on each side that a cell also votes for."""
     offset_bin: float = 0.02
-    """[m]"""
+    """[m] Bin size of the offset."""
     first_band_bins: float = 1.5
-    """Half width of the band in which a line's cells are first looked for, in offset bins."""
+    """Half width of the initial band of a line, in offset bins."""
     band_sigmas: float = 3.0
     """Half width of the band of a line, in standard deviations of hits across it."""
     min_band_cells: float = 0.6
-    """Least half width of the band, in cells of pooled hits."""
+    """Minimum half width of the band, in cells of pooled hits."""
     neighbourhoods: tuple[int, int] = (2, 4)
-    """Cells to each side whose hits tell a cell's normal; the second where the first is unclear."""
+    """Cells to each side whose hits determine the normal of a cell; the second is used if the first is unclear."""
     min_neighbourhood_hits: int = 3
-    """Hits that tell a normal."""
+    """Minimum number of hits that determine a normal."""
     min_elongation: float = 3.0
-    """Variance of hits along over across, from which a normal is clear."""
+    """Minimum ratio of the variances of hits along and across for a clear normal."""
     min_facing: float = 0.02
-    """Cosine between a line's normal and the way back to the laser, below which a cell is not of that line."""
+    """Minimum cosine between a line's normal and the direction to the laser for a cell of the line."""
     max_normal_turn: float = math.radians(40.0)
-    """[rad] between a line's normal and that of a cell on it."""
+    """[rad] Maximum angle between the normals of a line and of a cell on it."""
     min_agreement: float = 0.7
-    """Cosine between a line's normal and that of its own hits, below which the line is not turned to these."""
+    """Minimum cosine between a line's normal and that of its hits for the line to adopt the latter."""
     min_votes_share: float = 0.5
-    """Of `least_hits` that the best bin must hold for the search to go on."""
+    """Share of `min_hits` that the best bin must hold for the search to continue."""
     refits: int = 4
-    """Times that a line and its cells are fitted in turn."""
+    """Number of alternating fits of a line and its cells."""
     max_lines: int = 4096
-    """In one call."""
+    """Maximum number of lines in one call."""
     max_failures: int = 4000
-    """Bins without a line, after which the search ends."""
+    """Number of bins without a line after which the search ends."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceMarchSettings:
-    """The march of a ray through faces in a bucket grid (`ray_march`)."""
+    """March of a ray through faces in a bucket grid (`ray_march`)."""
 
     bucket_size: float = 0.8
-    """[m] uncritical: 0.3 to 1.2 are alike."""
+    """[m] Side of a bucket; 0.3 to 1.2 m perform alike."""
     max_buckets: int = 1 << 24
-    """Buckets of the grid, which takes 8 bytes for each: 11 km² of buckets."""
+    """Maximum number of buckets of 8 bytes each: 11 km²."""
     end_margin: float = 0.02
-    """[m] beyond its ends a face is still offered, so that a blurred end can be seen."""
+    """[m] Margin beyond its ends within which a face is still listed, so that a blurred end is visible."""
     min_visibility: float = 0.003
-    """Visibility below which a stretch is not there."""
+    """Visibility below which a stretch is ignored."""
     max_candidates: int = 96
-    """Faces listed for one ray."""
+    """Maximum number of faces listed for one ray."""
     back_side_margin: float = 0.01
-    """[m] off its ends a ray that meets a face's back has come through what is solid."""
+    """[m] Distance from the ends of a face beyond which a ray that meets its back came through solid matter."""
     min_back_visibility: float = 0.5
-    """Of such a face."""
+    """Minimum visibility of such a face."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceExpectationSettings:
-    """The EM of which face stopped which ray (`visibility`)."""
+    """EM estimate of which face stopped which ray (`visibility`)."""
 
     first_bin: float = 0.01
-    """[m] bins along a face, in which its visibility is first estimated."""
+    """[m] Bin size along a face for the first estimate of its visibility."""
     first_visibility: float = 0.8
-    """Within the span of its hits."""
+    """Initial visibility within the span of the hits."""
     first_margin_visibility: float = 0.1
-    """On the margin beside it."""
+    """Initial visibility in the margin around the span."""
     prior_stops: float = 0.02
-    """Stops that a stretch is taken to have had before any ray came."""
+    """Prior number of stops on a stretch."""
     prior_crossings: float = 0.04
-    """Crossings, alike."""
+    """Prior number of crossings of a stretch."""
     min_cosine: float = 0.08
-    """|n·u| below which a hit does not move its face: its range is all leverage."""
+    """|n·u| below which a hit does not move its face, since grazing incidence amplifies errors."""
     min_squared_cosine: float = 0.0025
-    """(n·u)² that a variance is divided by, at least."""
+    """Lower limit of (n·u)² in the variance of a return."""
     gate_sigmas: float = 6.0
-    """Standard deviations off a face, beyond which a return does not come from it."""
+    """Standard deviations from a face beyond which a return is not from it."""
     fit_sigmas: float = 4.0
-    """Beyond which it moves neither its line nor the noise."""
+    """Standard deviations beyond which a return affects neither line nor noise."""
     min_fit_share: float = 0.01
-    """Chance to come from a face, below which a return does not move it."""
+    """Probability of being from a face below which a return does not move it."""
     reach_margin: float = 0.08
-    """[m] behind a return, besides `gate_sigmas`, up to which faces may have stopped it."""
+    """[m] Distance behind a return, in addition to `gate_sigmas`, up to which faces may have stopped the ray."""
     first_stray: float = 1e-3
-    """[1/m] density of returns that no face explains, before it is known."""
+    """[1/m] Initial density of outliers, which no face explains."""
     stray_range: tuple[float, float] = (1e-6, 0.05)
-    """[1/m] least and largest."""
+    """[1/m] Limits of the density of outliers."""
     min_hits: float = 2.0
-    """Hits below which a line is not moved."""
+    """Number of hits below which a line is not moved."""
     turn_prior: float = 0.1
-    """[rad] standard deviation a priori of a line's turn: keeps faces of few hits from spinning."""
+    """[rad] Prior standard deviation of a line's turn; it keeps faces with few hits from rotating freely."""
     max_turn: float = 0.2
-    """[rad] in one step."""
+    """[rad] Maximum turn in one step."""
     min_variance: float = 1e-8
-    """[m²] of the range noise: a tenth of a millimetre."""
+    """[m²] Lower limit of the variance of the range noise: (0.1 mm)²."""
     min_span_visibility: float = 0.05
-    """Visibility from which a bin counts to the span of a line."""
+    """Visibility above which a bin belongs to the span of a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,119 +159,120 @@ class FaceEdgeSettings:
     """Edges of visible stretches, and corners (`change_points`, `corners`)."""
 
     min_gain: float = 4.0
-    """[nats] that an edge must be worth, beside half the log of the crossings of its face."""
+    """[nats] Complexity penalty of an edge, in addition to half the log of the number of crossings of its face."""
     max_runs: int = 600
-    """Runs of equal outcome that one stretch may hold."""
+    """Maximum number of runs of equal outcome in one stretch."""
     max_stray: float = 0.5
-    """Chance that a return comes from no face, above which its ray tells of no crossing."""
+    """Probability of being an outlier above which a return is not used for crossings."""
     level_passes: int = 6
-    """Of EM on the visibility of stretches, next to whose edges a crossing may belong to either (`blurred_edges`)."""
+    """EM iterations of the visibility of stretches (`blurred_edges`)."""
     search_rounds: int = 4
-    """In which an edge's place is sought, each on a finer grid than the last."""
+    """Number of searches for an edge's position, each on a finer grid."""
     search_half: int = 4
-    """Places on each side of the best one in a round."""
+    """Number of positions on each side of the best one in a search."""
     max_step_errors: float = 8.0
-    """Standard errors of a crossing's place, up to which a stretch may be the blur of one edge."""
+    """Maximum width of a stretch that may be the blur of one edge, in standard errors of a crossing."""
     window_errors: float = 4.0
-    """Standard errors from an edge, within which crossings may belong to either side."""
+    """Distance from an edge within which a crossing may belong to either side, in standard errors."""
     min_reached: float = 0.2
-    """Chance that a ray came as far as a crossing, below which that is not counted."""
+    """Probability of reaching a crossing below which it is not counted."""
     visibility_factor: float = 5.0
-    """Times the march's least visibility, below which a stretch counts as not there."""
+    """Factor on the minimum visibility of the march below which a stretch is set to 0."""
     corner_distance: float = 0.03
-    """[m] within which two ends may be one corner."""
+    """[m] Distance within which two ends may form a corner."""
     max_blur: float = 0.03
-    """[m] standard error of an edge's place, at most."""
+    """[m] Upper limit of the standard error of an edge's position."""
     max_loss: float = 6.0
-    """[nats] that moving an end to a corner may cost: a crossing or two on the wrong side."""
+    """[nats] Maximum loss of log likelihood for a corner: one or two crossings on the wrong side."""
     outside_visibility: float = 0.1
-    """Below it on one side of an edge, and above `inside_visibility` on the other, a stretch ends there."""
+    """A stretch ends at an edge with less visibility than this on one side, and ..."""
     inside_visibility: float = 0.5
+    """... more than this on the other side."""
     min_visibility: float = 0.002
-    """Least chance that a loss is reckoned with, on either side."""
+    """Lower limit of probabilities in a log likelihood."""
     min_sine: float = 0.05
-    """Of the angle between two lines that meet in a corner."""
+    """Minimum sine of the angle between two lines that meet in a corner."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceSplitSettings:
-    """Faces whose hits bend become two (`splits`)."""
+    """Splitting of faces with bent hits (`splits`)."""
 
     min_gain: float = 9.0
-    """[nats] that two lines must be worth over one, beside the log of the hits."""
+    """[nats] Complexity penalty of a second line, in addition to the log of the number of hits."""
     min_hits: int = 4
-    """Hits of a line."""
+    """Minimum number of hits of a line."""
     slope_prior: float = 0.3
-    """[1] standard deviation a priori of the slope of hits along a face; also of a line's turn in an edge's error."""
+    """[m/m] Prior standard deviation of the slope of hits along a face; also of a line's turn in an edge's error."""
     min_length: float = 1e-6
-    """[m] a shorter piece is dropped."""
+    """[m] Minimum length of a piece."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceFitSettings:
-    """The rounds of `fit`."""
+    """Rounds of the fit (`fit`)."""
 
     draft_rays: int = 300_000
-    """Rays that lines and bins are fitted to in the first rounds."""
+    """Maximum number of rays in the first rounds."""
     stratum_cell: float = 0.5
-    """[m] side of the cells from which samples and drafts take as many rays each, as far as there are any, ..."""
+    """[m] Side of the cells from which samples take up to the same number of rays in each sector."""
     stratum_sector: float = math.radians(15.0)
-    """[rad] ... in each direction."""
+    """[rad] Width of these sectors of direction."""
     final_rays: int = 1_500_000
-    """Rays that edges and visibility are taken from in the end."""
+    """Maximum number of rays in the final fit of edges and visibility."""
     rounds: int = 3
-    """Of splitting and of selecting among what no face explains."""
+    """Rounds of splitting and of selecting among unexplained hits."""
     first_passes: int = 3
-    """Of EM after the first selection."""
+    """EM iterations after the first selection."""
     round_passes: int = 4
-    """Of EM in each round."""
+    """EM iterations in each round."""
     first_sigma: float = 0.01
-    """[m] range noise to begin with."""
+    """[m] Initial range noise."""
     wide_ratio: float = 1.5
-    """Times the assumed spread across faces that hits must have for the first selection to be done again."""
+    """Ratio of the observed to the assumed spread across faces above which the first selection is repeated."""
     max_selections: int = 3
-    """First selections, at most."""
+    """Maximum number of first selections."""
     min_face_gain: float = 8.0
-    """[nats] that a face must be worth to stay."""
+    """[nats] Minimum gain in log likelihood of a face."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FacePredictionSettings:
-    """What a prediction answers (`prediction`, `sampling`, `observed_space`, `model`)."""
+    """Answers of a prediction (`prediction`, `sampling`, `observed_space`, `model`)."""
 
     observed_cell: float = 0.10
-    """[m] side of the cells of observed space."""
+    """[m] Side of the cells of observed space."""
     max_observed_cells: int = 1 << 26
-    """Cells of that grid; a larger one is made coarser."""
+    """Maximum number of cells; a larger grid is coarsened."""
     support_margin: float = 0.10
-    """[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
+    """[m] Distance before the predicted range from which a ray needs no support, since the surface was observed."""
     max_p_off: float = 0.05
-    """Chance of being off above which a ray is not answered."""
+    """Maximum probability of being off for a ray to be answered."""
     max_stray: float = 2e-3
-    """[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors.
+    """[1/m] Density of outliers above which cells predict: 1e-4 in rooms without clutter, 7e-3 on logs of real floors.
 
-    Set between the two: `python -m benchmarks.office_graph` and `python -m benchmarks.real_logs LOG`.
+    The value lies between the two: `python -m benchmarks.office_graph` and `python -m benchmarks.real_logs LOG`.
     """
     min_survival: float = 0.001
-    """Chance to be still under way, below which a ray is not followed."""
+    """Probability of being under way below which a ray is not followed further."""
     min_share: float = 1e-4
-    """Chance to stop, below which a face is no candidate."""
+    """Probability of a stop below which a face is not a candidate."""
     edge_sigmas: float = 4.0
-    """Standard errors of an edge's place within which it is blurred."""
+    """Distance from an edge within which it is blurred, in standard errors."""
     min_edge_variance: float = 1e-8
-    """[m²] of an edge's place."""
+    """[m²] Lower limit of the variance of an edge's position."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceUpdateSettings:
-    """A graph that takes in further runs (`update`)."""
+    """Update of a graph with further runs (`update`)."""
 
     explained_within: float = 0.03
-    """[m] of a visible stretch, a remembered hit is explained by it."""
+    """[m] Distance to a visible stretch below which a stored hit is explained."""
     em_passes: int = 3
-    """Of EM on the new rays."""
+    """EM iterations on the new rays."""
     pass_distance: float = 0.1
-    """[m] behind a new face, that old rays must have crossed to count as having gone through it."""
+    """[m] Distance on both sides of a new face at which old rays must have crossed to count as passes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,4 +291,4 @@ class FacesSettings:
 
 
 FACES = FacesSettings()
-"""The settings of the model `faces`."""
+"""The settings that the modules use."""

@@ -1,4 +1,4 @@
-"""Splits: faces whose hits bend or step become two; a round column becomes as many as the noise lets see."""
+"""Splits of faces whose hits bend or step; a round column becomes as many faces as the noise allows to resolve."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from sensorgraph.types import Floats
 SPLITS = FACES.splits
 SLOPE_PRECISION = 1.0 / SPLITS.slope_prior**2
 MIN_HIT_SHARE = 0.5
-"""Chance to come from a face, from which a return is a hit of it: of no other face, then."""
+"""Probability of being from a face above which a return is a hit of it; at most one face exceeds it."""
 
 
 def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
-    """Return the lines of all faces, those cut in two (or more) whose hits bend or step."""
+    """Return the lines of all faces; faces whose hits bend or step are divided into two or more lines."""
     face, s, across, weight = _hits(
         rays.origins, rays.directions, rays.ranges, rays.range_max, faces, bucket_grid(faces), noise.array
     )
@@ -41,7 +41,7 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
     normals, offsets, spans = [], [], []
     for k in range(faces.n_faces):
         part = slice(bounds[k], bounds[k + 1])
-        pieces = _pieces(s[part], across[part], weight[part])
+        pieces = _split(s[part], across[part], weight[part])
         if len(pieces) < 2:
             normals.append(whole.normals[k])
             offsets.append(whole.offsets[k])
@@ -67,18 +67,18 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
     )
 
 
-def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
-    """Cut sorted hits where two lines explain them better than one, again and again."""
+def _split(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
+    """Divide sorted hits recursively where two lines gain more log likelihood over one than the penalty."""
     n = len(s)
     if n < 2 * SPLITS.min_hits:
         return [(0, n, 0.0, 0.0)]
-    price = SPLITS.min_gain + np.log(n)
+    penalty = SPLITS.min_gain + np.log(n)
     done: list[tuple[int, int, float, float]] = []
     todo = [(0, n)]
     while todo:
         a, b = todo.pop()
         cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], SPLITS.min_hits)
-        if gain > price:
+        if gain > penalty:
             todo += [(a + cut, b), (a, a + cut)]
         else:
             done.append((a, b, *_line_fit(s[a:b], across[a:b], weight[a:b])))
@@ -87,7 +87,7 @@ def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, f
 
 @outer_kernel
 def _line_fit(s: Any, e: Any, w: Any) -> Any:
-    """Fit e = a + b s by weighted least squares, b held near 0 by its prior."""
+    """Fit e = a + b s: minimise sum_i w_i (e_i - a - b s_i)² + (b / slope_prior)²."""
     total, total_s, total_e, across, along = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(w)):
         total += w[i]
@@ -102,11 +102,14 @@ def _line_fit(s: Any, e: Any, w: Any) -> Any:
 
 
 @kernel
-def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
-    """Find where two lines beat one by most nats; return the first index of the second, and the gain."""
+def _best_cut(s: Any, e: Any, w: Any, min_hits: Any) -> Any:
+    """Find the cut that maximises the gain of two lines over one; return the first index of the second, and the gain.
+
+    Gain [nats]: ½ (explained(first) + explained(second) - explained(all)), by prefix sums of the moments.
+    """
     n = len(s)
     best, place_ = 0.0, 0
-    if n < 2 * fewest:
+    if n < 2 * min_hits:
         return place_, best
     c = s[n // 2]
     sums = np.zeros((n + 1, 6))
@@ -118,7 +121,7 @@ def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
         sums[i + 1, 3] = sums[i, 3] + w[i] * e[i]
         sums[i + 1, 4] = sums[i, 4] + w[i] * x * e[i]
     whole, rest = _explained(sums[n]), np.zeros(6)
-    for i in range(fewest, n - fewest + 1):
+    for i in range(min_hits, n - min_hits + 1):
         for k in range(5):
             rest[k] = sums[n, k] - sums[i, k]
         gain = 0.5 * (_explained(sums[i]) + _explained(rest) - whole)
@@ -129,7 +132,7 @@ def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
 
 @inner_kernel
 def _explained(m: Any) -> Any:
-    """Return the weighted squares that a line explains, from its moments."""
+    """Return (sum w e)² / sum w + sxy² / sxx: the weighted squares that a line explains, from the moments m."""
     if m[0] <= 0:
         return 0.0
     sxx = m[2] - m[1] * m[1] / m[0] + SLOPE_PRECISION
@@ -141,7 +144,7 @@ def _explained(m: Any) -> Any:
 def _hits(
     origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
 ) -> Any:
-    """List all hits: face, abscissa of the end point, distance off the face [m], 1 / variance of that."""
+    """List all hits: face, abscissa of the end point, distance from the face [m], 1 / variance of that distance."""
     n_rays = len(ranges)
     face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
     off, weight = np.empty(n_rays), np.empty(n_rays)

@@ -1,4 +1,4 @@
-"""Strata: which of many rays to keep, as many of each place and direction, so that what was passed once stays."""
+"""Strata: selection of rays with equal numbers from each place and direction, so that rare views are kept."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ FIT = FACES.fit
 
 
 def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats]:
-    """Choose `most` rays at most: of each cell and sector up to the same number, spread evenly over those that there are.
+    """Select at most `most` rays, with up to the same number from each cell and sector, spread evenly within it.
 
-    What is chosen hangs on where a ray comes from, not on what it did, so visibility stays unbiased.
+    The selection depends on the origin of a ray and not on its outcome, so visibility remains unbiased.
 
     Parameters
     ----------
-    places : (n, 2) [m] where rays start
-    turn : (n,) [rad] where they point
+    places : (n, 2) [m] Starts of the rays.
+    turn : (n,) [rad] Directions of the rays.
 
     Returns
     -------
-    (m,) indices, ascending; and (m,) how many rays of its cell and sector each stands for
+    (m,) indices, ascending; and (m,) number of rays of its cell and sector that each represents
     """
     sector = np.floor(turn / FIT.stratum_sector)
     cell = np.floor(places / FIT.stratum_cell)
@@ -43,9 +43,9 @@ def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats
 
 
 def _even_share(count: Ints, most: int) -> int:
-    """Return the largest number that, taken from each of several counts as far as there is, gives `most` at most."""
+    """Return the largest number m for which sum_i min(count_i, m) <= most."""
     rising = np.sort(count)
     below = np.concatenate([[0], np.cumsum(rising)[:-1]])
-    total = below + rising * np.arange(len(rising), 0, -1)  # if each gave as much as this one has
+    total = below + rising * np.arange(len(rising), 0, -1)  # total if m equals this count
     k = int(np.searchsorted(total, most, side="right"))
     return int((most - below[k]) // (len(rising) - k)) if k < len(rising) else int(rising[-1])

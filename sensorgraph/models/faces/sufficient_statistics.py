@@ -1,7 +1,7 @@
-"""What a graph of faces remembers of its rays, so that new runs can be added without the old ones.
+"""Statistics that a graph of faces keeps of its rays, so that new runs can be added without the old ones.
 
-All of it adds up: weighted sums of every line, stops and crossings of every stretch, moments of the hits that no face
-explains. Of the single crossings only those next to edges are kept: they are what an edge's place hangs on.
+All statistics are sums: weighted sums of every line, stops and crossings of every stretch, moments of unexplained
+hits. Single crossings are kept only next to edges, since they determine the edges' positions.
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ class SufficientStatistics:
     line_sums: Floats
     """(n_faces, 8) as `Expectation.line_sums`."""
     stops: Floats
-    """(n_edges,) on the stretch after each edge."""
+    """(n_edges,) stops on the stretch after each edge."""
     reached: Floats
-    """(n_edges,)"""
+    """(n_edges,) crossings of the stretch after each edge."""
     noise_sums: Floats
     """(3, 4) as `Expectation.noise_sums`."""
     stray: Floats
-    """(2,) returns that no face explains, and metres that all rays travelled."""
+    """(2,) number of outliers, which no face explains, and metres that all rays travelled."""
     unexplained_hits: HitMoments
     """Hits that no face explains."""
     face: Ints
-    """(n_near,) face, abscissa [m], chance of stopping and weight of the crossings next to edges."""
+    """(n_near,) face of each crossing next to an edge; `t`, `stop`, `weight` are its other columns (`Crossings`)."""
     t: Floats
     stop: Floats
     weight: Floats
     error: Floats
-    """(n_near,) [m] standard error of their abscissae."""
+    """(n_near,) [m] standard error of the abscissae."""
 
     @classmethod
     def of(
         cls, rays: Rays, faces: FaceSet, expectation: Expectation, crossings: Crossings, *, n_rays: int
     ) -> SufficientStatistics:
-        """Remember rays that are a sample of `n_rays`: by their weights, or else all alike."""
+        """Return the statistics of `n_rays` rays from a sample, counted by its weights, or equally without weights."""
         scale = scale_of(rays, n_rays)
         face, place = _next_to_edges(faces, crossings)
-        left = expectation.unexplained > 0.5
+        unexplained = expectation.unexplained > 0.5
         counts = np.ones(len(rays)) if rays.weights is None else rays.weights
-        hits = HitMoments.of(rays.hits[left], rays.directions[left], counts[left])
+        hits = HitMoments.of(rays.hits[unexplained], rays.directions[unexplained], counts[unexplained])
         return cls(
             line_sums=scale * expectation.line_sums,
             stops=scale * expectation.stops,
@@ -95,31 +95,31 @@ class SufficientStatistics:
         )
 
     def as_crossings(self, faces: FaceSet, slide: Floats) -> Columns:
-        """Return face, abscissa, stop, weight and error of crossings that stand for all that is remembered.
+        """Return face, abscissa, stop, weight and error of crossings that represent all statistics.
 
-        Those next to edges are themselves; the others of a stretch are spread evenly over it. `slide` (n_faces,)
-        [m] is added to abscissae.
+        Crossings next to edges are returned as they are; representatives of the others are spread evenly over their
+        stretch. `slide` (n_faces,) [m] is added to the abscissae.
         """
         owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
         at = np.flatnonzero(
             (self.reached > 2 * FACES.reduction.kept_crossings)
             & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
         )
-        step = (np.arange(FACES.reduction.stand_ins) + 0.5) / FACES.reduction.stand_ins
+        step = (np.arange(FACES.reduction.representatives) + 0.5) / FACES.reduction.representatives
         low, high = faces.edges[at], faces.edges[at + 1]
         t = low[:, None] + (high - low)[:, None] * step
-        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), FACES.reduction.stand_ins)
+        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), FACES.reduction.representatives)
         weight = np.repeat(
-            (self.reached[at] - 2 * FACES.reduction.kept_crossings) / FACES.reduction.stand_ins,
-            FACES.reduction.stand_ins,
+            (self.reached[at] - 2 * FACES.reduction.kept_crossings) / FACES.reduction.representatives,
+            FACES.reduction.representatives,
         )
-        face = np.concatenate([self.face, np.repeat(owner[at], FACES.reduction.stand_ins)])
+        face = np.concatenate([self.face, np.repeat(owner[at], FACES.reduction.representatives)])
         t = np.concatenate([self.t, t.ravel()]) + slide[face]
         error = np.concatenate([self.error, np.zeros(len(stop))])
         return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight]), error
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return compact arrays for a file, by their names there."""
+        """Return compact arrays for a file, by name."""
         hits = self.unexplained_hits
         out: dict[str, NDArray[Any]] = {
             "left.cells": hits.cells.astype(np.int32),
@@ -131,16 +131,16 @@ class SufficientStatistics:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], faces: FaceSet) -> SufficientStatistics:
-        """Rebuild what `arrays` gave.
+        """Recreate the statistics from the output of `arrays`.
 
         Raises
         ------
-        ValueError : an array has the wrong shape
+        ValueError : An array has a wrong shape.
         """
         fields = {**SUMS, "t": "t", "stop": "stop", "weight": "weight"}
         found = {field: np.asarray(arrays[stored], dtype=np.float64) for stored, field in fields.items()}
         n_edges, n_near = len(faces.edges), len(found["t"])
-        # a graph written before 0.5 has no errors: its crossings count as exact
+        # older graphs store no errors: their crossings count as exact
         found["error"] = np.asarray(arrays.get("error", np.zeros(n_near)), dtype=np.float64)
         fields["error"] = "error"
         shapes = {stored: found[field].shape for stored, field in fields.items()}
@@ -158,24 +158,24 @@ class SufficientStatistics:
 
 
 def scale_of(rays: Rays, n_rays: int) -> float:
-    """Return what sums over a sample of `n_rays` are to be multiplied by; 1 where weights have counted them."""
+    """Return the factor from sums over a sample to sums over `n_rays`; 1 if the rays have weights."""
     return n_rays / max(len(rays), 1) if rays.weights is None else 1.0
 
 
 def merge_crossings(parts: list[Columns], n_faces: int) -> Crossings:
-    """Put crossings (face, abscissa, stop, weight, error) of several sources together and sort them."""
+    """Merge and sort crossings (face, abscissa, stop, weight, error) from several sources."""
     face, t, stop, weight, error = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return sorted_crossings(face, t, stop, weight, error, n_faces)
 
 
 def columns_of(crossings: Crossings, scale: float = 1.0) -> Columns:
-    """Return crossings as columns, each counted `scale` times."""
+    """Return crossings as columns, with weights multiplied by `scale`."""
     face = np.repeat(np.arange(len(crossings.bounds) - 1), np.diff(crossings.bounds))
     return face, crossings.t, crossings.stop, scale * crossings.weight, crossings.error
 
 
 def rebase_line_sums(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
-    """Return sums (n_faces, 8) about lines that have moved: exact, since both frames are rigid."""
+    """Transform sums (n_faces, 8) exactly to lines that moved rigidly: moments of (s, e, 1) become T moments T'."""
     out = lines.copy()
     d, moved_d = before.offsets, after.offsets
     along = (before.tangents * after.tangents).sum(axis=1)
@@ -188,7 +188,7 @@ def rebase_line_sums(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
             np.stack([zero, zero, one], axis=1),
         ],
         axis=1,
-    )  # (n_faces, 3, 3): (s, e, 1) about the old line -> about the new
+    )  # (n_faces, 3, 3) T: (s, e, 1) relative to the old line -> the new line
     w, ws, wss, we, wse, wee = (lines[:, i] for i in (0, 1, 2, 3, 4, 6))
     moments = np.stack(
         [
@@ -205,7 +205,7 @@ def rebase_line_sums(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
 
 
 def _next_to_edges(faces: FaceSet, crossings: Crossings) -> tuple[Ints, Ints]:
-    """Return the faces and the places of the crossings next to edges."""
+    """Return the faces and the indices of the crossings next to edges."""
     found, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
     for k in range(faces.n_faces):
         start, end = int(crossings.bounds[k]), int(crossings.bounds[k + 1])

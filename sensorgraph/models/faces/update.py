@@ -1,4 +1,4 @@
-"""Add new runs to faces that were fitted before, without the rays of the old runs."""
+"""Update of fitted faces with new runs, without the rays of the old runs."""
 
 from __future__ import annotations
 
@@ -52,59 +52,59 @@ def update_faces(
 ) -> tuple[FaceSet, ReturnNoise, SufficientStatistics]:
     """Return faces, noise and statistics with new rays added.
 
-    Old faces keep their sums: new rays add to them, move lines and edges as much as they weigh, and lower the
-    visibility of what is no longer there. New faces are selected among the hits that none explains, old and new;
-    where old rays went through the place of a new face, those count as passes.
+    New rays add to the sums of old faces: they move lines and edges according to their weight, and lower the visibility
+    of surfaces that are gone. New faces are selected among the unexplained hits, old and new. Old rays through the
+    place of a new face count as passes.
 
     Parameters
     ----------
-    observed : what the old rays went through
-    rays : a sample of the `n_rays` new ones
+    observed : Space that the old rays crossed.
+    rays : A sample of the `n_rays` new rays.
     """
     scale = scale_of(rays, n_rays)
     expectation = e_step(rays, faces, noise)
-    left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
-    hits = HitMoments.of(rays.hits[left], rays.directions[left])
+    unexplained = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
+    hits = HitMoments.of(rays.hits[unexplained], rays.directions[unexplained])
     lines = select_lines(
         hits.merge(statistics.unexplained_hits),
         sigma=noise.sigma,
         limits=FACES.selection.later_lines,
     )
-    held = _with_new_faces(statistics, lines, observed)
+    old = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
     faces = _concatenated(faces, binned_faces(lines))
     for _ in range(UPDATE.em_passes):
         expectation = e_step(rays, faces, noise)
-        faces = faces._replace(levels=_visibility(faces, expectation, held, scale))
+        faces = faces._replace(levels=_visibility(faces, expectation, old, scale))
     keep = np.flatnonzero(
         (np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > FACES.fit.min_face_gain)
     )
-    faces, held = _take(faces, held, keep)
+    faces, old = _take(faces, old, keep)
     expectation = e_step(rays, faces, noise)
     before = faces
-    faces = refit_lines(faces, held.line_sums + scale * expectation.line_sums)
+    faces = refit_lines(faces, old.line_sums + scale * expectation.line_sums)
     slide = faces.edges[faces.first[:-1]] - before.edges[before.first[:-1]]
-    fresh = columns_of(crossings_of(rays, faces, noise), scale)
-    crossings = merge_crossings([held.as_crossings(before, slide), fresh], faces.n_faces)
-    single = merge_crossings(
-        [(held.face, held.t + slide[held.face], held.stop, held.weight, held.error), fresh], faces.n_faces
+    new_crossings = columns_of(crossings_of(rays, faces, noise), scale)
+    crossings = merge_crossings([old.as_crossings(before, slide), new_crossings], faces.n_faces)
+    stored_crossings = merge_crossings(
+        [(old.face, old.t + slide[old.face], old.stop, old.weight, old.error), new_crossings], faces.n_faces
     )
-    held_lines = rebase_line_sums(held.line_sums, before, faces)
+    held_lines = rebase_line_sums(old.line_sums, before, faces)
     faces = fit_stretches(faces, crossings)
     index = np.flatnonzero(is_visible(faces))
     faces, held_lines = take_faces(faces, index), held_lines[index]
-    crossings, single = crossings.of_faces(index), single.of_faces(index)
+    crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
     faces = join_corners(faces, crossings)
     expectation = e_step(rays, faces, noise)
-    new = SufficientStatistics.of(rays, faces, expectation, single, n_rays=n_rays)
-    total = _add(held, new, held_lines, faces, crossings)
+    new = SufficientStatistics.of(rays, faces, expectation, stored_crossings, n_rays=n_rays)
+    total = _merge_statistics(old, new, held_lines, faces, crossings)
     stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *FACES.expectation.stray_range)
     noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total
 
 
 def _concatenated(a: FaceSet, b: FaceSet) -> FaceSet:
-    """Return the faces of both, those of `a` first; neighbours stay those of `a`."""
+    """Concatenate faces, those of `a` first; neighbours refer to `a`."""
     return FaceSet(
         normals=np.concatenate([a.normals, b.normals]),
         offsets=np.concatenate([a.offsets, b.offsets]),
@@ -119,12 +119,12 @@ def _concatenated(a: FaceSet, b: FaceSet) -> FaceSet:
 def _with_new_faces(
     statistics: SufficientStatistics, lines: Lines, observed: ObservedSpace
 ) -> SufficientStatistics:
-    """Return the statistics with room for new faces, which old rays count as having passed where they went through."""
+    """Return the statistics extended by new faces; old rays through their place count as passes."""
     new = binned_faces(lines)
     owner = np.repeat(np.arange(new.n_faces), np.diff(new.first))
     middle = new.edges + FACES.expectation.first_bin / 2
     points = new.normals[owner] * new.offsets[owner, None] + new.tangents[owner] * middle[:, None]
-    through = np.minimum(
+    passes = np.minimum(
         _rays_through(observed, points + UPDATE.pass_distance * new.normals[owner]),
         _rays_through(observed, points - UPDATE.pass_distance * new.normals[owner]),
     )
@@ -132,12 +132,12 @@ def _with_new_faces(
         statistics,
         line_sums=np.concatenate([statistics.line_sums, np.zeros((new.n_faces, 8))]),
         stops=np.concatenate([statistics.stops, np.zeros(len(new.edges))]),
-        reached=np.concatenate([statistics.reached, through]),
+        reached=np.concatenate([statistics.reached, passes]),
     )
 
 
 def _rays_through(observed: ObservedSpace, points: Floats) -> Floats:
-    """Return how many rays went through the cells of points (n, 2) [m]."""
+    """Return the number of rays through the cells of points (n, 2) [m]."""
     i, j = np.floor((points - observed.origin) / observed.cell).astype(np.intp).T
     nx, ny = observed.counts.shape
     inside = (i >= 0) & (j >= 0) & (i < nx) & (j < ny)
@@ -146,24 +146,24 @@ def _rays_through(observed: ObservedSpace, points: Floats) -> Floats:
     return out
 
 
-def _visibility(faces: FaceSet, expectation: Expectation, held: SufficientStatistics, scale: float) -> Floats:
+def _visibility(faces: FaceSet, expectation: Expectation, old: SufficientStatistics, scale: float) -> Floats:
     """Return the visibility of every stretch from old and new stops and crossings."""
-    stops, reached = held.stops + scale * expectation.stops, held.reached + scale * expectation.reached
+    stops, reached = old.stops + scale * expectation.stops, old.reached + scale * expectation.reached
     return stretch_visibility(faces, stops, reached)
 
 
-def _take(faces: FaceSet, held: SufficientStatistics, index: Ints) -> tuple[FaceSet, SufficientStatistics]:
-    """Return some faces and their statistics; only new faces may be left out."""
+def _take(faces: FaceSet, old: SufficientStatistics, index: Ints) -> tuple[FaceSet, SufficientStatistics]:
+    """Return some faces and their statistics; only new faces may be omitted."""
     place = np.concatenate([np.arange(faces.first[k], faces.first[k + 1]) for k in index])
     return take_faces(faces, index), replace(
-        held, line_sums=held.line_sums[index], stops=held.stops[place], reached=held.reached[place]
+        old, line_sums=old.line_sums[index], stops=old.stops[place], reached=old.reached[place]
     )
 
 
-def _add(
-    held: SufficientStatistics, new: SufficientStatistics, lines: Floats, faces: FaceSet, crossings: Crossings
+def _merge_statistics(
+    old: SufficientStatistics, new: SufficientStatistics, lines: Floats, faces: FaceSet, crossings: Crossings
 ) -> SufficientStatistics:
-    """Add the statistics of old and new rays; stops and crossings are those of the new stretches."""
+    """Add the statistics of old and new rays; stops and crossings are recounted for the new stretches."""
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
     stops, total = np.zeros(len(owner)), np.zeros(len(owner))
     for k in range(faces.n_faces):
@@ -177,15 +177,15 @@ def _add(
         line_sums=lines + new.line_sums,
         stops=stops,
         reached=total,
-        noise_sums=held.noise_sums + new.noise_sums,
-        stray=held.stray + new.stray,
-        unexplained_hits=_still_unexplained(held.unexplained_hits, faces).merge(new.unexplained_hits),
+        noise_sums=old.noise_sums + new.noise_sums,
+        stray=old.stray + new.stray,
+        unexplained_hits=_still_unexplained(old.unexplained_hits, faces).merge(new.unexplained_hits),
     )
 
 
-def _still_unexplained(left: HitMoments, faces: FaceSet) -> HitMoments:
-    """Return the hits that no visible stretch of a face is near."""
-    where = left.centres + left.moments[:, 1:3] / np.maximum(left.counts, 1e-9)[:, None]
+def _still_unexplained(unexplained: HitMoments, faces: FaceSet) -> HitMoments:
+    """Return the hits without a visible stretch of a face nearby."""
+    where = unexplained.centres + unexplained.moments[:, 1:3] / np.maximum(unexplained.counts, 1e-9)[:, None]
     near = np.zeros(len(where), dtype=np.bool_)
     for k in range(faces.n_faces):
         part = slice(faces.first[k], faces.first[k + 1])
@@ -197,4 +197,4 @@ def _still_unexplained(left: HitMoments, faces: FaceSet) -> HitMoments:
             & (t > faces.edges[part][0])
             & (faces.levels[part][j] > MIN_VISIBILITY)
         )
-    return HitMoments(cells=left.cells[~near], moments=left.moments[~near])
+    return HitMoments(cells=unexplained.cells[~near], moments=unexplained.moments[~near])

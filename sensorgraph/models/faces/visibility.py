@@ -1,8 +1,12 @@
-"""Which crossing stops a ray: EM over hits and passes.
+"""Visibility of faces by EM: which crossing stopped each ray.
 
-A ray that crosses face k at abscissa t stops there with chance alpha_k(t). What a ray did is known up to noise:
-it stopped at the face whose predicted range agrees with the measured one and passed those before it. EM turns
-that into stops and crossings for each stretch, and into weighted moments that refit every line.
+Likelihood of a return z: p(z) = sum_m S_m alpha_m N(z; r_m, var_m) + before * stray, S_m = prod_{i<m} (1 - alpha_i).
+Here alpha_m is the visibility of face k[m] at its crossing at range r_m. The factor `before` is the probability of
+passing all faces nearer than z, and `stray` is the density of outliers. Without a return: prod_m (1 - alpha_m).
+
+The E step computes gamma_m = P(stopped at m | z). The M step sets the visibility of each stretch to
+(stops + prior_stops) / (reached + prior_crossings). It also refits every line by weighted least squares and estimates
+the noise.
 """
 
 from __future__ import annotations
@@ -29,26 +33,26 @@ from sensorgraph.types import Floats, Ints
 EXPECTATION = FACES.expectation
 MIN_COSINE, MIN_SQUARED_COSINE = EXPECTATION.min_cosine, EXPECTATION.min_squared_cosine
 GATE, FIT_GATE = EXPECTATION.gate_sigmas**2, EXPECTATION.fit_sigmas**2
-"""Squares of standard deviations."""
+"""Squared gates, in standard deviations squared."""
 REACH_SIGMAS, REACH_MARGIN = EXPECTATION.gate_sigmas, EXPECTATION.reach_margin
 MIN_FIT_SHARE = EXPECTATION.min_fit_share
 MIN_PASSED, MIN_LIKELIHOOD = 1e-5, 1e-12
-"""Chance to pass a stretch, and likelihood of a ray [1/m], whose logarithms are taken at least."""
+"""Lower limits of logarithms' arguments: probability of passing a stretch, and likelihood of a ray [1/m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rays:
-    """Rays as the laser took them."""
+    """Rays as measured by the laser."""
 
     origins: Floats
-    """(n, 2) [m] of the laser in map."""
+    """(n, 2) [m] positions of the laser in map."""
     directions: Floats
-    """(n, 2) unit."""
+    """(n, 2) unit vectors."""
     ranges: Floats
-    """(n,) [m]; +inf: nothing up to `range_max`. No nan, no -inf."""
+    """(n,) [m] ranges; +inf: no return up to `range_max`. Neither nan nor -inf occurs."""
     range_max: float
     weights: Floats | None = None
-    """(n,) rays of the log that each stands for; None: 1."""
+    """(n,) number of rays of the log that each ray represents; None: 1."""
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -65,60 +69,60 @@ class Rays:
 
     @property
     def hits(self) -> Floats:
-        """(n, 2) [m] end points; not finite where nothing was seen."""
+        """(n, 2) [m] end points; not finite without a return."""
         with np.errstate(invalid="ignore"):
             return self.origins + self.ranges[:, None] * self.directions
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReturnNoise:
-    """What spreads a return about its face: var = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
+    """Variance of a return from a face: var = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
 
     sigma: float
-    """[m] of the range."""
+    """[m] Noise of the range."""
     sigma_xy: float = 0.0
-    """[m] of the pose, across the face."""
+    """[m] Noise of the pose, across the face."""
     sigma_yaw: float = 0.0
-    """[rad] of the heading."""
+    """[rad] Noise of the heading."""
     stray: float = EXPECTATION.first_stray
-    """[1/m] density of returns that no face explains."""
+    """[1/m] Density of outliers: returns that no face explains."""
 
     @property
     def array(self) -> Floats:
-        """(4,) variances and the density, for kernels."""
+        """(4,) the three variances and the density of outliers, for kernels."""
         return np.array([self.sigma**2, self.sigma_xy**2, self.sigma_yaw**2, self.stray])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Expectation:
-    """What one pass of EM over the rays adds up."""
+    """Sums of one E step over the rays."""
 
     stops: Floats
-    """(n_edges,) expected stops on each stretch."""
+    """(n_edges,) expected number of stops on each stretch."""
     reached: Floats
-    """(n_edges,) expected rays that came so far."""
+    """(n_edges,) expected number of rays that reached each stretch."""
     line_sums: Floats
     """(n_faces, 8) sums of w, w s, w s², w e', w s e', gamma, w e'², nats; e' = e·(n·u) [m], s abscissa.
 
-    The nats are what the log would be less likely by, if the face were not there.
+    The last column is the log likelihood [nats] lost without the face.
     """
     noise_sums: Floats
     """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
     unexplained: Floats
-    """(n,) chance that no face stopped this ray though it returned."""
+    """(n,) probability that the ray returned without a face stopping it."""
     log_likelihood: float
     """Log likelihood of all rays."""
     distance: float
-    """[m] that all rays travelled."""
+    """[m] Total length of all rays."""
 
     @property
     def n_faces(self) -> int:
-        """Count of faces."""
+        """Number of faces."""
         return len(self.line_sums)
 
 
 def binned_faces(lines: Lines) -> FaceSet:
-    """Cut lines into bins, visible over their spans and a margin beside them faintly so."""
+    """Divide lines into bins, visible within their spans and faintly visible in a margin around them."""
     bin_size = EXPECTATION.first_bin
     first, edges, levels = [0], [], []
     for low, high in lines.spans:
@@ -143,7 +147,7 @@ def binned_faces(lines: Lines) -> FaceSet:
 
 
 def visible_lines(faces: FaceSet) -> Lines:
-    """Return the lines over the stretches that are seen."""
+    """Return the lines with the spans of their visible stretches."""
     spans = np.zeros((faces.n_faces, 2))
     for k in range(faces.n_faces):
         j = np.arange(faces.first[k], faces.first[k + 1] - 1)
@@ -153,7 +157,7 @@ def visible_lines(faces: FaceSet) -> Lines:
 
 
 def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid | None = None) -> Expectation:
-    """Share every ray out among the faces it crosses (E step); sums count each by its weight."""
+    """Compute the expected stops, crossings and sums of every face (E step); rays count by their weights."""
     buckets = bucket_grid(faces) if buckets is None else buckets
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
@@ -174,14 +178,14 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
 
 
 def weights_of(rays: Rays) -> Floats:
-    """Return weights for kernels: (n,), or (0,) where all are 1."""
+    """Return weights for kernels: (n,), or (0,) if all are 1."""
     return np.zeros(0) if rays.weights is None else rays.weights
 
 
 def m_step(
     faces: FaceSet, expectation: Expectation, noise: ReturnNoise, *, refit: bool
 ) -> tuple[FaceSet, ReturnNoise]:
-    """Set visibility, lines (if `refit`) and noise to what explains the shares best (M step)."""
+    """Set visibility, lines (if `refit`) and noise to the maximum of the expected likelihood (M step)."""
     better = faces._replace(levels=stretch_visibility(faces, expectation.stops, expectation.reached))
     if refit:
         better = refit_lines(better, expectation.line_sums)
@@ -191,7 +195,7 @@ def m_step(
 
 
 def stretch_visibility(faces: FaceSet, stops: Floats, reached: Floats) -> Floats:
-    """Return the visibility (n_edges,) of every stretch from stops and crossings of the same shape."""
+    """Return the visibility (n_edges,) = (stops + prior_stops) / (reached + prior_crossings) of every stretch."""
     prior = EXPECTATION.prior_stops, EXPECTATION.prior_crossings
     levels = np.where(reached > 0, (stops + prior[0]) / (reached + prior[1]), 0.0)
     levels[faces.first[1:] - 1] = 0.0
@@ -199,21 +203,25 @@ def stretch_visibility(faces: FaceSet, stops: Floats, reached: Floats) -> Floats
 
 
 def refit_lines(faces: FaceSet, sums: Floats) -> FaceSet:
-    """Shift and turn every line about the middle of its hits by weighted least squares."""
+    """Shift and turn every line by weighted least squares: e' = shift + (s - c) turn.
+
+    With W = sum w, the mean abscissa is c = sum w s / W. The shift is sum w e' / W. Turn:
+    ((sum w s e' / W - c shift) / (sum w s² / W - c² + 1 / (W turn_prior²))).
+    """
     w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
     enough = (sums[:, 5] > EXPECTATION.min_hits) & (w > 0)
     w = np.where(enough, w, 1.0)
     c = ws / w
     shift = np.where(enough, we / w, 0.0)
-    sway = np.maximum(wss / w - c**2, 0.0)
-    # a prior on the turn and of the hits' own width keeps faces of few hits from spinning
+    variance_along = np.maximum(wss / w - c**2, 0.0)
+    # the prior on the turn, scaled by the weight, keeps faces with few hits from rotating freely
     prior = 1.0 / (w * EXPECTATION.turn_prior**2)
-    turn = np.where(enough, (wse / w - c * shift) / (sway + prior + 1e-9), 0.0)
+    turn = np.where(enough, (wse / w - c * shift) / (variance_along + prior + 1e-9), 0.0)
     turn = np.clip(turn, -EXPECTATION.max_turn, EXPECTATION.max_turn)
     normals, tangents = faces.normals, faces.tangents
     centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    turned = cos * normals - sin * tangents  # n·p + s·turn stays: e' = shift + (s - c) turn
+    turned = cos * normals - sin * tangents  # a turn about the mean abscissa c
     offsets = (turned * centre).sum(axis=1)
     moved = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
     slide = (moved * centre).sum(axis=1) - c
@@ -222,7 +230,7 @@ def refit_lines(faces: FaceSet, sums: Floats) -> FaceSet:
 
 
 def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNoise:
-    """Split the spread of returns into range noise and pose noise, none of them negative."""
+    """Estimate range noise and pose noise from e² = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)², by NNLS."""
     scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
     if spread[0, 0] <= 0:
         return ReturnNoise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
@@ -237,7 +245,7 @@ def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNo
 
 @inner_kernel
 def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
-    """Return the variance [m²] of a return from a face at range rho, t_u = t·u, den = n·u."""
+    """Return the variance [m²] of a return from a face at range rho, with t_u = t·u and den = n·u."""
     return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
 
 
@@ -258,9 +266,9 @@ def stop_probabilities(
     gamma: Any,
     survive: Any,
 ) -> Any:
-    """Fill for n candidates the chance gamma that the ray stopped there and the chance that it came so far.
+    """Fill gamma_m = P(stopped at m | z) and survive_m = P(reached m | z) for n candidates.
 
-    Returns the likelihood [1/m] of the measured range, and its part that no face explains.
+    Returns the likelihood p(z) [1/m] of the measured range, and the probability that it is an outlier.
     """
     normals, _, first, _, levels, _, _ = faces
     survival, total, before = 1.0, 0.0, 1.0
@@ -289,7 +297,7 @@ def stop_probabilities(
         gamma[m] /= total
         survive[m] = left if (r[m] < z or gamma[m] > 0) else 0.0
         left = max(left - gamma[m], 0.0)
-    # a crossing behind the measured range was not reached, unless noise alone put it there
+    # a crossing behind the measured range was not reached, unless noise explains the order
     for m in range(n):
         if r[m] > z:
             survive[m] = min(survive[m], gamma[m])
@@ -350,7 +358,7 @@ def _e_step(
             e = z - r[m]
             if e * e > FIT_GATE * var:
                 continue
-            across = e * den  # how far the end point is off the face, along its normal
+            across = e * den  # signed distance of the end point from the face
             w = count * g / (var * den * den)
             s = t[m] + e * t_u
             line = lines[f]
