@@ -1,20 +1,18 @@
-"""What happened: runs in memory and the files that keep them; knows no planner and no model.
+"""Read and write recordings of a robot: `Run` in memory, MCAP and other formats on disk.
 
-`read(path)` takes any format in `FORMATS`; `write(run, path)` writes MCAP; `Recorder` writes while it happens.
-Nothing heavy is imported until a name is used.
+`read(path)` reads any format in `FORMATS`. `write(run, path)` writes MCAP. `Recorder` writes during the drive.
+The package depends on no planner and no model. Heavy libraries are imported when a name is first used.
 
-| room | what happens there |
-|---|---|
-| `run` | `Run` and `RangeSensor`: the one data contract of a recording |
-| `recorder`, `plan_file` | write a run while it is driven; write a plan |
-| `inspection`, `recovery`, `stream` | look into a file, save a damaged one, read one larger than memory |
-| `formats/` | one module for each kind of file |
-| `mcap/` | MCAP records, checked one by one |
-| `ros/` | what ROS messages mean: byte layout, topics and their roles, transforms |
-| `no_return`, `resampling`, `jumps` | what drivers and clocks get wrong |
-| `notes` | what a reader took for granted |
-| `motion` | where the robot was at any time, and so where each ray of a sweep was taken |
-| `transforms` | planar poses |
+* `run`: `Run` and `RangeSensor`, the data model of a recording.
+* `recorder`, `plan_file`: Write a run during the drive, and write a plan.
+* `inspection`, `recovery`, `stream`: Inspect a file, recover a damaged one, read one that is larger than memory.
+* `formats/`: One module per file format.
+* `mcap/`: MCAP records, each one validated.
+* `ros/`: ROS messages, that is byte layout, topics and their roles, and transforms.
+* `no_return`, `resampling`, `jumps`: Correct or detect the quirks of drivers and clocks.
+* `notes`: The assumptions and corrections of a reader.
+* `motion`: The pose of the robot at any time, and the pose at which each ray of a sweep is taken.
+* `transforms`: Planar poses.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ __all__ = [
     "write",
 ]
 
-_HOMES = {
+_MODULES = {
     "LogError": "logs.errors",
     "FORMATS": "logs.formats",
     "read": "logs.formats",
@@ -59,10 +57,10 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from its home when it is first used."""
-    if name not in _HOMES:
+    """Import a public name from its module on first use."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOMES[name]), name)
+    found = getattr(import_module(_MODULES[name]), name)
     globals()[name] = found
     return found
 

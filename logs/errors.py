@@ -1,11 +1,11 @@
-"""The one error that the logs package raises when a file, not an argument, is at fault."""
+"""The error that the logs package raises for an unusable file; invalid arguments raise `ValueError`."""
 
 MAX_TEXT = 1200
-"""Characters of a message; what a hostile file puts into it is cut in the middle."""
+"""[characters] maximum length of a message; longer text from a malformed file is cut in the middle."""
 
 
 class LogError(ValueError):
-    """A file cannot be used as asked; the message says in one line what came, what was expected, what to do."""
+    """A file cannot be used; the one-line message gives the value found, the value expected and the remedy."""
 
     def __str__(self) -> str:
         text = " ".join(super().__str__().split())

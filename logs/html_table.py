@@ -1,4 +1,4 @@
-"""A small HTML table, as notebooks show what `_repr_html_` returns."""
+"""A small HTML table for `_repr_html_` in notebooks."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from html import escape
 
 
 def html_table(caption: str, rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """Return a table whose first column names its rows; all text is escaped.
+    """Return a table whose first column holds the row names; all text is escaped.
 
     Parameters
     ----------
-    rows : a name and its cells, as many in each
-    head : names of the columns; none: no head
+    rows : name and cells of each row, the same number in each
+    head : names of the columns; empty for no header row
     """
     left = ' style="text-align: left"'
     lines = ["<table>", f'<caption style="caption-side: top; text-align: left">{escape(caption)}</caption>']

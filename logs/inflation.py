@@ -1,4 +1,4 @@
-"""Unpack compressed bytes, never more than a log can honestly hold: a small file must not fill the memory."""
+"""Decompress data up to a size limit, so that a small malicious file cannot fill the memory."""
 
 from __future__ import annotations
 
@@ -8,34 +8,36 @@ import io
 import zlib
 
 ALLOWANCE = 64 * 1024 * 1024
-"""[bytes] that any file may unpack to."""
+"""[bytes] decompressed size that every file may reach."""
 MAX_RATIO = 100
-"""Bytes that each stored byte may give beyond ALLOWANCE; logs reach 5 to 20."""
+"""Decompressed bytes per stored byte that are allowed beyond ALLOWANCE; logs reach 5 to 20."""
 GZIP_MAGIC, BZIP2_MAGIC, LZ4_MAGIC, ZSTD_MAGIC = b"\x1f\x8b", b"BZh", b"\x04\x22\x4d\x18", b"\x28\xb5\x2f\xfd"
 
 
 class TooLarge(ValueError):
-    """More comes out than was promised, or than a log can honestly hold."""
+    """The decompressed data exceed the stated size, or the limit for a file of this size."""
 
 
 def most_plain(stored: int) -> int:
-    """Return how many bytes a file of `stored` bytes may unpack to."""
+    """Return the maximum decompressed size [bytes] of a file of `stored` bytes."""
     return ALLOWANCE + MAX_RATIO * stored
 
 
 def unpack(data: bytes, most: int) -> bytes:
-    """Unpack zstd, lz4, gzip or bzip2, told by the first bytes; as much as is there of a cut zstd or lz4 stream.
+    """Decompress zstd, lz4, gzip or bzip2, detected from the first bytes.
+
+    A truncated zstd or lz4 stream yields the part that is present.
 
     Raises
     ------
     TooLarge
-        if more than `most` bytes come out
+        If the result exceeds `most` bytes.
     ValueError
-        if it is damaged, or compressed in none of these ways
+        If the data are damaged, or use another compression.
     """
     try:
         plain = _unpack(data, most + 1)
-    except Exception as exc:  # each library has its own error, and they have no common root
+    except Exception as exc:  # each library has its own error class, without a common base
         raise ValueError(f"{type(exc).__name__}: {exc}") from exc
     if len(plain) > most:
         raise TooLarge(f"unpacks to more than {most:,} bytes")

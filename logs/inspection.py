@@ -1,4 +1,4 @@
-"""What is in a file: topics, frames, what can be used, what is missing, and what looks wrong."""
+"""Inspect a file: topics, frames, usable and missing signals, and anything suspicious."""
 
 from __future__ import annotations
 
@@ -34,29 +34,29 @@ LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
     "mcap": mcap_file.load,
     "rosbag": rosbag.load,
 }
-"""Formats that have topics."""
+"""Format with topics -> its loader."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WarningLimits:
-    """What is odd enough to be mentioned; conventions, none is fitted to data."""
+    """Thresholds above which a property of a log is reported; conventions, not fitted to data."""
 
     clock_offset: float = 0.5
-    """[s] between header and log time."""
+    """[s] offset between log time and header stamp."""
     gap_periods: float = 5.0
-    """A step longer than this many median steps is a gap ..."""
+    """A step is a gap if it exceeds this number of median steps ..."""
     gap: float = 0.5
-    """[s] ... if it is also longer than this."""
+    """[s] ... and also exceeds this duration."""
     jump_speed: float = 5.0
-    """[m/s] between two poses; no robot here drives faster."""
+    """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
     jump: float = 0.1
-    """[m] shorter jumps are noise of the reference."""
+    """[m] shorter jumps count as noise of the reference pose."""
     millimetres: float = 1000.0
-    """[m] a median range above this is in millimetres ..."""
+    """[m] a larger median range indicates millimetres."""
     centimetres: float = 60.0
-    """[m] ... or in centimetres, above this."""
+    """[m] a larger median range indicates centimetres or millimetres."""
     still: float = 1e-6
-    """[m, rad] poses that span less never change."""
+    """[m, rad] poses that span less are constant."""
 
 
 LIMITS = WarningLimits()
@@ -70,18 +70,18 @@ class TopicInfo:
     type: str
     n_messages: int
     rate: float | None
-    """[Hz] median, where there are two stamps or more."""
+    """[Hz] median rate; None for fewer than two distinct stamps."""
     frame: str
     first: float | None
-    """[s] of the first message, from the start of the file."""
+    """[s] time of the first message, from the start of the file."""
     last: float | None
     offset: float | None
-    """[s] median of log time minus header stamp."""
+    """[s] median of log time minus header stamp; None without a header."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What a file holds and what it is good for."""
+    """The contents of a file, and what they can be used for."""
 
     path: str
     format: str
@@ -94,13 +94,13 @@ class Inspection:
     missing: tuple[str, ...]
     warnings: tuple[str, ...]
     pairing: str
-    """How many scans have a pose, and why the others have none."""
+    """Number of scans with a pose, and why the others have none."""
     meta: Mapping[str, str]
     run: Run | None = field(repr=False)
-    """The run, where the file can be read as one: for checks that need more than the file."""
+    """The run for further checks; None if the file cannot be read as a run."""
 
     def lines(self) -> list[str]:
-        """Return everything as text, one thing a line."""
+        """Return the inspection as lines of text."""
         out = [f"{self.path}: {self.format}, {self.n_bytes:,} bytes", "topics"]
         width = max((len(topic.name) for topic in self.topics), default=0)
         for topic in self.topics:
@@ -127,7 +127,7 @@ class Inspection:
         return {**shown, "topics": [asdict(topic) for topic in self.topics], "is_run": self.run is not None}
 
 
-@np.errstate(all="ignore")  # numbers that overflow are what it tells of
+@np.errstate(all="ignore")  # numbers that overflow are reported, not raised
 def inspect(
     path: Path | str,
     topics: Mapping[str, str] | None = None,
@@ -136,12 +136,12 @@ def inspect(
     mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
-    """Look into a file; what cannot be a run is still described.
+    """Inspect a file, also one that cannot be read as a run.
 
     Raises
     ------
     LogError
-        if no format matches, the file is damaged, or a topic that was named is not there
+        If no format matches, the file is damaged, or a requested topic is absent.
     """
     path = Path(path)
     check_roles(topics)
@@ -251,15 +251,15 @@ def _usable(run: Run) -> list[str]:
         f"{sensor.range_min:g} to {sensor.range_max:g} m"
     ]
     if run.ranges.size:
-        shares = [(np.isfinite(run.ranges), "a return"), (np.isposinf(run.ranges), "nothing seen")]
-        shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "broken")]
+        shares = [(np.isfinite(run.ranges), "a return"), (np.isposinf(run.ranges), "no return")]
+        shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "invalid")]
         if run.sensor.is_composite:
-            shares[-1] = (shares[-1][0], "not measured at a scan's time, or broken")
+            shares[-1] = (shares[-1][0], "not measured at the time of the scan, or invalid")
         out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
     x, y, yaw = sensor.mount
     if sensor.is_composite:
         n_places = len(np.unique(np.round(sensor.origins, 6), axis=0))
-        out.append(f"several sensors as one: rays from {n_places} places in base_link")
+        out.append(f"several sensors combined: rays start at {n_places} positions in base_link")
     else:
         out.append(f"laser at ({x:.3f}, {y:.3f}) m, {np.degrees(yaw):.1f}° in base_link")
     if not sensor.is_composite and not sensor.cones.any():
@@ -267,7 +267,7 @@ def _usable(run: Run) -> list[str]:
     if sensor.cones.any():
         low, high = np.degrees([sensor.cones.min(), sensor.cones.max()])
         span = f"{low:.1f}°" if low == high else f"{low:.1f}° to {high:.1f}°"
-        out.append(f"each ray measures the nearest surface within a cone of {span}")
+        out.append(f"each ray measures the nearest surface in a cone of {span}")
     if len(run.pose_stamps):
         out.append(
             f"{len(run.pose_stamps):,} poses of {run.pose_frame} from {run.meta.get('pose_source', '/pose')}"
@@ -282,11 +282,11 @@ def _usable(run: Run) -> list[str]:
 def _missing(run: Run, recording: Recording | None) -> list[str]:
     out = []
     if run.n_scans == 0:
-        out.append("scans: the file has none")
+        out.append("scans: the file has no scans")
     if len(run.pose_stamps) == 0:
         out.append(
-            "a reference pose (/pose, or /tf map -> base_link): without it no map of perceptions can be built; "
-            "`sensorgraph locate` finds poses from scans and wheels"
+            "reference poses (/pose, or /tf map -> base_link): required to build a sensorgraph; "
+            "`sensorgraph locate` estimates them from scans and odometry"
         )
     if len(run.odom_stamps) == 0:
         out.append("odometry (/odom)")
@@ -294,7 +294,7 @@ def _missing(run: Run, recording: Recording | None) -> list[str]:
         out.append("commands (/cmd_vel)")
     if recording is not None:
         out += [
-            f"a choice of {role}: {choices(recording, role)}"
+            f"a selected topic for {role}: {choices(recording, role)}"
             for role, stamps in (("odom", run.odom_stamps), ("cmd", run.cmd_stamps))
             if len(stamps) == 0 and choices(recording, role)
         ]
@@ -305,21 +305,28 @@ def _ros_warnings(recording: Recording) -> list[str]:
     out = []
     for topic in _topics(recording):
         if topic.offset is not None and abs(topic.offset) > LIMITS.clock_offset:
-            out.append(f"{topic.name}: log time is {topic.offset:.3f} s after the header stamp: two clocks?")
+            out.append(
+                f"{topic.name}: log time is {topic.offset:.3f} s after the header stamp; check the clocks"
+            )
     return out
 
 
 def warnings_of(run: Run) -> list[str]:
-    """Return what looks wrong in a run, one line each."""
+    """Return the warnings about a run, one line each."""
     out = notes_of(run)
     source = run.meta.get("pose_source", "")
     if source == "slam":
-        out.append("the poses were estimated from these scans: they absorb errors of mount and clock")
+        out.append(
+            "the poses were estimated from these scans, so they absorb errors of the mount and the clock"
+        )
     if source == "locate":
-        out.append("the poses were located by these scans: they absorb errors of mount and clock")
+        out.append(
+            "the poses were located with these scans, so they absorb errors of the mount and the clock"
+        )
     if source.startswith("odometry"):
         out.append(
-            "the poses are odometry: they drift, a map built from them is bent; `sensorgraph locate` finds better ones"
+            "the poses are odometry, which drifts and distorts a map; "
+            "`sensorgraph locate` estimates better poses"
         )
     out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
     finite = np.isfinite(run.ranges)
@@ -327,10 +334,10 @@ def warnings_of(run: Run) -> list[str]:
         middle = float(np.median(run.ranges[finite]))
         if middle > LIMITS.centimetres:
             unit = "millimetres" if middle > LIMITS.millimetres else "centimetres or millimetres"
-            out.append(f"the median range is {middle:g}: these look like {unit}, expected metres")
+            out.append(f"the median range is {middle:g}, probably in {unit}; expected metres")
     blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
     if len(blind):
-        out.append(f"{len(blind)} rays never return: {_spans(blind)}; is something in front of the sensor?")
+        out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")
     return out
 
 
@@ -343,7 +350,7 @@ def _stamp_warnings(run: Run) -> list[str]:
         same = int((steps == 0).sum())
         if same and "duplicates" not in run.meta.get("notes", ""):
             out.append(
-                f"{same} {name} stamps are duplicates: do two sources publish, was a bag played into itself?"
+                f"{same} {name} stamps are duplicates; check for two publishers, or a bag recorded during playback"
             )
         gaps = steps > max(LIMITS.gap_periods * float(np.median(steps)), LIMITS.gap)
         if gaps.any():
@@ -359,13 +366,13 @@ def _pose_warnings(run: Run) -> list[str]:
         return out
     if stamps[0] > run.stamps[-1] or stamps[-1] < run.stamps[0]:
         apart = max(stamps[0] - run.stamps[-1], run.stamps[0] - stamps[-1])
-        out.append(f"poses and scans do not overlap, they are {apart:.1f} s apart: two clocks?")
+        out.append(f"poses and scans do not overlap in time, they are {apart:.1f} s apart; check the clocks")
     broken = int((~np.isfinite(poses)).any(axis=1).sum())
     if broken:
         out.append(f"{broken} poses are not finite")
     if len(stamps) > 1 and broken == 0:
         if np.ptp(poses, axis=0).max() < LIMITS.still:
-            out.append("the pose never changes: did the robot move, does the reference run?")
+            out.append("the pose never changes; check that the robot moved and the reference was running")
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
         jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
@@ -374,13 +381,13 @@ def _pose_warnings(run: Run) -> list[str]:
         if jumps.any():
             at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
             out.append(
-                f"the pose jumps {int(jumps.sum())} times, the farthest {moved[jumps].max():.2f} m at {at:.2f} s"
+                f"the pose jumps {int(jumps.sum())} times, at most {moved[jumps].max():.2f} m at {at:.2f} s"
             )
     return out
 
 
 def _spans(numbers: np.ndarray) -> str:
-    """Write 3, 4, 5, 9 as `3-5, 9`."""
+    """Format 3, 4, 5, 9 as `3-5, 9`."""
     groups = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     shown = [f"{group[0]}-{group[-1]}" if len(group) > 1 else f"{group[0]}" for group in groups[:5]]
     return ", ".join(shown) + (", ..." if len(groups) > 5 else "")

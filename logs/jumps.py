@@ -1,4 +1,7 @@
-"""Scans whose poses lie farther apart than the robot can have driven: wrong pairs, lost localisation, two logs in one."""
+"""Detect jumps: consecutive poses that are farther apart than the robot can drive.
+
+Typical causes are wrong pairs of scan and pose, lost localisation, and two logs in one file.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,14 @@ from logs.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class JumpLimits:
-    """When two poses in a row cannot both be true; conventions, none is fitted to data."""
+    """Limits for the step between consecutive poses; conventions, not fitted to data."""
 
     speed: float = 5.0
-    """[m/s] no robot here drives faster ..."""
+    """[m/s] maximum speed; mobile robots are slower."""
     distance: float = 1.0
-    """[m] ... and shorter steps may be noise of the reference."""
+    """[m] shorter steps may be noise of the reference pose."""
     untimed: float = 2.0
-    """[m] between scans whose clock says nothing."""
+    """[m] maximum step between scans without a usable clock."""
 
 
 JUMP_LIMITS = JumpLimits()
@@ -26,34 +29,36 @@ JUMP_LIMITS = JumpLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class Jumps:
-    """The jumps of a run's poses."""
+    """The jumps of the poses of a run."""
 
     count: int
     share: float
-    """Of all steps from scan to scan."""
+    """Share of all steps from scan to scan."""
     farthest: float
-    """[m]"""
+    """[m] largest jump."""
     at: float
-    """[s] stamp of the scan after the farthest."""
+    """[s] stamp of the scan after the largest jump."""
 
     def __str__(self) -> str:
         times = "once" if self.count == 1 else f"{self.count} times"
-        return f"the pose jumps {times} between consecutive scans, the farthest {self.farthest:.1f} m at {self.at:.2f} s"
+        return f"the pose jumps {times} between consecutive scans, at most {self.farthest:.1f} m at {self.at:.2f} s"
 
 
 def find_jumps(stamps: Floats, poses: Floats, *, is_timed: bool = True) -> Jumps | None:
-    """Return where consecutive scans are farther apart than `JUMP_LIMITS` allows; None: nowhere.
+    """Return the steps between consecutive scans that exceed `JUMP_LIMITS`; None if there is no such step.
 
     Parameters
     ----------
-    stamps : (n,) [s] of scans with a pose, in their order
+    stamps : (n,) [s] of the scans with a pose, in order
     poses : (n, 3) [m, m, rad]
-    is_timed : the stamps are a clock's, not an assumption
+    is_timed : whether the stamps come from a clock; False if they are assumed
     """
     if len(stamps) < 2:
         return None
     steps, moved = np.diff(stamps), np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0  # clocks of whole seconds repeat
+    usual = (
+        float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    )  # a clock of whole seconds repeats
     allowed = np.maximum(JUMP_LIMITS.distance, JUMP_LIMITS.speed * np.maximum(steps, usual))
     if not is_timed:
         allowed[:] = JUMP_LIMITS.untimed

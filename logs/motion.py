@@ -1,4 +1,9 @@
-"""Where the robot was at any time of a run, and so where each ray of a sweeping laser was taken."""
+"""Interpolate the robot pose to any time of a run, and to the time of each ray of a sweeping laser.
+
+Between neighbouring poses x_i, x_i+1 at times t_i, t_i+1 the motion is a monotone cubic Hermite curve with velocities
+m_i = clip((x_i+1 - x_i-1) / (t_i+1 - t_i-1), -most, most). With s_i = (x_i+1 - x_i) / (t_i+1 - t_i), the limit is
+most = 3 min(|s_i-1|, |s_i|) where both slopes have the same sign, otherwise 0 (de Boor and Swartz 1977).
+"""
 
 from __future__ import annotations
 
@@ -13,20 +18,20 @@ from logs.transforms import compose, invert, wrap
 from logs.types import Floats, Ints
 
 MIN_ODOMETRY = 2
-"""Odometry poses between two references, from which on the odometry says how the robot moved between them."""
+"""Minimum number of odometry poses between two reference poses; with fewer, odometry is not used between them."""
 
 MIN_JUDGED = 8
-"""References by which odometry is held against interpolation; with fewer it is believed."""
+"""Minimum number of reference poses for comparing odometry with interpolation; with fewer, odometry is used."""
 
 SAME_STAMP = 1e-6
-"""[s] Stamps nearer than this are one: rounding, between which there is no velocity."""
+"""[s] closer stamps count as equal: their difference is rounding and defines no velocity."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """A track of poses in map, with a steady velocity: monotone cubics between neighbours.
+    """A trajectory in map with a continuous velocity: monotone cubics between neighbouring poses.
 
-    These never leave the box of two neighbours, so that stamps in bursts do not throw the robot about.
+    Each coordinate stays between those of the two neighbours, so bursts of stamps cause no overshoot.
     """
 
     stamps: Floats
@@ -35,7 +40,7 @@ class Motion:
     """(n, 3) [m, m, rad] of the run's `pose_frame` in map; phi is unwrapped."""
 
     def at(self, times: Floats) -> Floats:
-        """Return the poses (..., 3) at times (...) [s]; before the first and after the last, these."""
+        """Return the poses (..., 3) at times (...) [s]; outside the trajectory, the first or last pose."""
         if self._curve is None:
             return np.broadcast_to(self.poses[-1], (*np.shape(times), 3)).copy()
         found: Floats = self._curve(np.clip(times, self._curve.x[0], self._curve.x[-1]))
@@ -43,17 +48,17 @@ class Motion:
 
     @cached_property
     def _curve(self) -> CubicHermiteSpline | None:
-        """The cubics, through the last of poses that share a stamp; None: all share one."""
+        """The cubics; of several poses with one stamp, the last counts. None if all poses have the same stamp."""
         last = np.append(np.diff(self.stamps) > SAME_STAMP, True)
         stamps, poses = self.stamps[last], self.poses[last]
         return CubicHermiteSpline(stamps, poses, _velocities(stamps, poses)) if len(stamps) > 1 else None
 
 
 def _velocities(stamps: Floats, poses: Floats) -> Floats:
-    """Return velocities (n, 3) at poses: from the one before to the one after, as far as cubics stay monotone with them.
+    """Return the velocities (n, 3) at the poses: central differences, limited so that the cubics stay monotone.
 
-    Over both steps stamps that jitter weigh least. Where both go the same way, three times the slower one is the limit
-    (de Boor and Swartz 1977); else the robot turns round.
+    A difference over two steps is the least sensitive to jitter of the stamps. If both steps have the same sign, the
+    limit is three times the slower one (de Boor and Swartz 1977). Otherwise the motion reverses and the velocity is 0.
     """
     step = np.diff(stamps)[:, None]
     slope = np.diff(poses, axis=0) / step
@@ -66,16 +71,16 @@ def _velocities(stamps: Floats, poses: Floats) -> Floats:
 
 
 def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
-    """Return the motion by the reference poses, and by the odometry between references that are slow.
+    """Return the motion from the reference poses, with odometry between reference poses at a low rate.
 
-    Where `MIN_ODOMETRY` odometry poses or more lie between two references, the robot moved as they say; the
-    difference to the second reference is spread evenly over the time between. That is so where odometry tells every other
-    reference better than its neighbours do: coarse encoders tell less than a fast camera. Poses that are not finite are left
-    out.
+    Odometry is used where at least `MIN_ODOMETRY` odometry poses lie between two reference poses. Its mismatch at the
+    second reference pose is distributed linearly over the time between them. Odometry is used only if it predicts every
+    second reference pose better than interpolation does, as coarse encoders are less accurate than a fast camera.
+    Poses that are not finite are ignored.
 
     Raises
     ------
-    ValueError : the run has no finite reference pose
+    ValueError : If the run has no finite reference pose.
     """
     finite = np.isfinite(run.poses).all(axis=1)
     stamps, poses = run.pose_stamps[finite], run.poses[finite]
@@ -90,22 +95,23 @@ def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
 
 
 def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None = None) -> Floats:
-    """Return where the rays of some scans were taken.
+    """Return the poses from which the rays of some scans are taken.
 
     Parameters
     ----------
-    pairing : of the run
-    scans : (n,) indices of paired scans
-    motion : of the run, where it is at hand; None: `motion_of(run)`
+    pairing : Pairing of the run.
+    scans : (n,) indices of paired scans.
+    motion : Motion of the run; None: `motion_of(run)`.
 
     Returns
     -------
-    (n, n_rays, 3) [m, m, rad] pose of the run's `pose_frame` in map at the time of each ray of a sweep, moved to where
-    the ray starts if several sensors are read as one; without either (n, 1, 3), one for all rays of a scan
+    (n, n_rays, 3) [m, m, rad] pose of `pose_frame` in map at the time of each ray.
+    For several sensors read as one, each pose is moved to the origin of its ray.
+    A single sensor without ray delays gives (n, 1, 3): one pose for all rays of a scan.
     """
     if not run.sensor.has_ray_delays:
         return to_ray_starts(pairing.poses[scans][:, None], run.sensor, run.pose_frame)
-    if len(scans) == 0:  # perhaps not one reference pose
+    if len(scans) == 0:  # there may be no reference pose
         return np.zeros((0, run.sensor.n_rays, 3))
     motion = motion_of(run) if motion is None else motion
     poses = motion.at(run.stamps[scans][:, None] + run.sensor.ray_delays)
@@ -114,9 +120,9 @@ def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None 
 
 
 def to_ray_starts(poses: Floats, sensor: RangeSensor, frame: PoseFrame) -> Floats:
-    """Move poses (n, n_rays or 1, 3) of a frame so that its laser is where each ray of several sensors starts.
+    """Move poses (n, n_rays or 1, 3) of a frame so that its laser is at the origin of each ray of several sensors.
 
-    Returns (n, n_rays, 3); the poses as they are if all rays start in one place.
+    Returns (n, n_rays, 3), or the unchanged poses if all rays start at one point.
     """
     if not sensor.is_composite:
         return poses
@@ -128,12 +134,12 @@ def to_ray_starts(poses: Floats, sensor: RangeSensor, frame: PoseFrame) -> Float
 
 
 def _unwrapped(poses: Floats) -> Floats:
-    """Return poses (n, 3) whose headings [rad] follow each other without a jump."""
+    """Return poses (n, 3) with unwrapped headings [rad]."""
     return np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
 
 
 def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | None:
-    """Return the odometry poses between slow references, moved into map; None where there are none."""
+    """Return the odometry poses between reference poses, transformed to map; None if odometry is not used."""
     known = np.isfinite(run.odometry).all(axis=1)
     when, odometry = run.odom_stamps[known], run.odometry[known]
     if len(when) < MIN_ODOMETRY or len(stamps) < 2:
@@ -141,7 +147,7 @@ def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | Non
     if run.pose_frame == "laser":
         odometry = compose(odometry, run.sensor.mount)
     odometry = _unwrapped(odometry)
-    there = Motion(stamps=when, poses=odometry).at(stamps)  # odometry at the references
+    there = Motion(stamps=when, poses=odometry).at(stamps)  # odometry at the reference poses
     right = np.searchsorted(stamps, when, side="left")
     left = right - 1
     inside = (left >= 0) & (right < len(stamps))
@@ -149,43 +155,48 @@ def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | Non
     inside &= (when < stamps[right]) & (stamps[left] >= when[0]) & (stamps[right] <= when[-1])
     count = np.bincount(left[inside], minlength=len(stamps))
     inside &= count[left] >= MIN_ODOMETRY
-    if not inside.any() or not _odometry_tells_more(stamps, poses, there):
+    if not inside.any() or not _odometry_is_better(stamps, poses, there):
         return None
     left, right, when, odometry = left[inside], right[inside], when[inside], odometry[inside]
     share = (when - stamps[left]) / (stamps[right] - stamps[left])
-    found = _spread(poses[left], poses[right], there[left], odometry, there[right], share)
+    found = _between(poses[left], poses[right], there[left], odometry, there[right], share)
     return Motion(stamps=when, poses=found)
 
 
-def _spread(first: Floats, last: Floats, begin: Floats, now: Floats, end: Floats, share: Floats) -> Floats:
-    """Return poses (n, 3) between two references, by odometry, the difference to the second spread evenly over the time.
+def _between(first: Floats, last: Floats, begin: Floats, now: Floats, end: Floats, share: Floats) -> Floats:
+    """Return poses (n, 3) between two reference poses: first ∘ begin⁻¹ ∘ now + share * mismatch.
+
+    The mismatch of odometry at the second reference pose is last - first ∘ begin⁻¹ ∘ end.
 
     Parameters
     ----------
-    first, last : (n, 3) references in map
-    begin, now, end : (n, 3) odometry at the first, between, and at the last
-    share : (n,) of the time between them
+    first, last : (n, 3) reference poses in map
+    begin, now, end : (n, 3) odometry at the first reference pose, in between, and at the last one
+    share : (n,) elapsed share of the time between the two reference poses
     """
-    miss = last - compose(first, compose(invert(begin), end))
-    miss[:, 2] = wrap(miss[:, 2])
-    return np.asarray(compose(first, compose(invert(begin), now)) + share[:, None] * miss)
+    mismatch = last - compose(first, compose(invert(begin), end))
+    mismatch[:, 2] = wrap(mismatch[:, 2])
+    return np.asarray(compose(first, compose(invert(begin), now)) + share[:, None] * mismatch)
 
 
-def _odometry_tells_more(stamps: Floats, poses: Floats, odometry: Floats) -> bool:
-    """Tell whether odometry (n, 3) at the references says better than their neighbours where every other reference is.
+def _odometry_is_better(stamps: Floats, poses: Floats, odometry: Floats) -> bool:
+    """Return whether odometry (n, 3) predicts every second reference pose better than interpolation does.
 
-    Judged by the root mean square, a radian counting as a metre: as a reading of a metre sees it.
+    The criterion is the sum of squared errors of x, y and phi. One radian counts as one metre, which is the shift of
+    a reading at 1 m range.
     """
     first, middle, last = (slice(k, len(stamps) - 2 + k, 2) for k in range(3))
     if len(stamps[middle]) < MIN_JUDGED:
         return True
     share = (stamps[middle] - stamps[first]) / np.maximum(stamps[last] - stamps[first], SAME_STAMP)
-    by_odometry = _spread(poses[first], poses[last], odometry[first], odometry[middle], odometry[last], share)
-    by_neighbours = Motion(stamps=stamps[::2], poses=_unwrapped(poses)[::2]).at(stamps[middle])
+    by_odometry = _between(
+        poses[first], poses[last], odometry[first], odometry[middle], odometry[last], share
+    )
+    interpolated = Motion(stamps=stamps[::2], poses=_unwrapped(poses)[::2]).at(stamps[middle])
 
-    def error(told: Floats) -> float:
-        off = told - poses[middle]
-        off[:, 2] = wrap(off[:, 2])
-        return float(np.square(off).sum())
+    def squared_error(predicted: Floats) -> float:
+        error = predicted - poses[middle]
+        error[:, 2] = wrap(error[:, 2])
+        return float(np.square(error).sum())
 
-    return error(by_odometry) < error(by_neighbours)
+    return squared_error(by_odometry) < squared_error(interpolated)

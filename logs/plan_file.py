@@ -1,4 +1,4 @@
-"""plan.mcap: a planned path and its coverage, as ROS 2 tools and Foxglove show them."""
+"""Write plan.mcap: a planned path and its coverage, for ROS 2 tools and Foxglove."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from logs.types import Floats
 
 PATH_TYPE, GRID_TYPE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 MAX_PATH_POSES = 5000
-"""Of the path message: a viewer draws it whole."""
+"""Maximum number of poses in the path message; viewers draw all of them."""
 
 
 def thin(poses: Floats, most: int = MAX_PATH_POSES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Choose samples of a path (n, 3) at even steps of its length (1 rad counted as 10 cm), the ends included."""
+    """Select samples of a path (n, 3) at even steps of its length, including both ends; 1 rad counts as 10 cm."""
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T) + 0.1 * np.abs(np.diff(np.unwrap(poses[:, 2])))
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    wanted = np.linspace(0.0, way[-1], min(most, len(poses)))
-    return np.unique(np.append(np.searchsorted(way, wanted - 1e-12).clip(0, len(poses) - 1), len(poses) - 1))
+    lengths = np.concatenate([[0.0], np.cumsum(steps)])
+    wanted = np.linspace(0.0, lengths[-1], min(most, len(poses)))
+    return np.unique(
+        np.append(np.searchsorted(lengths, wanted - 1e-12).clip(0, len(poses) - 1), len(poses) - 1)
+    )
 
 
 def write_plan(
@@ -37,7 +39,7 @@ def write_plan(
     occupancy: OccupancyMap | None = None,
     attachments: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write /plan (nav_msgs/Path), /coverage (share of headings per cell, 0 to 100) and /map, all latched.
+    """Write the latched topics /plan (nav_msgs/Path), /coverage (percentage of headings per cell) and /map.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Recorder: write a run while it happens, message by message; a crash loses the open chunk at most."""
+"""Recorder: write a run message by message during the drive; a crash loses at most the open chunk."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ logger = logging.getLogger(__name__)
 
 
 class Recorder:
-    """Write a run to `NAME.mcap` while it is driven.
+    """Write a run to `NAME.mcap` during the drive.
 
-    While open, the file is `NAME.mcap.part`; leaving the `with` block gives it its name. An exception inside
-    the block (also Ctrl-C) finishes the file under `NAME.interrupted.mcap`, with the reason in its metadata,
-    and passes on. After `kill -9` or a power cut, `NAME.mcap.part` stays: `sensorgraph recover` saves all of it
-    but the chunk that was open, 64 KiB.
+    While open, the file is `NAME.mcap.part`; the end of the `with` block renames it. After an exception inside the
+    block, including Ctrl-C, the file becomes `NAME.interrupted.mcap` with the reason in its metadata, and the
+    exception propagates. After `kill -9` or a power failure, `NAME.mcap.part` remains. `sensorgraph recover` then
+    saves everything except the open chunk of 64 KiB.
     """
 
     def __init__(
@@ -69,13 +69,13 @@ class Recorder:
             raise
 
     def scan(self, stamp: float, ranges: ArrayLike) -> None:
-        """Write one scan: ranges (n_rays,) [m], the first ray at `stamp` [s]."""
+        """Write one scan with ranges (n_rays,) [m]; `stamp` [s] is the time of the first ray."""
         row = _row(ranges, self.sensor.n_rays, "ranges")
         at = self._ns(stamp)
         self._put("/scan", SCAN_TYPE, at, scan_messages(self.sensor, at, row))
 
     def pose(self, stamp: float, pose: ArrayLike) -> None:
-        """Write one reference pose (3,) of `pose_frame` in map, and the transforms that agree with it."""
+        """Write one reference pose (3,) of `pose_frame` in map, and the corresponding transforms."""
         row = _row(pose, 3, "pose")
         at = self._ns(stamp)
         base = compose(row, invert(self.sensor.mount)) if self.pose_frame == "laser" else row
@@ -97,11 +97,11 @@ class Recorder:
         self._put("/cmd_vel", TWIST_STAMPED_TYPE, at, command_messages(at, _row(twist, 2, "twist")))
 
     def attach(self, name: str, data: bytes) -> None:
-        """Put a file inside the file, at once."""
+        """Attach a file immediately."""
         self._file.attach(name, data, self._last)
 
     def close(self) -> Path:
-        """Finish the file under its name."""
+        """Finish the file and give it its final name."""
         return self._file.finish()
 
     def __enter__(self) -> Recorder:
@@ -115,12 +115,12 @@ class Recorder:
             return
         self._file.describe(f"{METADATA_NAME}.interrupted", {"reason": f"{type(exc).__name__}: {exc}"})
         kept = self._file.finish(interrupted=True)
-        logger.warning("the recording was interrupted; what was written is in %s", kept)
+        logger.warning("the recording was interrupted; the data written so far are in %s", kept)
 
     def _ns(self, stamp: float) -> Stamps:
         at = to_ns(np.array([stamp], dtype=np.float64), self.epoch_ns)
         if at[0] < 0:
-            raise LogError(f"stamp {stamp} is before 1970; give the recorder an epoch_ns")
+            raise LogError(f"stamp {stamp} s is before 1970; pass epoch_ns to the recorder")
         self._last = int(at[0])
         return at
 

@@ -1,4 +1,4 @@
-"""Save every complete message of a cut or damaged MCAP file; nothing is guessed, and every loss is listed."""
+"""Save every complete message of a truncated or damaged MCAP file, and list every loss; no message is guessed."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from logs.types import Progress
 from logs.yaml_text import parse_yaml
 
 POLICIES = ("history", "reliability", "durability")
-"""What a profile of a channel's quality of service says by a word or a small number."""
+"""Policies of a channel's quality of service that are a word or a small number."""
 OTHER_FORMATS = (
     (
         b"SQLite format 3\x00",
-        "a sqlite bag: save what is whole with `sqlite3 {path} .recover | sqlite3 OUT.db3`",
+        "a sqlite bag: save its intact messages with `sqlite3 {path} .recover | sqlite3 OUT.db3`",
     ),
-    (b"#ROSBAG V", "a ROS 1 bag: save what is whole with `rosbag reindex {path}`"),
-    (b"\x1f\x8b", "a gzip file: keep its whole start with `zcat {path} > OUT.log`"),
+    (b"#ROSBAG V", "a ROS 1 bag: save its intact messages with `rosbag reindex {path}`"),
+    (b"\x1f\x8b", "a gzip file: save its intact first part with `zcat {path} > OUT.log`"),
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """What was saved of a file, and what was not."""
+    """The parts of a file that were saved, and those that were lost."""
 
     written: dict[str, int]
-    """Topic -> count of messages saved."""
+    """Topic -> number of messages saved."""
     lost: dict[str, int]
-    """Topic -> count of messages known to be lost: those that the indexes of damaged chunks count."""
+    """Topic -> number of messages known to be lost, from the indexes of damaged chunks."""
     n_claimed: int | None
-    """Count of messages that the file's own statistics claim, where they are left."""
+    """Number of messages according to the statistics of the file; None if these are lost."""
     orphans: int
-    """Count of messages whose channel is described nowhere in the file; they could not be saved."""
+    """Number of messages that could not be saved because the file does not describe their channel."""
     losses: tuple[Loss, ...]
-    """Stretches of the file that could not be used, with the reason."""
+    """Unusable sections of the file, each with the reason."""
     n_chunks: int
     bad_chunks: int
     attachments: tuple[str, ...]
@@ -50,16 +50,16 @@ class Recovery:
 
     @property
     def is_whole(self) -> bool:
-        """Tell whether nothing was wrong with the file."""
+        """Return whether the file was intact."""
         return not self.losses and not self.orphans
 
     @property
     def bytes_lost(self) -> int:
-        """Count of bytes that could not be used."""
+        """Number of unusable bytes."""
         return sum(loss.end - loss.start for loss in self.losses)
 
     def lines(self) -> list[str]:
-        """Return everything as text, one thing a line."""
+        """Return the result as lines of text."""
         out = [f"saved {sum(self.written.values()):,} messages"]
         out += [f"  {topic}: {count:,}" for topic, count in self.written.items()]
         if self.attachments:
@@ -67,27 +67,29 @@ class Recovery:
         if self.metadata:
             out.append(f"  metadata: {', '.join(self.metadata)}")
         if self.is_whole:
-            return [*out, "lost nothing: the file was whole"]
+            return [*out, "lost nothing: the file was intact"]
         out.append(f"lost {self.bytes_lost:,} bytes, {self.bad_chunks} of {self.n_chunks} chunks damaged")
         n_saved = sum(self.written.values())
         if self.n_claimed is not None and self.n_claimed > n_saved:
-            out.append(f"  {self.n_claimed - n_saved:,} of {self.n_claimed:,} messages that the file had")
+            out.append(
+                f"  {self.n_claimed - n_saved:,} of {self.n_claimed:,} messages, according to the file"
+            )
         out += [f"  {topic}: {count:,} messages" for topic, count in self.lost.items()]
         if self.orphans:
-            out.append(f"  {self.orphans:,} messages of channels that the file no longer describes")
+            out.append(f"  {self.orphans:,} messages whose channel description is lost")
         return out + [f"  bytes {loss.start:,} to {loss.end:,}: {loss.why}" for loss in self.losses]
 
 
 def recover(path: Path | str, out: Path | str, *, progress: Progress | None = None) -> Recovery:
     """Write every complete message of a damaged MCAP file to `out`, with its attachments and metadata.
 
-    Chunks that do not match their checksum are left out; after damaged framing the next plausible record is
-    searched. What stands whole at the start of a chunk that the end of the file cuts is kept.
+    Chunks that do not match their checksum are skipped. After damaged framing, reading resumes at the next plausible
+    record. The complete records at the start of a truncated last chunk are kept.
 
     Raises
     ------
     LogError
-        if the file is no MCAP, nothing in it is whole, or `out` is a folder or the damaged file itself
+        If the file is not MCAP, contains nothing intact, or `out` is a folder or the damaged file itself.
     """
     path, out = Path(path), Path(out)
     _check(path, out)
@@ -100,15 +102,15 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
             Loss(
                 0,
                 0,
-                f"the metadata record `{METADATA_NAME}` has changed, left out: read it as a foreign file",
+                f"the metadata record `{METADATA_NAME}` has changed and was left out, so the file reads as a foreign log",
             )
         )
     if not (known.n_messages or known.attachments or known.metadata):
-        raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
+        raise LogError(f"{path} has no intact message, attachment or metadata; nothing can be recovered")
     with (
         atomic_file(out) as part,
         part.open("wb") as stream,
-    ):  # NAME.part may be the very file that is to be saved
+    ):  # a unique name, because NAME.part may be the damaged file
         copy = _RecoveredFile(stream, known)
         walk = RecordWalk(data, copy.take, lambda loss: _add(losses, loss))
         for step, pos in enumerate(walk.steps()):
@@ -136,7 +138,7 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
 
 
 def _add(losses: list[Loss], loss: Loss) -> None:
-    """Note a loss, as one with the loss before where they touch."""
+    """Add a loss; merge it with the previous one if they are adjacent."""
     if losses and losses[-1].end == loss.start < loss.end:
         losses[-1] = replace(losses[-1], end=loss.end)
     else:
@@ -144,9 +146,9 @@ def _add(losses: list[Loss], loss: Loss) -> None:
 
 
 def _read_contents(data: bytes | mmap) -> Contents:
-    """Read everything but the messages first: a channel may be described after its messages.
+    """Read everything except the messages first, because a channel may be described after its messages.
 
-    Header and definitions carry no checksum of their own: in a damaged file they are restored where they are known.
+    Header and definitions have no checksum. In a damaged file, known definitions are restored.
     """
     losses: list[Loss] = []
     walk = RecordWalk(data, lambda *_: None, losses.append)
@@ -167,7 +169,7 @@ def _read_contents(data: bytes | mmap) -> Contents:
 
 
 def _is_quality(text: str) -> bool:
-    """Tell whether readers can read it as the quality of service of a channel's publishers."""
+    """Return whether readers can parse the text as a list of quality-of-service profiles."""
     try:
         profiles = parse_yaml(text)
     except ValueError:
@@ -180,7 +182,7 @@ def _is_quality(text: str) -> bool:
 
 
 def _check(path: Path, out: Path) -> None:
-    """Refuse what is no MCAP file, and saving a file over itself or a folder."""
+    """Reject an input that is not MCAP, and an output that is a folder or the input itself."""
     if out.is_dir():
         raise LogError(f"{out} is a folder; give the name of a file to write")
     if path.is_dir():
@@ -188,25 +190,25 @@ def _check(path: Path, out: Path) -> None:
         what = (
             f"recover its files one by one: {', '.join(map(str, inside[:3]))}"
             if inside
-            else "it has no .mcap"
+            else "it contains no .mcap file"
         )
         raise LogError(f"{path} is a folder; {what}")
     with path.open("rb") as file:
         head = file.read(64)
     if not head:
-        raise LogError(f"{path} is empty; there is nothing to save")
+        raise LogError(f"{path} is empty; nothing can be recovered")
     for magic, what in OTHER_FORMATS:
         if head.startswith(magic):
-            raise LogError(f"{path} is {what.format(path=path)}; recover is for MCAP")
+            raise LogError(f"{path} is {what.format(path=path)}; recover reads only MCAP")
     looks_alike = sum(a == b for a, b in zip(head, MAGIC, strict=False)) >= 5
     if not looks_alike and not path.name.removesuffix(".part").endswith(".mcap"):
-        raise LogError(f"{path} is no MCAP file (it starts with {head[:8]!r}); recover is for MCAP")
+        raise LogError(f"{path} is not an MCAP file (it starts with {head[:8]!r}); recover reads only MCAP")
     if out.exists() and out.samefile(path):
-        raise LogError(f"{out} is the damaged file itself; give another name, it stays as it is")
+        raise LogError(f"{out} is the damaged file itself; give another output name")
 
 
 class _RecoveredFile:
-    """The new file: everything known first, then message after message."""
+    """The new file: definitions, metadata and attachments first, then the messages."""
 
     def __init__(self, stream: object, known: Contents) -> None:
         from mcap.writer import Writer

@@ -1,4 +1,8 @@
-"""Scans whose count of rays varies, brought to the bearings of one sensor by their own start and increment."""
+"""Resample scans with varying bearings to the bearings of one sensor.
+
+Between two returns a and b of one surface, 1 / r = (1 - share) / a + share / b. Along a straight wall, the inverse
+range is a sine of the bearing.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +14,22 @@ from logs.transforms import wrap
 from logs.types import Floats
 
 STEEPEST = float(np.tan(np.radians(80.0)))
-"""Tangent of the incidence up to which two neighbouring returns count as one surface; beyond lies an edge."""
+"""Tangent of the maximum incidence at which two neighbouring returns count as one surface; beyond it is an edge."""
 SAME_BEARING = 1e-3
-"""Share of an increment within which a ray keeps its reading as it is."""
+"""Share of an increment within which two bearings count as equal, and the reading is kept unchanged."""
 
 
 def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
-    """Return what scans show at other bearings than those they were taken at.
+    """Interpolate scans to other bearings.
 
-    Between two returns of one surface the inverse range is interpolated: along a straight wall it is a sine of the
-    bearing. At an edge, and beside a missing return, the nearest ray counts. A bearing that the scan does not reach
-    by half an increment is nan.
+    Between two returns of one surface, the inverse range is interpolated linearly. At an edge and next to a missing
+    return, the nearest ray is used. A bearing more than half an increment outside the scan is nan.
 
     Parameters
     ----------
     ranges : (n_scans, n) [m], missing returns as in REP-117
-    bearings : (n,) [rad] of these ranges, steadily increasing or decreasing
-    wanted : (m,) [rad]
+    bearings : (n,) [rad] of these ranges, strictly increasing or decreasing
+    wanted : (m,) [rad] bearings of the result
 
     Returns
     -------
@@ -40,7 +43,7 @@ def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
     if bearings[-1] < bearings[0]:
         bearings, ranges = bearings[::-1], ranges[:, ::-1]
     step = float(bearings[-1] - bearings[0]) / (len(bearings) - 1)
-    if bearings[-1] - bearings[0] + 1.5 * step > 2 * np.pi:  # a full turn: the last ray lies beside the first
+    if bearings[-1] - bearings[0] + 1.5 * step > 2 * np.pi:  # a full turn: the last ray is next to the first
         n = max(int(np.searchsorted(bearings, bearings[0] + 2 * np.pi - step / 2)), 1)
         bearings, ranges = bearings[:n], ranges[:, :n]
         bearings = np.concatenate([[bearings[-1] - 2 * np.pi], bearings, [bearings[0] + 2 * np.pi]])
@@ -63,11 +66,11 @@ def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
 
 
 def resampled_text(n_rays: Sequence[int], n_scans: Sequence[int]) -> str:
-    """Say that scans of several geometries were brought to that of most, and that none was dropped.
+    """Return the note that scans of several geometries were resampled to the most common one.
 
     Parameters
     ----------
-    n_rays, n_scans : of each geometry, how many rays it has and how many scans have it
+    n_rays, n_scans : number of rays and number of scans of each geometry
     """
     most, total = max(n_scans), sum(n_scans)
     own = n_rays[n_scans.index(most)]
@@ -76,6 +79,4 @@ def resampled_text(n_rays: Sequence[int], n_scans: Sequence[int]) -> str:
         if min(n_rays) < max(n_rays)
         else f"{own} rays at several bearings"
     )
-    return (
-        f"scans have {span}: {total - most} of {total} were resampled to the {own} rays of most, none dropped"
-    )
+    return f"scans have {span}: {total - most} of {total} were resampled to the bearings of most scans ({own} rays), none was dropped"

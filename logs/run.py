@@ -1,4 +1,4 @@
-"""RangeSensor and Run: the one data contract of a recording. Files are read and written elsewhere in `logs`."""
+"""RangeSensor and Run: the data model of a recording. Other modules of `logs` read and write the files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from logs.types import Bools, Floats
 
 PoseFrame = Literal["base_link", "laser"]
 RARE_TIMES: Mapping[str, int | float] = {"interlaced_sweeps": 1, "sweep_period": 0.0, "first_ray_delay": 0.0}
-"""Fields of `RangeSensor` that files state only where they differ from these defaults."""
+"""Fields of `RangeSensor` that files contain only if they differ from these defaults."""
 
 
 def _empty(*shape: int) -> Floats:
@@ -27,36 +27,36 @@ class RangeSensor:
     """Geometry, limits and timing of a planar range sensor."""
 
     bearings: Floats
-    """(n_rays,) [rad] in the laser frame, increasing (counter-clockwise); ray 0 is the rightmost."""
+    """(n_rays,) [rad] in the laser frame, increasing (counter-clockwise); ray 0 is the rightmost one."""
     range_min: float = 0.05
-    """[m] a nearer surface returns -inf."""
+    """[m] a closer surface gives -inf."""
     range_max: float = 8.0
-    """[m] beyond this the ray returns +inf."""
+    """[m] a ray without a surface up to this range gives +inf."""
     mount: Floats = field(default_factory=lambda: _empty(3))
     """(3,) [m, m, rad] laser in base_link."""
     sigma: float = 0.01
-    """[m] standard deviation of a return."""
+    """[m] standard deviation of a range."""
     resolution: float = 0.0
-    """[m] returns are multiples of this; 0: not rounded."""
+    """[m] ranges are multiples of this step; 0: not rounded."""
     rate: float = 10.0
     """[Hz] scans per second."""
     sweep_time: float = 0.0
-    """[s] from ray 0 to the last (plus one) of one sweep, negative for a clockwise one; -0.0 where a clockwise laser's log
-    does not say how long it sweeps."""
+    """[s] duration of one sweep, from ray 0 to one ray after the last; negative for a clockwise sweep.
+    The value is -0.0 if a laser is clockwise and its log does not state the duration."""
     interlaced_sweeps: int = 1
-    """Sweeps that make a scan, each of every n-th ray: 2 in a SICK LMS of 0.5°, whose mirror measures every 1°."""
+    """Number of sweeps per scan, each with every n-th ray: 2 for a SICK LMS at 0.5°, whose mirror measures every 1°."""
     sweep_period: float = 0.0
-    """[s] from one of the interlaced sweeps to the next, in general a turn of the mirror; negative: the last comes first."""
+    """[s] from one interlaced sweep to the next, usually one turn of the mirror; negative: the last sweep comes first."""
     first_ray_delay: float = 0.0
-    """[s] from a scan's stamp to ray 0; negative where a driver stamps scans later, as they arrive."""
+    """[s] from the stamp of a scan to ray 0; negative if the driver stamps scans on arrival."""
     height: float = 0.0
-    """[m] of the scan plane above the floor."""
+    """[m] height of the scan plane above the floor."""
     origins: Floats = field(default_factory=lambda: _empty(0, 2))
-    """(n_rays, 2) [m] where each ray starts in the laser frame, if several sensors are read as one; (0, 2), the
-    default: all in its origin."""
+    """(n_rays, 2) [m] origin of each ray in the laser frame, for several sensors read as one.
+    Default (0, 2): all rays start at the origin of the laser frame."""
     cones: Floats = field(default_factory=lambda: _empty(0))
-    """(n_rays,) [rad] opening angle of each ray, within which the nearest surface is measured; (0,), the default: rays
-    are thin."""
+    """(n_rays,) [rad] opening angle of the cone in which each ray measures the nearest surface.
+    Default (0,): rays are thin."""
 
     def __post_init__(self) -> None:
         steps = np.diff(self.bearings)
@@ -86,19 +86,19 @@ class RangeSensor:
         k, period = self.interlaced_sweeps, self.sweep_period
         if k < 1 or (k == 1) != (period == 0) or (k > 1 and abs(period) < abs(self.sweep_time)):
             raise ValueError(
-                f"interlaced_sweeps is {k} and sweep_period {period:g} s, with a sweep_time of {self.sweep_time:g} s; expected "
-                "1 and 0, or 2 and more with the time from one sweep to the next, which is not below sweep_time"
+                f"interlaced_sweeps is {k} and sweep_period {period:g} s, with a sweep_time of {self.sweep_time:g} s; "
+                "expected 1 and 0 s, or at least 2 and a sweep_period of at least sweep_time"
             )
 
     @property
     def n_rays(self) -> int:
-        """Count of rays in a scan."""
+        """Number of rays in a scan."""
         return len(self.bearings)
 
     def take(self, rays: NDArray[np.integer] | slice) -> RangeSensor:
-        """Return the sensor with some of its rays, in increasing order.
+        """Return the sensor with a subset of its rays, in increasing order.
 
-        Of interlaced sweeps, rays that do not come in turns any more count as one sweep.
+        If the subset no longer alternates between interlaced sweeps, it counts as one sweep.
         """
         turns = np.arange(self.n_rays)[rays] % self.interlaced_sweeps
         is_in_turns = np.array_equal(turns, np.arange(len(turns)) % self.interlaced_sweeps)
@@ -113,45 +113,45 @@ class RangeSensor:
 
     @property
     def is_composite(self) -> bool:
-        """Tell whether rays start at several places: several sensors read as one."""
+        """Return whether rays have different origins, as several sensors read as one have."""
         return bool(self.origins.any())
 
     @property
     def ray_delays(self) -> Floats:
-        """(n_rays,) [s] when each ray is taken, after the scan's stamp; all 0 without a sweep."""
+        """(n_rays,) [s] time of each ray after the stamp of the scan; all 0 without a sweep."""
         ray = np.arange(self.n_rays)
         along = self.sweep_time * ray / self.n_rays
         return self.first_ray_delay + along + self.sweep_period * (ray % self.interlaced_sweeps)
 
     @property
     def is_clockwise(self) -> bool:
-        """Tell whether the laser takes its last ray first."""
+        """Return whether the laser measures its last ray first."""
         return math.copysign(1.0, self.sweep_time) < 0
 
     @property
     def sweep_share(self) -> Floats:
-        """(n_rays,) which share of a sweep is over when each ray is taken."""
+        """(n_rays,) elapsed share of a sweep at the time of each ray."""
         ray = np.arange(self.n_rays)
         return (ray[::-1] if self.is_clockwise else ray) / self.n_rays
 
     @property
     def has_ray_delays(self) -> bool:
-        """Tell whether rays of a scan are taken at other times than its stamp."""
+        """Return whether the rays of a scan have times that differ from its stamp."""
         return self.sweep_time != 0 or self.sweep_period != 0 or self.first_ray_delay != 0
 
     @property
     def scan_duration(self) -> float:
-        """[s] from the first ray that is taken to the last (plus one)."""
+        """[s] duration of a scan, from the first measured ray to one ray after the last."""
         return abs(self.sweep_time) + (self.interlaced_sweeps - 1) * abs(self.sweep_period)
 
     @property
     def has_ray_poses(self) -> bool:
-        """Tell whether the rays of a scan are taken from different places on a moving robot."""
+        """Return whether the rays of a scan start at different points when the robot moves."""
         return self.has_ray_delays or self.is_composite
 
     @property
     def is_evenly_spaced(self) -> bool:
-        """Tell whether all neighbouring bearings are equally far apart (to 1e-6 rad)."""
+        """Return whether the bearings are equally spaced, to within 1e-6 rad."""
         steps = np.diff(self.bearings)
         return len(steps) == 0 or bool(np.ptp(steps) < 1e-6)
 
@@ -164,18 +164,18 @@ def rare_times(sensor: RangeSensor) -> dict[str, int | float]:
 
 
 def with_rare_times(sensor: RangeSensor, stated: Mapping[str, str | int | float]) -> RangeSensor:
-    """Return the sensor with the fields of `RARE_TIMES` that a file states."""
-    said = {**RARE_TIMES, **{name: stated[name] for name in RARE_TIMES if name in stated}}
+    """Return the sensor with the fields of `RARE_TIMES` that a file contains."""
+    values = {**RARE_TIMES, **{name: stated[name] for name in RARE_TIMES if name in stated}}
     return replace(
         sensor,
-        interlaced_sweeps=int(said["interlaced_sweeps"]),
-        sweep_period=float(said["sweep_period"]),
-        first_ray_delay=float(said["first_ray_delay"]),
+        interlaced_sweeps=int(values["interlaced_sweeps"]),
+        sweep_period=float(values["sweep_period"]),
+        first_ray_delay=float(values["first_ray_delay"]),
     )
 
 
 def rate_of(stamps: Floats, otherwise: float = 10.0) -> float:
-    """Return the rate [Hz] of scans: one over the median of the steps of their stamps (n,) [s] that are above 0."""
+    """Return the scan rate [Hz]: the inverse of the median positive step of the stamps (n,) [s]."""
     steps = np.diff(stamps)
     steps = steps[(steps > 1e-9) & np.isfinite(steps)]
     return float(1.0 / np.median(steps)) if len(steps) else otherwise
@@ -183,32 +183,32 @@ def rate_of(stamps: Floats, otherwise: float = 10.0) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Run:
-    """One recorded or simulated trip; every signal has its own stamps, in seconds from `epoch_ns`."""
+    """One recorded or simulated drive; every signal has its own stamps, in seconds from `epoch_ns`."""
 
     sensor: RangeSensor
     stamps: Floats
-    """(n_scans,) [s] time of each scan's first ray, not decreasing."""
+    """(n_scans,) [s] time of the first ray of each scan, not decreasing."""
     ranges: Floats
-    """(n_scans, n_rays) [m]; +inf nothing seen, -inf too close, nan broken (REP-117)."""
+    """(n_scans, n_rays) [m]; +inf: missing return, -inf: too close, nan: invalid reading (REP-117)."""
     pose_stamps: Floats = field(default_factory=lambda: _empty(0))
     poses: Floats = field(default_factory=lambda: _empty(0, 3))
     """(n_poses, 3) [m, m, rad] reference pose of `pose_frame` in map."""
     pose_covariances: Floats = field(default_factory=lambda: _empty(0, 3, 3))
-    """(n_poses, 3, 3) of x, y, phi in map [m, m, rad]; (0, 3, 3), the default: not known."""
+    """(n_poses, 3, 3) covariance of x, y, phi in map [m, m, rad]; default (0, 3, 3): unknown."""
     odom_stamps: Floats = field(default_factory=lambda: _empty(0))
     odometry: Floats = field(default_factory=lambda: _empty(0, 3))
     """(n_odom, 3) [m, m, rad] base_link in odom (drifts)."""
     odom_twists: Floats = field(default_factory=lambda: _empty(0, 2))
-    """(n_odom, 2) [m/s, rad/s] as the wheels measured it."""
+    """(n_odom, 2) [m/s, rad/s] twist measured by the wheels."""
     cmd_stamps: Floats = field(default_factory=lambda: _empty(0))
     commands: Floats = field(default_factory=lambda: _empty(0, 2))
     """(n_commands, 2) [m/s, rad/s] commanded twist."""
     pose_frame: PoseFrame = "base_link"
-    """Whose pose `poses` is: `laser` in CARMEN corrected logs."""
+    """Frame whose pose `poses` holds; `laser` in corrected CARMEN logs."""
     epoch_ns: int = 0
     """[ns] absolute time of stamp 0 (Unix)."""
     meta: Mapping[str, str] = field(default_factory=dict)
-    """Where it came from: `source`, `format`, `pose_source`, ...; plain text."""
+    """Origin of the run as plain text: `source`, `format`, `pose_source`, ..."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     """File name -> bytes: `arena.geojson`, `robot.yaml`, `plan.json`, ..."""
 
@@ -229,26 +229,26 @@ class Run:
         if self.pose_covariances.shape not in ((0, 3, 3), (len(self.poses), 3, 3)):
             raise ValueError(
                 f"pose_covariances has shape {self.pose_covariances.shape}, expected ({len(self.poses)}, 3, 3), or "
-                "(0, 3, 3) where they are not known"
+                "(0, 3, 3) if unknown"
             )
         for name in ("stamps", "pose_stamps", "odom_stamps", "cmd_stamps"):
             if not (np.diff(getattr(self, name)) >= 0).all():
-                raise ValueError(f"{name} goes back in time; sort the run by its stamps first")
+                raise ValueError(f"{name} goes back in time; sort the signals of the run by time")
 
     @property
     def n_scans(self) -> int:
-        """Count of scans."""
+        """Number of scans."""
         return len(self.stamps)
 
     @property
     def duration(self) -> float:
-        """[s] from the first stamp of any signal to the last; 0 of a run without any."""
+        """[s] from the first to the last stamp of all signals; 0 without stamps."""
         signals = (self.stamps, self.pose_stamps, self.odom_stamps, self.cmd_stamps)
         ends = [(float(stamps[0]), float(stamps[-1])) for stamps in signals if len(stamps)]
         return max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0.0
 
     def __repr__(self) -> str:
-        """Say in a few lines how much it holds, and where its poses are from."""
+        """Summarise the contents and the source of the poses in a few lines."""
         sensor = self.sensor
         first, last = np.degrees(sensor.bearings[[0, -1]])
         pose_source = self.meta.get("pose_source", "the reference")
@@ -263,11 +263,11 @@ class Run:
             f"Run{f' of {source}' if source else ''}: {self.n_scans:,} scans of {sensor.n_rays} rays, "
             f"{self.duration:.1f} s\n"
             f"  rays from {first:.1f} to {last:.1f} deg, {sensor.range_min:g} to {sensor.range_max:g} m\n"
-            f"  {'; '.join(filter(None, signals)) or 'scans alone, no poses'}"
+            f"  {'; '.join(filter(None, signals)) or 'only scans, no poses'}"
         )
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the topics of the run and how much each holds."""
+        """Return the notebook view: the signals of the run and their sizes."""
         sensor = self.sensor
         first, last = np.degrees(sensor.bearings[[0, -1]])
         source = self.meta.get("source", "")
@@ -287,12 +287,12 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OccupancyMap:
-    """A grid of what is free and what is taken."""
+    """An occupancy-grid map of free, occupied and unknown cells."""
 
     data: NDArray[np.int8]
-    """(ny, nx) -1 unknown, 0 free, 100 occupied; row 0 is the lowest y."""
+    """(ny, nx) -1: unknown, 0: free, 100: occupied; row 0 has the lowest y."""
     resolution: float
-    """[m] side of a cell."""
+    """[m] side length of a cell."""
     origin: Floats
     """(3,) [m, m, rad] pose in map of the lower left corner of cell (0, 0)."""
 
@@ -310,27 +310,27 @@ class OccupancyMap:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pairing:
-    """Which scans have a pose, and why the others have none."""
+    """The scans that have a pose, and the reasons why the others have none."""
 
     poses: Floats
-    """(n_scans, 3) [m, m, rad] reference pose at each scan's stamp; nan where not paired."""
+    """(n_scans, 3) [m, m, rad] reference pose at the stamp of each scan; nan if not paired."""
     paired: Bools
-    """(n_scans,) the scan has a pose."""
+    """(n_scans,) whether the scan has a pose."""
     dropped: Mapping[str, int]
-    """Reason -> count of scans dropped for it."""
+    """Reason -> number of scans without a pose for that reason."""
 
     def __str__(self) -> str:
         reasons = "".join(f", {count} {reason}" for reason, count in self.dropped.items())
         return f"{int(self.paired.sum())} of {len(self.paired)} scans paired with poses{reasons}"
 
 
-@np.errstate(over="ignore", invalid="ignore")  # poses that are not finite are dropped below, and counted
+@np.errstate(over="ignore", invalid="ignore")  # poses that are not finite are dropped and counted below
 def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing:
-    """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
+    """Interpolate the reference pose at the stamp of every scan, but not across a gap above `max_gap` [s].
 
-    A scan whose stamp equals a pose's stamp is paired whatever the gaps around it. Where several scans share a stamp
-    with as many poses, they are paired in their order. With `whole_sweep` the poses must last until the last ray
-    of a sweep; where each ray was taken says `logs.motion.ray_poses`.
+    A scan with the stamp of a pose is paired regardless of gaps. If as many scans as poses share one stamp, they are
+    paired in order. With `whole_sweep`, the poses must cover the times of all rays of a sweep. `logs.motion.ray_poses`
+    returns the pose of each ray.
     """
     n_scans = run.n_scans
     poses = np.full((n_scans, 3), np.nan)
@@ -369,7 +369,10 @@ def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing
 
 
 def _twins(stamps: Floats, pose_stamps: Floats) -> NDArray[np.intp]:
-    """Return the pose (n_scans,) of each scan whose stamp as many poses as scans have: the k-th of the k-th; else -1."""
+    """Return the index (n_scans,) of the pose with the same stamp as each scan, or -1.
+
+    If as many poses as scans share one stamp, the k-th pose belongs to the k-th scan. Otherwise there is no such pose.
+    """
     first = np.searchsorted(pose_stamps, stamps, side="left")
     n_poses = np.searchsorted(pose_stamps, stamps, side="right") - first
     before = np.searchsorted(stamps, stamps, side="left")

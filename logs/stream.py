@@ -1,8 +1,7 @@
-"""Logs read piece by piece: runs of some thousand scans with the poses around them, for logs larger than memory.
+"""Read logs larger than memory in pieces: runs of several thousand scans with the poses around them.
 
-`open_log(path)` looks through the file once (what is in it, is it whole) and keeps nothing of it; `pieces` then
-walks it again. An MCAP file of one laser is streamed; other formats, and several sensors as one, are read whole and
-handed out as one piece.
+`open_log(path)` reads the file once to validate it and to find its topics, and keeps no messages. `pieces` then reads
+it again. An MCAP file with one laser is streamed. Other formats, and several sensors as one, form a single piece.
 """
 
 from __future__ import annotations
@@ -40,42 +39,42 @@ from logs.types import Mounts, Progress
 
 @dataclass(frozen=True, kw_only=True)
 class StreamSettings:
-    """How a long log is cut; what is read does not depend on it, only memory and speed do."""
+    """How a long log is divided; only memory and speed depend on these settings, not the data."""
 
     piece: int = 4096
-    """Scans of a piece."""
+    """Number of scans in a piece."""
     ahead: int = 64
-    """Scans read beyond a piece, so that poses after its last scan are at hand."""
+    """Number of scans read beyond a piece, so that the poses after its last scan are available."""
     margin_ns: int = 5_000_000_000
-    """[ns] of log time for which other messages are kept before a piece."""
+    """[ns] of log time before a piece for which other messages are kept."""
     first_messages: int = 500
-    """Messages of each topic that the first look keeps, to tell which topic plays which role."""
+    """Number of messages per topic that the first pass keeps to assign roles to topics."""
 
 
 SETTINGS = StreamSettings()
 
 
 class LogStream(Protocol):
-    """A recording that is read piece by piece."""
+    """A recording that is read in pieces."""
 
     @property
     def head(self) -> Run:
-        """A run with the log's sensor, frame and meta, and perhaps only a few of its scans."""
+        """A run with the sensor, the frame and the meta of the log; it may hold only some of the scans."""
         ...
 
     @property
     def n_scans(self) -> int:
-        """All scans of the log."""
+        """Number of scans in the log."""
         ...
 
     def pieces(self) -> Iterator[Run]:
-        """Yield runs of consecutive scans, each with the poses around it."""
+        """Yield runs of consecutive scans, each with the surrounding poses."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeRun:
-    """A run in memory, as a log of one piece."""
+    """A run in memory as a log with one piece."""
 
     head: Run
 
@@ -96,12 +95,12 @@ def open_log(
     mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> McapStream | WholeRun:
-    """Look through a file; a damaged one is refused before anything is made of it.
+    """Open a log and validate the whole file first, so that a damaged file is rejected at once.
 
     Raises
     ------
     LogError
-        if the file is of no known format, is damaged, or holds no scans
+        If the format is unknown, the file is damaged, or it holds no scans.
     """
     path = Path(path)
     check_roles(topics)
@@ -115,7 +114,7 @@ def open_log(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class McapStream:
-    """An MCAP file; memory holds a piece at a time, and the file itself is mapped."""
+    """An MCAP file, mapped into memory; one piece at a time is decoded."""
 
     path: Path
     head: Run
@@ -123,10 +122,10 @@ class McapStream:
     scan_topic: str
     roles: Mapping[str, str]
     no_return: str | None
-    """As the user named it, or as it was noticed in the first messages; None: the file is ours."""
+    """Encoding of a missing return, selected by the user or detected in the first messages; None: our own file."""
     mounts: Mounts | None
     census: Mapping[str, ShapeCensus]
-    """Topic -> how often each shape of scan is met."""
+    """Topic -> number of scans of each shape."""
     _contents: Contents = field(repr=False)
 
     @classmethod
@@ -138,7 +137,7 @@ class McapStream:
         no_return: str | None = None,
         mounts: Mounts | None = None,
     ) -> McapStream:
-        """Check every record, count scans, and tell from the first messages what plays which role."""
+        """Validate every record, count the scans, and assign roles to topics from the first messages."""
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
         shapes: dict[int, ShapeCensus] = {}
@@ -188,7 +187,7 @@ class McapStream:
         )
 
     def pieces(self) -> Iterator[Run]:
-        """Walk the file again and yield runs of `StreamSettings.piece` scans."""
+        """Read the file again and yield runs of `StreamSettings.piece` scans."""
         window = _Window(self._contents, self.scan_topic)
         for done in _steps(self.path, window.keep):
             del done
@@ -199,7 +198,7 @@ class McapStream:
 
     @np.errstate(all="ignore")
     def _run(self, recording: Recording) -> Run:
-        """Interpret a piece; poses of another source than the log's are none."""
+        """Interpret a piece; poses from another source than that of the log are dropped."""
         run = interpret.to_run(
             recording, self.path.name, self.roles, self.no_return, self.mounts, self.census
         )
@@ -215,7 +214,7 @@ class McapStream:
 
 
 class _Window:
-    """Messages of a stretch of the file: its scans, and what was logged a little before, between and after."""
+    """Messages of a section of the file: its scans, and the other messages from shortly before to shortly after."""
 
     def __init__(self, contents: Contents, scan_topic: str) -> None:
         self.contents = contents
@@ -238,7 +237,7 @@ class _Window:
         return len(self.scans)
 
     def keep(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
-        """Keep a message of a topic that is read."""
+        """Keep a message if its topic is used."""
         name = self.names.get(channel)
         if name is None:
             return
@@ -250,10 +249,10 @@ class _Window:
             self.others.append((name, log_time, payload))
 
     def cut(self, n: int) -> Recording:
-        """Return the first n scans with everything at hand, and forget what no later scan needs."""
+        """Return the first n scans with all available messages, and drop those that no later scan needs."""
         recording = _skeleton(self.contents)
         taken = [self.scans.popleft() for _ in range(n)]
-        while self.scans and self.scans[0][0] == taken[-1][0]:  # those that share a stamp are paired together
+        while self.scans and self.scans[0][0] == taken[-1][0]:  # scans with one stamp are paired together
             taken.append(self.scans.popleft())
         topic = recording.topics[self.scan_topic]
         topic.log_times = [at for at, _ in taken]
@@ -269,7 +268,7 @@ class _Window:
 
 
 def _skeleton(contents: Contents) -> Recording:
-    """Return a recording with the topics of a file and no messages."""
+    """Return a recording with the topics of a file but no messages."""
     recording = Recording(format="mcap")
     for name, pairs in contents.metadata:
         recording.metadata.setdefault(name, {}).update(pairs)
@@ -296,14 +295,18 @@ def _walk(
         contents = walk.contents
         if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
             on_damage(
-                Loss(len(data), len(data), f"{contents.n_messages} messages, it says {contents.n_claimed}")
+                Loss(
+                    len(data),
+                    len(data),
+                    f"{contents.n_messages} messages, but its statistics state {contents.n_claimed}",
+                )
             )
         return contents
 
 
 def _steps(path: Path, keep: Callable[[int, int, int, int, bytes], None]) -> Iterator[int]:
     def changed(loss: Loss) -> None:
-        raise LogError(f"{path} has changed while it was read: {loss.why}")
+        raise LogError(f"{path} changed while it was read: {loss.why}; read it again when it is complete")
 
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         yield from RecordWalk(data, keep, changed).steps()

@@ -1,4 +1,4 @@
-"""What a log says of the laser's sweep: the time from a scan's first ray to its last, and whether it can be true."""
+"""Check the stated sweep of a laser: the time from the first to the last ray of a scan."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from logs.run import RangeSensor, Run
 
 @dataclass(frozen=True, kw_only=True)
 class SweepLimits:
-    """When what a log says of the sweep is odd; conventions, none is fitted to data."""
+    """Limits for a plausible sweep; conventions, not fitted to data."""
 
     full_turn: float = 5.8
-    """[rad] of bearings from which on a laser spins, so that a scan takes the time between two scans."""
+    """[rad] minimum span of the bearings of a spinning laser, whose sweep takes the whole scan period."""
     max_periods: float = 1.5
-    """Times between scans that a sweep cannot be longer than: `time_increment` is wrong."""
+    """Maximum duration of a sweep in scan periods; above it, `time_increment` is wrong."""
     max_difference: float = 0.05
-    """Share by which two statements of one sweep may differ."""
+    """Maximum relative difference between two durations of one sweep."""
     most_thinned: float = 10.5
-    """Times that a sweep fits into the time between scans, up to which the log may keep every so many-th scan."""
+    """Maximum number of sweeps per scan period for which the log may keep only every n-th scan."""
 
 
 LIMITS = SweepLimits()
 
 
 def differs(a: float, b: float) -> bool:
-    """Tell whether two statements of the time [s] of a sweep disagree."""
+    """Return whether two durations [s] of one sweep disagree."""
     return abs(a - b) > LIMITS.max_difference * max(abs(a), abs(b))
 
 
 def sweep_line(sensor: RangeSensor) -> str:
-    """Say how long a sweep takes."""
+    """Describe the duration of a sweep in one line."""
     period = 1.0 / sensor.rate
     if not sensor.has_ray_delays:
-        return f"no sweep: all rays of a scan at its stamp; a scan every {period:.3g} s"
+        return f"no sweep: all rays have the stamp of the scan; a scan every {period:.3g} s"
     if sensor.interlaced_sweeps > 1:
         return (
             f"{sensor.interlaced_sweeps} interlaced sweeps of {sensor.sweep_time:.3g} s, {sensor.sweep_period:.3g} s apart; "
@@ -46,11 +46,11 @@ def sweep_line(sensor: RangeSensor) -> str:
 
 
 def sweep_warnings(run: Run) -> list[str]:
-    """Return what is odd about the sweep that a driver stated: `time_increment` against `scan_time` and the rate.
+    """Return warnings where the `time_increment` of a driver contradicts `scan_time` or the scan rate.
 
-    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans. Where a
-    whole number of sweeps fits into that, either is wrong by a factor, or the log keeps every so many-th scan.
-    Logs that state the sensor themselves, as those of `sensorgraph.record`, are taken at their word.
+    A laser with a field of view of a full turn spins, so its sweep takes the whole period between two scans. If an
+    integer number of sweeps fits into the period, either a value is wrong by that factor, or the log keeps only every
+    n-th scan. Logs that specify the sensor, such as those of `sensorgraph.record`, are not checked.
     """
     sensor = run.sensor
     if "scan_time" not in run.meta or run.n_scans < 2 or np.ptp(sensor.bearings) < LIMITS.full_turn:
@@ -63,6 +63,6 @@ def sweep_warnings(run: Run) -> list[str]:
     is_whole = 1.5 < kept < LIMITS.most_thinned and abs(kept - round(kept)) < LIMITS.max_difference
     unless = f"unless the log keeps one scan in {round(kept)}" if is_whole else "if the laser spins"
     return [
-        f"time_increment says that a sweep takes {abs(sensor.sweep_time):.3g} s, {source} that a turn takes "
-        f"{turn:.3g} s; {unless}, write sensor.sweep_time: {turn:.3g} into a robot.yaml and give it as `robot`"
+        f"the sweep takes {abs(sensor.sweep_time):.3g} s according to time_increment, but {turn:.3g} s according to "
+        f"{source}; {unless}, set sensor.sweep_time: {turn:.3g} in a robot.yaml and pass it as `robot`"
     ]

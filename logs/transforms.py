@@ -1,4 +1,4 @@
-"""Planar poses as arrays: compose, invert, interpolate; to and from translations with quaternions."""
+"""Planar poses as arrays: compose, invert, interpolate; convert to and from translations with quaternions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def wrap(angle: Floats) -> Floats:
 
 
 def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
-    """Return T_a_c of planar poses (..., 3) [m, m, rad]."""
+    """Return T_a_c = T_a_b T_b_c of planar poses (..., 3) [m, m, rad]."""
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
     x = T_a_b[..., 0] + cos * T_b_c[..., 0] - sin * T_b_c[..., 1]
     y = T_a_b[..., 1] + sin * T_b_c[..., 0] + cos * T_b_c[..., 1]
@@ -24,7 +24,7 @@ def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
 
 
 def invert(T_a_b: Floats) -> Floats:
-    """Return T_b_a of planar poses (..., 3) [m, m, rad]."""
+    """Return T_b_a = T_a_b⁻¹ of planar poses (..., 3) [m, m, rad]."""
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
     x = -cos * T_a_b[..., 0] - sin * T_a_b[..., 1]
     y = sin * T_a_b[..., 0] - cos * T_a_b[..., 1]
@@ -32,7 +32,10 @@ def invert(T_a_b: Floats) -> Floats:
 
 
 def interpolate(at: Floats, stamps: Floats, poses: Floats) -> Floats:
-    """Interpolate planar poses (n, 3) at the times `at` (m,), the ends held, headings the short way round."""
+    """Interpolate planar poses (n, 3) linearly at the times `at` (m,).
+
+    Times outside the stamps give the first or last pose. Headings take the shorter rotation.
+    """
     columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
     out = np.stack([np.interp(at, stamps, column) for column in columns], axis=-1)  # (m, 3)
     out[:, 2] = wrap(out[:, 2])
@@ -40,7 +43,7 @@ def interpolate(at: Floats, stamps: Floats, poses: Floats) -> Floats:
 
 
 def twists_of(stamps: Floats, poses: Floats) -> Floats:
-    """Return body velocities (v, omega) (n, 2) by central differences, for odometry that does not say them."""
+    """Return body velocities (v, omega) (n, 2) by central differences, for odometry without a twist."""
     if len(stamps) < 3 or np.ptp(stamps) == 0:
         return np.zeros((len(stamps), 2))
     left, right = (
@@ -62,7 +65,7 @@ def to_translation_quaternion(poses: Floats, z: float = 0.0) -> Floats:
 
 
 def to_planar(transforms: Floats) -> Floats:
-    """Return x, y and the yaw of the x axis (n, 3) of translations with quaternions (n, 7)."""
+    """Return x, y and the yaw of the x axis (n, 3) from translations with quaternions (n, 7)."""
     x, y, z, w = transforms[:, 3:].T
     yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return np.column_stack([transforms[:, :2], yaw])

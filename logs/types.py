@@ -1,4 +1,4 @@
-"""The array types that the whole package shares, and the callback for progress."""
+"""Array types shared by the whole package, and the progress callback."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
 Mounts = Mapping[str, Floats]
-"""Topic or frame of a sensor -> (3,) [m, m, rad] where it sits in base_link."""
+"""Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link."""
 
 Progress = Callable[[int, int], None]
-"""Called with (done, total) while work goes on."""
+"""Called with (done, total) during the work."""

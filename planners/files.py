@@ -1,6 +1,6 @@
-"""Atomic writes: a file is complete or not there.
+"""Write files atomically: a file is either complete or absent.
 
-Each writer has a temporary name of its own, so that two commands that write one output do not mix: the later one wins.
+Every writer uses a unique temporary name, so two commands with the same output do not mix; the last one wins.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from uuid import uuid4
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary name to write to; on leaving it becomes `path`, after an exception it is removed.
+    """Yield a temporary path; rename it to `path` on success, and remove it after an exception.
 
     Raises
     ------
     IsADirectoryError
-        if the path names no file, as `.`
+        If the path has no file name, such as `.`.
     """
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))

@@ -1,4 +1,4 @@
-"""YAML that somebody else wrote: plain data, of a size that can be printed, or one ValueError of one line."""
+"""Parse untrusted YAML to plain data of limited size; every error is a ValueError with a one-line message."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 import yaml
 
 MAX_NODES = 100_000
-"""Values that a file may hold, those repeated by aliases counted each time: nine lines can say a billion."""
+"""Maximum number of values in a file; aliases count every time, because nine lines can expand to a billion values."""
 
 
 def parse_yaml(text: str) -> Any:
-    """Read YAML as plain data.
+    """Parse YAML to plain data.
 
     Raises
     ------
     ValueError
-        if it is no YAML, nested too deeply, or larger than MAX_NODES once its aliases are followed
+        If the text is not YAML, is nested too deeply, or exceeds MAX_NODES with its aliases expanded.
     """
     try:
         data = yaml.safe_load(text)
@@ -26,12 +26,12 @@ def parse_yaml(text: str) -> Any:
     except (yaml.YAMLError, ValueError, TypeError, OverflowError) as exc:
         raise ValueError(" ".join(str(exc).split())[:300]) from exc
     if n_nodes > MAX_NODES:
-        raise ValueError(f"holds more than {MAX_NODES:,} values once its aliases are followed")
+        raise ValueError(f"holds more than {MAX_NODES:,} values with its aliases expanded")
     return data
 
 
 def _count(node: Any, known: dict[int, int]) -> int:
-    """Count the values in a node; a node that holds itself is nested without end."""
+    """Count the values in a node; a node that contains itself counts as too large."""
     if not isinstance(node, dict | list):
         return 1
     if id(node) not in known:

@@ -166,7 +166,7 @@ def doubled(run: Run) -> Run:
     ("spoil", "words"),
     [
         (mirrored, "fits itself better mirrored: check the sign of angle_increment"),
-        (jumping, "the pose jumps 2 times, the farthest 4"),
+        (jumping, "the pose jumps 2 times, at most 4"),
         (doubled, "350 scan stamps are duplicates"),
     ],
 )

@@ -89,4 +89,4 @@ def test_build_says_before_it_fits_what_the_log_makes_hard(
     assert command(arguments) == 2
     said = capsys.readouterr()
     assert re.search(r"run.mcap: the laser sweeps for 0.2 s; each ray gets its own pose", said.out)
-    assert "warning: run.mcap: the poses are odometry: they drift, a map built from them is bent" in said.err
+    assert "warning: run.mcap: the poses are odometry, which drifts and distorts a map" in said.err

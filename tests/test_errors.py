@@ -13,7 +13,7 @@ from sensorgraph import errors
 def test_a_fault_that_another_package_finds_arrives_as_the_one_error(tmp_path: Path) -> None:
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"nothing")
-    with pytest.raises(errors.SensorgraphError, match="is no log"):
+    with pytest.raises(errors.SensorgraphError, match="is not a known log"):
         sg.read(broken)
     with pytest.raises(errors.SensorgraphError, match="planner 'nowhere' is unknown"):
         sg.plan("square", planner="nowhere")

@@ -127,7 +127,7 @@ def test_true_poses_win_over_odometry(tmp_path: Path) -> None:
     ("times", "loggers", "want", "words"),
     [
         ([0, 0, 0], [0, 0, 0], [0, 0.1, 0.2], "no clock runs"),
-        ([7, 7, 7], [1.0, 1.5, 2.0], [1.0, 1.5, 2.0], "the logger's was taken"),
+        ([7, 7, 7], [1.0, 1.5, 2.0], [1.0, 1.5, 2.0], "the logger clock was used"),
         ([-3, -2, -1], [0, 0, 0], [-3, -2, -1], ""),
         ([1, 3, 2], [1, 3, 2], [1, 2, 3], "go back 1 times, sorted"),
         ([1, 1, 2], [1, 1, 2], [1, 1, 2], "1 scan stamps are duplicates"),
@@ -201,7 +201,7 @@ def test_lines_of_one_laser_with_180_and_181_rays_are_all_kept(tmp_path: Path) -
     assert run.ranges.shape == (30, 180)
     np.testing.assert_allclose(run.ranges, np.tile(2 + np.arange(180) / 100, (30, 1)))
     assert (
-        "180 to 181 rays: 10 of 30 were resampled to the 180 rays of most, none dropped" in run.meta["notes"]
+        "180 to 181 rays: 10 of 30 were resampled to the bearings of most scans (180 rays), none was dropped" in run.meta["notes"]
     )
 
 
@@ -236,7 +236,7 @@ def test_gzip_is_told_by_content_and_broken_lines_are_counted(tmp_path: Path) ->
     (tmp_path / "b.log").write_bytes(gzip.compress(text))
     run = logs.read(tmp_path / "b.log")
     assert run.n_scans == 6
-    assert "1 broken lines left out, the first is line 9" in run.meta["notes"]
+    assert "1 invalid lines left out, the first is line 9" in run.meta["notes"]
 
 
 @pytest.mark.parametrize("stamp", [-1e308, 1e300, float("nan")])
@@ -245,7 +245,7 @@ def test_a_line_with_a_stamp_that_no_clock_shows_is_broken(stamp: float, tmp_pat
     lines.insert(5, flaser(np.full(181, 3.0), stamp))
     run = logs.read(write(tmp_path / "a.log", lines))
     assert run.n_scans == 6
-    assert "1 broken lines left out, the first is line 8" in run.meta["notes"]
+    assert "1 invalid lines left out, the first is line 8" in run.meta["notes"]
 
 
 def test_other_laser_is_read_when_named(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_two_lasers_ask_for_a_choice(tmp_path: Path) -> None:
         read(tmp_path, bag)
     path = tmp_path / "bag"
     np.testing.assert_array_equal(logs.read(path, topics={"scan": "/rear/scan"}).ranges, [[3, 4]])
-    with pytest.raises(logs.LogError, match=r"scan=/side is no topic .* /front/scan"):
+    with pytest.raises(logs.LogError, match=r"scan=/side is not a topic .* /front/scan"):
         logs.read(path, topics={"scan": "/side"})
     with pytest.raises(logs.LogError, match="no role"):
         logs.read(path, topics={"lidar": "/rear/scan"})
@@ -236,7 +236,7 @@ def test_scans_of_another_geometry_are_resampled_and_counted(tmp_path: Path) -> 
     np.testing.assert_array_equal(run.ranges[6], [5, 5, np.nan])
     np.testing.assert_array_equal(run.ranges[7], [np.nan] * 3)
     assert (
-        "/scan: scans have 0 to 4 rays: 3 of 8 were resampled to the 3 rays of most, none dropped"
+        "/scan: scans have 0 to 4 rays: 3 of 8 were resampled to the bearings of most scans (3 rays), none was dropped"
         in run.meta["notes"]
     )
 
@@ -262,7 +262,7 @@ def test_a_log_read_by_pieces_has_the_bearings_of_most_scans_and_loses_none(
     assert ranges.shape == (60, 36)
     np.testing.assert_array_equal(np.isposinf(ranges), np.isposinf(whole.ranges))
     np.testing.assert_allclose(ranges[np.isfinite(ranges)], whole.ranges[np.isfinite(ranges)], atol=1e-5)
-    assert "20 of 60 were resampled to the 36 rays of most, none dropped" in log.head.meta["notes"]
+    assert "20 of 60 were resampled to the bearings of most scans (36 rays), none was dropped" in log.head.meta["notes"]
 
 
 @pytest.mark.parametrize("mode", [None, "FILE", "MESSAGE"])
@@ -300,13 +300,13 @@ def test_split_and_compressed_folders_give_the_whole_run(
 @pytest.mark.parametrize(
     ("code", "named", "want", "words"),
     [
-        (10.0, None, np.inf, "exactly range_max 10 m means nothing seen: 80 rays (10.0%) are +inf"),
-        (0.0, None, np.inf, "0 means nothing seen: 80 rays (10.0%) are +inf"),
+        (10.0, None, np.inf, "ranges of exactly range_max 10 m are missing returns: 80 rays (10.0%) are +inf"),
+        (0.0, None, np.inf, "ranges of 0 are missing returns: 80 rays (10.0%) are +inf"),
         (10.0, "inf", 10.0, ""),
-        (0.0, "range_max", np.nan, "80 ranges are exactly 0, which tells nothing: nan"),
-        (0.0, "zero", np.inf, "0 means nothing seen"),
-        (np.nan, None, np.nan, "80 ranges (10.0%) are nan, an invalid reading: not judged"),
-        (np.nan, "nan", np.inf, "nan means nothing seen: 80 rays (10.0%) are +inf"),
+        (0.0, "range_max", np.nan, "80 ranges are exactly 0, an invalid reading: nan"),
+        (0.0, "zero", np.inf, "ranges of 0 are missing returns"),
+        (np.nan, None, np.nan, "80 ranges (10.0%) are nan and count as invalid readings"),
+        (np.nan, "nan", np.inf, "ranges of nan are missing returns: 80 rays (10.0%) are +inf"),
     ],
 )
 def test_a_missing_return_is_noticed_by_its_frequency_or_named(
@@ -336,7 +336,7 @@ def test_metadata_that_counts_more_messages_than_the_bag_holds_is_an_error(tmp_p
     path = write_bag2(tmp_path / "bag", trip(), "SQLITE3")
     about = path / "metadata.yaml"
     about.write_text(about.read_text().replace("message_count: 41", "message_count: 50"))
-    with pytest.raises(logs.LogError, match=r"holds 41 messages, its metadata\.yaml says 50"):
+    with pytest.raises(logs.LogError, match=r"holds 41 messages, but its metadata\.yaml states 50"):
         logs.read(path)
 
 
@@ -392,4 +392,4 @@ def test_poses_in_an_unknown_frame_are_said_to_be_taken_as_the_maps(
             whole.header.frame_id = frame
             bag[i] = (topic, kind, at, bytes(HUMBLE.serialize_cdr(whole, kind)))
     said = read(tmp_path, bag).meta.get("notes", "")
-    assert said == ("" if is_known else f"/pose is in the frame {frame}, which is unknown: taken as the map")
+    assert said == ("" if is_known else f"/pose is in the unknown frame {frame}, which is assumed to be the map")

@@ -97,7 +97,7 @@ def test_a_command_refuses_jumps_in_one_line_and_force_overrules_it(
     }[name]
     assert command(arguments) == 2
     (line,) = [text for text in capsys.readouterr().err.splitlines() if text.startswith("error")]
-    assert "the pose jumps once between consecutive scans, the farthest 1.6 m at 6.00 s" in line
+    assert "the pose jumps once between consecutive scans, at most 1.6 m at 6.00 s" in line
     assert "--force" in line
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     if name != "diagnose":  # the same argument, and slow

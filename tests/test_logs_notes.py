@@ -17,23 +17,23 @@ from logs.ros.cdr import Messages
 from sensorgraph.intake import log_notes
 
 MENDED = (
-    "/scan: 9 messages have stamp 0, their log time was taken",
+    "/scan: 9 messages have stamp 0, their log time was used",
     "/scan: stamps go back 3 times, sorted",
-    "range_min 10 makes no sense, 0 was taken",
-    "no transform base_link -> laser: the mount is robot.yaml's where one is given, else 0",
-    "exactly range_max 8 m means nothing seen: 80 rays (10.0%) are +inf (if not so, set `no_return` inf)",
-    "2 broken lines left out, the first is line 9",
+    "range_min 10 is invalid, 0 was used",
+    "no transform base_link -> laser: the mount of robot.yaml is used if given, otherwise 0",
+    "ranges of exactly range_max 8 m are missing returns: 80 rays (10.0%) are +inf (if this is wrong, set `no_return` inf)",
+    "2 invalid lines left out, the first is line 9",
 )
 USUAL = (
     "3 ranges are above range_max 8 m: +inf",
-    "/sonar: 7 ranges are exactly 0, which tells nothing: nan",
-    "2 ranges are 0 or less, which tells nothing: nan",
+    "/sonar: 7 ranges are exactly 0, an invalid reading: nan",
+    "2 ranges are 0 or less, an invalid reading: nan",
     "the laser sweeps clockwise: rays were reversed",
-    "the laser hangs upside down: rays were mirrored",
-    "1 rays repeat others after a full turn, dropped",
-    "/scan: 180 to 181 rays: 10 of 30 were resampled to the 180 rays of most, none dropped",
+    "the laser is mounted upside down: rays were mirrored",
+    "1 rays repeat others after a full turn and were dropped",
+    "/scan: 180 to 181 rays: 10 of 30 were resampled to the bearings of most scans (180 rays), none was dropped",
     "2 sensors are read as one, each with its own mount: /front, /rear",
-    "other scans in the log (`topics` scan=NAME takes them): 5 RLASER",
+    "other scans in the log (select them with `topics` scan=NAME): 5 RLASER",
 )
 
 
@@ -44,7 +44,7 @@ def test_a_note_is_a_warning_where_something_was_assumed_or_mended() -> None:
     assert log_notes(run, run) == [f"a.mcap: {note}" for note in MENDED]
 
 
-@pytest.mark.parametrize("written", ["", "2 broken lines left out, the first is line 9"])
+@pytest.mark.parametrize("written", ["", "2 invalid lines left out, the first is line 9"])
 def test_stamps_that_go_back_in_a_file_of_ours_are_noted(written: str, tmp_path: Path) -> None:
     logs.write(replace(some_run(), meta={"notes": written} if written else {}), tmp_path / "run.mcap")
     recording = mcap_file.load(tmp_path / "run.mcap", None)

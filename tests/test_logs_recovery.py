@@ -75,7 +75,7 @@ def test_every_cut_is_refused_when_read_and_recovered_without_a_false_scan(
         try:
             saved = recover(path, out)
         except logs.LogError as exc:
-            assert "nothing to save" in str(exc) or cut < len(MAGIC)
+            assert "nothing can be recovered" in str(exc) or cut < len(MAGIC)
             assert saved_before == 0
             continue
         assert not saved.is_whole
@@ -241,7 +241,7 @@ def test_whole_file_is_recovered_whole(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(whole)
     saved = recover(tmp_path / "run.mcap", tmp_path / "out.mcap")
     assert saved.is_whole and saved.bytes_lost == 0
-    assert saved.lines()[-1] == "lost nothing: the file was whole"
+    assert saved.lines()[-1] == "lost nothing: the file was intact"
     assert logs.read(tmp_path / "out.mcap").attachments == ORIGINAL.attachments
 
 

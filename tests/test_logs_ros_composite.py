@@ -49,7 +49,7 @@ def test_sonars_of_several_topics_or_frames_are_one_sensor_with_a_mount_for_each
 def test_sonars_without_transforms_sit_where_robot_yaml_says(tmp_path: Path) -> None:
     path = write_bag2(tmp_path / "bag", [m for m in ring() if m[0] != "/tf_static"])
     with pytest.raises(
-        logs.LogError, match=r"nothing says where /sonar/0 in sonar_0, .* sit .* record /tf_static"
+        logs.LogError, match=r"the mounts of /sonar/0 in sonar_0, .* are unknown; record /tf_static"
     ):
         logs.read(path)
     entries = [
@@ -70,7 +70,7 @@ def test_some_sonars_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:
     assert one.ranges.shape == (8, 1) and one.sensor.cones.tolist() == [pytest.approx(0.3)]
     assert logs.read(path, topics={"scan": "/sonar/[01]"}).sensor.n_rays == 2
     assert logs.read(path, topics={"scan": "sonar/1,sonar/3"}).sensor.n_rays == 2
-    with pytest.raises(logs.LogError, match=r"scan=/sonar/9 is no topic"):
+    with pytest.raises(logs.LogError, match=r"scan=/sonar/9 is not a topic"):
         logs.read(path, topics={"scan": "/sonar/9"})
 
 
@@ -84,7 +84,7 @@ def test_front_and_rear_laser_are_chosen_or_read_as_one(tmp_path: Path) -> None:
         bag.append(scan(0.1 * i + 0.03, [6, 7, 8, 9, 9.5], topic="/rear", frame="rear"))
         bag.append(pose(0.1 * i, 0.1 * i, 0, 0))
     path = write_bag2(tmp_path / "bag", bag)
-    with pytest.raises(logs.LogError, match=r"2 scan topics; choose with .*scan=/front,/rear"):
+    with pytest.raises(logs.LogError, match=r"2 scan topics; select one with .*scan=/front,/rear"):
         logs.read(path)
     front = logs.read(path, topics={"scan": "/front"})
     assert front.ranges.shape == (5, 5)

@@ -52,7 +52,7 @@ def test_time_increment_that_disagrees_with_scan_time_is_warned_of(
     tmp_path: Path, time_increment: float
 ) -> None:
     (warning,) = [line for line in inspect(spinning(tmp_path, time_increment)).warnings if "sweep" in line]
-    assert "scan_time that a turn takes 0.1 s" in warning and "sensor.sweep_time: 0.1" in warning
+    assert "0.1 s according to scan_time" in warning and "sensor.sweep_time: 0.1" in warning
 
 
 def test_a_log_of_which_every_third_scan_may_have_been_kept_is_not_told_that_it_is_wrong(
@@ -60,13 +60,13 @@ def test_a_log_of_which_every_third_scan_may_have_been_kept_is_not_told_that_it_
 ) -> None:
     found = inspect(spinning(tmp_path, PERIOD / 3 / N_RAYS))
     (warning,) = [line for line in found.warnings if "sweep" in line]
-    assert "unless the log keeps one scan in 3, write sensor.sweep_time: 0.1" in warning
+    assert "unless the log keeps one scan in 3, set sensor.sweep_time: 0.1" in warning
 
 
 def test_sweep_longer_than_the_time_between_scans_is_not_believed(tmp_path: Path) -> None:
     run = logs.read(spinning(tmp_path, 0.1))
     assert run.sensor.sweep_time == 0
-    assert "makes no sense, 36 rays would take 3.6 s of the 0.1 s between scans" in run.meta["notes"]
+    assert "is invalid, 36 rays would take 3.6 s of the 0.1 s between scans" in run.meta["notes"]
 
 
 def test_robot_yaml_overrules_the_log_and_inspect_says_that_they_disagree(

@@ -1,4 +1,4 @@
-"""Kinds of files, one module each: how to tell them, how to read them as a `Run`; registry FORMATS."""
+"""File formats, one module each: detect a format and read it as a `Run`; registry FORMATS."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class Format(NamedTuple):
-    """A kind of file that `read` understands."""
+    """A file format that `read` supports."""
 
     matches: Callable[[Path, bytes], bool]
-    """Tell from the path and its first bytes (unpacked, if gzip) whether a file is of this kind."""
+    """Return whether a file has this format, from its path and its first bytes (decompressed, if gzip)."""
     read: Callable[[Path, Mapping[str, str] | None, Progress | None, str | None, Mounts | None], Run]
     """Read (path, topics, progress, no_return, mounts)."""
 
@@ -34,7 +34,7 @@ FORMATS: dict[str, Format] = {
     "carmen": Format(carmen.matches, carmen.read),
     "table": Format(table.matches, table.read),
 }
-"""Name -> format; the first that matches is taken."""
+"""Name -> format; the first match is used."""
 
 
 def read(
@@ -45,25 +45,25 @@ def read(
     mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> Run:
-    """Read a run from a file of any known format, told by its content.
+    """Read a run from a file; the format is detected from its content.
 
     Parameters
     ----------
-    topics : role -> topic, for files with other names than ours: roles scan, pose, odom, cmd
-    no_return : how a missing return was logged: `range_max` (exactly that range), `zero`, `inf` or `nan`; None: noticed from
-        its frequency, and said in the notes
-    mounts : topic or frame of a sensor -> (3,) [m, m, rad] where it sits in base_link, where no transform says it
+    topics : Role (scan, pose, odom, cmd) -> topic, for files with non-standard topic names.
+    no_return : Encoding of a missing return: `range_max` (exactly that range), `zero`, `inf` or `nan`.
+        None: Detected from the frequency of readings, and reported in the notes.
+    mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
 
     Raises
     ------
     LogError
-        if the file is of no known format, is damaged, or holds no scans
+        If the format is unknown, the file is damaged, or it holds no scans.
     OSError
-        if the file cannot be opened
+        If the file cannot be opened.
     """
     path = Path(path)
     check_no_return(no_return)
-    with np.errstate(all="ignore"):  # numbers that overflow become inf or nan, which is dropped and counted
+    with np.errstate(all="ignore"):  # overflow gives inf or nan, which are dropped and counted
         return FORMATS[format_of(path)].read(path, topics, progress, no_return, mounts)
 
 
@@ -73,7 +73,7 @@ def format_of(path: Path) -> str:
     Raises
     ------
     LogError
-        if no format matches; it says what the file looks like instead
+        If no format matches; the message describes the content of the file.
     """
     head = first_bytes(path)
     for name, known in FORMATS.items():
@@ -87,12 +87,12 @@ def format_of(path: Path) -> str:
         raise LogError(f"{path} is a folder without metadata.yaml (it holds {inside}); {expected}")
     if head.startswith(ZSTD_MAGIC):
         raise LogError(
-            f"{path} is packed by zstd; give the rosbag2 folder that it is a part of (it has a metadata.yaml), or "
-            f"unpack it: zstd -d {path}"
+            f"{path} is compressed with zstd; give the rosbag2 folder that contains it (with a metadata.yaml), or "
+            f"decompress it: zstd -d {path}"
         )
     if not head:
         raise LogError(f"{path} is empty; {expected}")
-    raise LogError(f"{path} is no log (it starts with {head[:8]!r}); {expected}")
+    raise LogError(f"{path} is not a known log (it starts with {head[:8]!r}); {expected}")
 
 
 def write(
@@ -102,12 +102,12 @@ def write(
     occupancy: OccupancyMap | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write a run as MCAP (profile ros2), or as a table where the name ends in `.csv`.
+    """Write a run as MCAP (profile ros2), or as a table if the name ends in `.csv`.
 
     Raises
     ------
     LogError
-        if a stamp is not finite or beyond what ROS time can hold
+        If a stamp is not finite or outside the range of ROS time.
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":

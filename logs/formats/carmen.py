@@ -1,7 +1,7 @@
-"""CARMEN logs: FLASER, RLASER, ROBOTLASER1, RAWLASER1, ODOM, TRUEPOS and PARAM lines; plain or gzip.
+"""Read CARMEN logs: FLASER, RLASER, ROBOTLASER1, RAWLASER1, ODOM, TRUEPOS and PARAM lines; plain or gzip.
 
-These logs say neither what "nothing seen" is coded as, nor whether their poses were corrected by SLAM; both are
-told from the numbers, and noted in the run's meta.
+These logs state neither the code of a missing return nor whether SLAM corrected their poses. Both are inferred from
+the data and recorded in the meta of the run.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, Mounts, Progress
 
 SCAN_KEYWORDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
-"""Kinds of scan lines; the first kind that a log holds is read unless `topics` says otherwise, for example scan=RLASER."""
+"""Keywords of scan lines; the first one in the log is read unless `topics` selects another, such as scan=RLASER."""
 KEYWORDS = frozenset({*SCAN_KEYWORDS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
-# readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo that CARMEN knew
+# readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo lasers in CARMEN
 LAYOUTS = {
     101: (-50.0, 1.0), 180: (-90.0, 1.0), 181: (-90.0, 1.0), 201: (-50.0, 0.5), 360: (-90.0, 0.5),
     361: (-90.0, 0.5), 401: (-50.0, 0.25), 541: (-135.0, 0.5), 682: (-120.0, 0.3515625), 720: (-90.0, 0.25),
     721: (-90.0, 0.25), 1081: (-135.0, 0.25),
 }  # fmt: skip
 RIGID_TOLERANCE = 0.02
-"""[m, rad] how far a rigid mount may seem to move, by the rounding of the poses."""
+"""[m, rad] maximum apparent motion of a rigid mount, caused by rounded poses."""
 
 
 def matches(path: Path, head: bytes) -> bool:
-    """Tell whether the first line that says something is CARMEN's."""
+    """Return whether the first line with content is a CARMEN line."""
     for line in head.splitlines():
         words = line.split(maxsplit=1)
         if words and not words[0].startswith(b"#"):
@@ -46,18 +46,18 @@ def matches(path: Path, head: bytes) -> bool:
 
 @dataclass
 class _ParsedLines:
-    """The numbers of a log, keyword by keyword."""
+    """The values of a log, grouped by keyword."""
 
     scans: dict[str, list[_ScanLine]] = field(default_factory=dict)
     odom: list[list[float]] = field(default_factory=list)
-    """x, y, phi, v, omega, stamp, and the number of the line."""
+    """x, y, phi, v, omega, stamp, line number."""
     true: list[list[float]] = field(default_factory=list)
-    """x, y, phi, three of odometry, stamp, and the number of the line."""
+    """x, y, phi, three values of odometry, stamp, line number."""
     params: dict[str, str] = field(default_factory=dict)
     is_filtered: bool = False
-    """A particle filter has left its NEFF lines."""
+    """Whether the log has NEFF lines of a particle filter."""
     broken: list[int] = field(default_factory=list)
-    """Numbers of lines that could not be read."""
+    """Line numbers that could not be parsed."""
     others: Counter[str] = field(default_factory=Counter)
 
 
@@ -66,12 +66,12 @@ class _ScanLine:
     number: int
     ranges: Floats
     geometry: tuple[float, float, float, float]
-    """First bearing, step [rad], largest range and accuracy [m]; nan where the line does not say."""
+    """First bearing and step [rad], maximum range and accuracy [m]; nan if the line does not state them."""
     laser: tuple[float, ...]
     robot: tuple[float, ...]
-    """Poses (x, y, phi), or nothing."""
+    """Poses (x, y, phi), or empty."""
     times: tuple[float, float]
-    """[s] of the sensor, of the logger."""
+    """[s] time of the sensor and of the logger."""
 
 
 def read(
@@ -81,12 +81,12 @@ def read(
     no_return: str | None = None,
     mounts: Mounts | None = None,
 ) -> Run:
-    """Read a run; in corrected logs its poses are the laser's.
+    """Read a run; in corrected logs the poses are those of the laser.
 
     Raises
     ------
     LogError
-        if the log has no scans, not those that `topics` names, or more broken lines than whole ones
+        If the log has no scans, lacks the scans that `topics` selects, or has more invalid lines than valid ones.
     """
     lines = _parse(read_lines(path), progress)
     kind = _choose(path, lines, topics)
@@ -95,12 +95,13 @@ def read(
         share = len(lines.broken) / (len(lines.broken) + len(scans) + len(lines.odom))
         if share > 0.5:
             raise LogError(
-                f"{path}: {len(lines.broken)} lines are broken, the first is line {lines.broken[0]}"
+                f"{path}: {len(lines.broken)} lines are invalid, the first is line {lines.broken[0]}; "
+                "check that the copy is complete"
             )
-        notes.append(f"{len(lines.broken)} broken lines left out, the first is line {lines.broken[0]}")
+        notes.append(f"{len(lines.broken)} invalid lines left out, the first is line {lines.broken[0]}")
     others = [f"{len(found)} {name}" for name, found in lines.scans.items() if name != kind]
     if others:
-        notes.append(f"other scans in the log (`topics` scan=NAME takes them): {', '.join(others)}")
+        notes.append(f"other scans in the log (select them with `topics` scan=NAME): {', '.join(others)}")
     laser = np.array([scan.laser or (np.nan,) * 3 for scan in scans])
     robot = np.array([scan.robot or (np.nan,) * 3 for scan in scans])
     clock = read_clock(
@@ -174,7 +175,7 @@ def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
 
 
 def _scan(word: str, values: list[str], number: int) -> _ScanLine:
-    """Read the words after the keyword of a scan line."""
+    """Parse the words after the keyword of a scan line."""
     at, geometry = 0, (np.nan, np.nan, np.nan, np.nan)
     if not word.endswith("LASER"):  # laser_type start_angle fov resolution range_max accuracy remission_mode
         geometry = (float(values[1]), float(values[3]), float(values[4]), float(values[5]))
@@ -195,7 +196,7 @@ def _scan(word: str, values: list[str], number: int) -> _ScanLine:
         raise ValueError("no stamp")
     times = float(values[end]), float(values[end + 2])
     if not np.abs(times).max() <= CLOCK.latest:
-        raise ValueError("a stamp that no clock shows")
+        raise ValueError("a stamp that is out of range")
     return _ScanLine(number, ranges, geometry, poses[:3], poses[3:], times)
 
 
@@ -207,13 +208,13 @@ def _choose(path: Path, lines: _ParsedLines, topics: Mapping[str, str] | None) -
     if not there:
         kinds = {"ODOM": len(lines.odom), "TRUEPOS": len(lines.true), **lines.others}
         seen = ", ".join(f"{count} {name}" for name, count in kinds.items() if count) or "nothing"
-        broken = f" and {len(lines.broken)} broken lines" if lines.broken else ""
+        broken = f" and {len(lines.broken)} invalid lines" if lines.broken else ""
         raise LogError(f"{path} has no scans; it has {seen}{broken}; expected FLASER or ROBOTLASER1 lines")
     return named.lstrip("/") if named is not None else there[0]
 
 
 def _ranges(scans: list[_ScanLine], no_return: str | None, notes: list[str]) -> tuple[Floats, Floats, float]:
-    """Return ranges with missing returns as +inf, the bearings of most scans, and range_max."""
+    """Return ranges with missing returns as +inf, the most common bearings, and range_max."""
     groups: dict[bytes, list[int]] = {}
     for i, scan in enumerate(scans):
         key = np.array([len(scan.ranges), *np.round(scan.geometry[:2], 6)]).tobytes()
@@ -242,12 +243,12 @@ def _bearings(n: int, geometry: tuple[float, float, float, float], notes: list[s
         return first + step * np.arange(n, dtype=np.float64)
     if n in LAYOUTS:
         return np.asarray(np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n, dtype=np.float64)))
-    notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")
+    notes.append(f"the bearings of {n} rays are unknown: assumed to be evenly spaced from -90° to 90°")
     return np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
 
 
 def _pose_source(name: str, lines: _ParsedLines, laser: Floats, robot: Floats) -> str:
-    """Tell whether the laser's poses are SLAM's, an outer reference's, or odometry's."""
+    """Infer whether the poses of the laser come from SLAM, from an external reference or from odometry."""
     if lines.true:
         return "TRUEPOS"
     whole = np.isfinite(laser).all(axis=1)
@@ -262,13 +263,15 @@ def _pose_source(name: str, lines: _ParsedLines, laser: Floats, robot: Floats) -
 
 
 def _mount(kind: str, lines: _ParsedLines, laser: Floats, robot: Floats, source: str) -> Floats:
-    """Return the laser in base_link, from a raw log's own poses or its PARAM lines."""
+    """Return the mount of the laser in base_link, from the poses of a raw log or from its PARAM lines."""
     rear = kind in ("RLASER", "ROBOTLASER2", "RAWLASER2")
     name = f"robot_{'rear' if rear else 'front'}laser_offset"
     try:
         stated = float(lines.params.get(name, 0.0))
     except ValueError:
-        raise LogError(f"PARAM {name} is {lines.params[name]!r}, expected metres; mend that line") from None
+        raise LogError(
+            f"PARAM {name} is {lines.params[name]!r}, expected a length in metres; correct that line"
+        ) from None
     whole = np.isfinite(laser).all(axis=1)
     if source in ("odometry", "TRUEPOS") and whole.any():
         return np.asarray(np.median(compose(invert(robot[whole]), laser[whole]), axis=0))
@@ -291,8 +294,8 @@ def _signals(
 ) -> _Signals:
     """Return the reference poses and the wheel odometry.
 
-    The ODOM lines of a log that a particle filter corrected (GFS; it leaves NEFF lines) restart at the corrected
-    pose with every scan and carry stamps of 0 or below: they are not what the wheels measured, and are left out.
+    If a particle filter corrected the log (GFS, with NEFF lines), its ODOM lines restart at the corrected pose with
+    every scan, and their stamps are 0 or less. They are not wheel measurements and are left out.
     """
     notes = []
     order = clock.order[np.isfinite(laser[clock.order]).all(axis=1)]
@@ -302,9 +305,11 @@ def _signals(
     if source == "slam":
         raw = bool(len(at)) and not lines.is_filtered and np.abs(lasers - robots).max() > RIGID_TOLERANCE
         if len(odom) and not raw:
-            notes.append(f"{len(odom)} ODOM lines follow the corrected poses, not the wheels: left out")
+            notes.append(
+                f"{len(odom)} ODOM lines follow the corrected poses, not the wheels, and were left out"
+            )
             odom = odom[:0]
-    if len(odom) == 0 and source != "slam" and len(at):  # a log of scans alone: each carries its odometry
+    if len(odom) == 0 and source != "slam" and len(at):  # a log with only scans, which contain odometry
         odom = np.column_stack([robots, twists_of(at, robots), at])
     odom = odom[np.isfinite(odom[:, 5])]
     odom = odom[np.argsort(odom[:, 5], kind="stable")]
@@ -328,7 +333,7 @@ def _signals(
 
 
 def _resolution(ranges: Floats) -> float:
-    """Return the step [m] that all ranges are multiples of: 1 mm, 5 mm, 1 cm, 5 cm, or 0."""
+    """Return the step [m] of which all ranges are multiples: 1 mm, 5 mm, 1 cm, 5 cm, or 0."""
     values = ranges[np.isfinite(ranges)][:20000]
     for step in (0.05, 0.01, 0.005, 0.001):
         if len(values) and np.abs(values / step - np.rint(values / step)).max() < 1e-6 / step:

@@ -1,4 +1,4 @@
-"""The clock of a CARMEN log: what its stamps are worth, and when each line was written where they are worth little."""
+"""The clock of a CARMEN log: assess its stamps, and estimate the time of each line if they are unreliable."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from logs.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class ClockSettings:
-    """What is believed of a clock; conventions, none is fitted to data."""
+    """Thresholds for a usable clock; conventions, not fitted to data."""
 
     first_absolute: float = 1e8
-    """[s] larger times count from 1970."""
+    """[s] larger times are absolute, from 1970."""
     latest: float = 9e9
-    """[s] no clock shows a larger number, of either sign: its nanoseconds would not fit into 64 bits."""
+    """[s] maximum absolute value of a stamp, so that its nanoseconds fit into 64 bits."""
     assumed_period: float = 0.1
-    """[s] between scans of a log whose clock stands still."""
+    """[s] assumed scan period of a log whose clock has stopped."""
     distinct: float = 0.01
-    """A clock that shows fewer distinct times than this share of the scans stands still."""
+    """Minimum number of distinct times as a share of the scans; below it, the clock has stopped."""
     restart: float = 10.0
-    """[s] a clock that goes back farther was set anew, and goes on from there."""
+    """[s] a larger step back means that the clock was reset and continues from there."""
 
 
 CLOCK = ClockSettings()
@@ -31,20 +31,20 @@ CLOCK = ClockSettings()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarmenClock:
-    """When the scans were taken, and by what the other lines are timed."""
+    """The times of the scans, and the basis for the times of other lines."""
 
     stamps: Floats
     """(n_scans,) [s] from the epoch, in the order of the file."""
     order: NDArray[np.intp]
-    """(n_scans,) that sorts them."""
+    """(n_scans,) indices that sort the stamps."""
     epoch_ns: int
     is_assumed: bool
-    """No clock runs: the period is an assumption."""
+    """Whether the period is assumed, because no clock runs."""
     lines: Floats | None
-    """(n_scans,) numbers of the scans' lines, where these and not the stamps of other lines tell their times."""
+    """(n_scans,) line numbers of the scans, if the times of other lines follow from these; None: from their stamps."""
 
     def others(self, lines: Floats, stamps: Floats) -> Floats:
-        """Return the times (n,) [s] of other lines, of their numbers and their own stamps [s]."""
+        """Return the times (n,) [s] of other lines from their line numbers or their stamps [s]."""
         if self.lines is None or len(self.lines) < 2:
             return stamps - self.epoch_ns / 1e9
         per_line = float(np.ptp(self.stamps)) / float(np.ptp(self.lines))
@@ -54,29 +54,29 @@ class CarmenClock:
 
 
 def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -> CarmenClock:
-    """Tell the times of scans from what their lines say.
+    """Estimate the times of the scans from the stamps in their lines.
 
-    Stamps that go back are sorted, unless the robot then drives farther than in the order of the lines: a scan and
-    the pose in its own line stay together either way.
+    Stamps that go back are sorted, unless sorting lengthens the path of the robot compared with the order of the
+    lines. A scan and the pose in its line always stay together.
 
     Parameters
     ----------
-    clocks : (n_scans, 2) [s] of the sensor and of the logger
-    lines : (n_scans,) numbers of the lines
-    poses : (n_scans, 3) that stand in the lines; nan where none does
-    notes : what was done is added here
+    clocks : (n_scans, 2) [s] times of the sensor and of the logger
+    lines : (n_scans,) line numbers
+    poses : (n_scans, 3) poses in the lines; nan without a pose
+    notes : list to which notes on corrections are appended
     """
     n_levels = [len(np.unique(clock)) for clock in clocks.T]
     stamps, n = clocks[:, 0], len(clocks)
     if n_levels[1] > 2 * n_levels[0]:
         stamps = clocks[:, 1]
-        notes.append(f"the sensor's clock shows {n_levels[0]} times only, the logger's was taken")
+        notes.append(f"the sensor clock has only {n_levels[0]} distinct times, so the logger clock was used")
     in_file_order = np.arange(n, dtype=np.intp)
     if n > 1 and max(n_levels) <= max(1, CLOCK.distinct * n):
         period = CLOCK.assumed_period
-        shown = "" if max(n_levels) == 1 else f" ({max(n_levels)} times for {n} scans)"
+        shown = "" if max(n_levels) == 1 else f" ({max(n_levels)} distinct times for {n} scans)"
         notes.append(
-            f"no clock runs{shown}: scans were taken to be {period:g} s apart, in the order of the lines"
+            f"no clock runs{shown}: a scan period of {period:g} s was assumed, in the order of the lines"
         )
         return CarmenClock(
             stamps=period * np.arange(n, dtype=np.float64),
@@ -91,9 +91,9 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
     back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(stamps[order]) == 0).sum())
     own_lines = None
     if back and _travel(poses[order]) > _travel(poses):
-        stamps, order, own_lines = _mended(stamps), in_file_order, lines
+        stamps, order, own_lines = _monotone(stamps), in_file_order, lines
         notes.append(
-            f"scan stamps go back {back} times, the order of the lines was kept (sorted, the robot would jump)"
+            f"scan stamps go back {back} times, the order of the lines was kept (the robot would jump if sorted)"
         )
     elif back:
         notes.append(f"scan stamps go back {back} times, sorted")
@@ -105,13 +105,13 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
 
 
 def _travel(poses: Floats) -> float:
-    """Return the length [m] of the way from pose to pose, in this order."""
+    """Return the length [m] of the path through the poses in this order."""
     there = poses[np.isfinite(poses).all(axis=1)]
     return float(np.hypot(*np.diff(there[:, :2], axis=0).T).sum())
 
 
-def _mended(stamps: Floats) -> Floats:
-    """Return the nearest stamps (least squares) that do not go back; those that fall together are spread out."""
+def _monotone(stamps: Floats) -> Floats:
+    """Return the non-decreasing stamps closest to the given ones (isotonic least squares); equal ones are spread."""
     from scipy.optimize import isotonic_regression
 
     steps = np.diff(stamps)

@@ -1,4 +1,4 @@
-"""Run <-> MCAP (profile ros2): topics, frames, order and times as ROS tools expect them, unconfigured."""
+"""Convert runs to and from MCAP (profile ros2), with the topics, frames, order and times that ROS tools expect."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ logger = logging.getLogger(__name__)
 
 CHUNK_SIZE = (
     64 * 1024
-)  # [bytes] what a crash can lose; 1 MiB would make files 7 % smaller (benchmarks/mcap_speed.py)
-MAPPED = 1 << 30  # [bytes] larger files are mapped into memory, not read
+)  # [bytes] maximum loss in a crash; 1 MiB would make files 7 % smaller (benchmarks/mcap_speed.py)
+MAPPED = 1 << 30  # [bytes] larger files are memory-mapped
 MEDIA_TYPES = {
     ".geojson": "application/geo+json",
     ".json": "application/json",
@@ -69,7 +69,7 @@ MEDIA_TYPES = {
 
 
 class RosFile:
-    """An MCAP file in the making: written to `NAME.part`, or beside one that is there, and renamed when it is whole."""
+    """An MCAP file being written to `NAME.part`, or to a unique name if that exists; renamed when complete."""
 
     def __init__(self, path: Path) -> None:
         from mcap.writer import Writer
@@ -87,7 +87,7 @@ class RosFile:
         self._counts: dict[int, int] = {}
 
     def channel(self, topic: str, msgtype: str) -> int:
-        """Return the channel of a topic, registering it at first sight."""
+        """Return the channel of a topic; register it on first use."""
         if topic not in self._channels:
             if msgtype not in self._schemas:
                 self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition(msgtype))
@@ -99,7 +99,7 @@ class RosFile:
         return self._channels[topic]
 
     def put(self, channel: int, ns: int, message: bytes) -> None:
-        """Add one message, logged and published at `ns`."""
+        """Add one message with log and publish time `ns`."""
         sequence = self._counts[channel]
         self._counts[channel] = sequence + 1
         self._writer.add_message(channel, ns, message, ns, sequence)
@@ -109,17 +109,17 @@ class RosFile:
         self._writer.add_metadata(name, dict(pairs))
 
     def attach(self, name: str, data: bytes, ns: int) -> None:
-        """Add a file inside the file."""
+        """Add an attachment."""
         media_type = MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
         self._writer.add_attachment(0, ns, name, media_type, data)
 
     def finish(self, *, interrupted: bool = False) -> Path:
-        """Write the index and give the file its name, or `NAME.interrupted.mcap`.
+        """Write the index and rename the file to its final name, or to `NAME.interrupted.mcap`.
 
         Raises
         ------
         OSError
-            if the disk is full; what was written stays under the temporary name
+            If the disk is full; the data written so far stay under the temporary name.
         """
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
@@ -127,8 +127,8 @@ class RosFile:
         return self.part.replace(kept if interrupted else self.path)
 
     def abandon(self) -> None:
-        """Remove what was begun."""
-        with suppress(OSError):  # a full disk, which the caller knows of
+        """Remove the incomplete file."""
+        with suppress(OSError):  # a full disk was already reported to the caller
             self._stream.close()
         self.part.unlink(missing_ok=True)
 
@@ -149,7 +149,7 @@ class RosFile:
 
 
 def _open_part(path: Path) -> tuple[Path, BinaryIO]:
-    """Open a file that no other writer has: a run that another one left there is not written over."""
+    """Open a new temporary file; the file of another writer is not overwritten."""
     part = path.with_name(path.name + ".part")
     try:
         return part, part.open("xb")
@@ -159,7 +159,7 @@ def _open_part(path: Path) -> tuple[Path, BinaryIO]:
 
 
 class _Flushed:
-    """A stream that hands every write to the operating system, so that a killed process loses none of it."""
+    """A stream that flushes every write to the operating system, so that a killed process loses no data."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -174,7 +174,7 @@ class _Flushed:
 
 
 def latch(file: RosFile, ns: int, sensor: RangeSensor, occupancy: OccupancyMap | None) -> None:
-    """Write what a listener must know first: where the laser sits, and the map."""
+    """Write the latched messages: the mount of the laser, and the map."""
     at = np.array([ns], dtype=np.int64)
     mount = transform_messages(at, ("base_link", "laser", sensor.mount[None]), z=sensor.height)
     file.put(file.channel("/tf_static", TF_TYPE), ns, mount.tobytes())
@@ -185,14 +185,14 @@ def latch(file: RosFile, ns: int, sensor: RangeSensor, occupancy: OccupancyMap |
 def write(
     run: Run, path: Path | str, *, occupancy: OccupancyMap | None = None, progress: Progress | None = None
 ) -> None:
-    """Write a run as MCAP; the same run gives the same bytes."""
+    """Write a run as MCAP; equal runs give equal bytes."""
     stamps = (run.stamps, run.pose_stamps, run.odom_stamps, run.cmd_stamps)
     first = min((float(part[0]) for part in stamps if len(part)), default=0.0)
     zero = zero_time(run.epoch_ns, first)
     start = zero + round(first * 1e9)
     if not run.sensor.is_evenly_spaced:
         logger.warning(
-            "bearings are not evenly spaced: LaserScan holds their mean step, our metadata holds them"
+            "bearings are not evenly spaced: LaserScan messages contain the mean step, the metadata the exact bearings"
         )
     stated = sensor_facts(
         run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=zero, meta=run.meta
@@ -208,7 +208,7 @@ def write(
 
 @dataclass(frozen=True)
 class _Part:
-    """All messages of one topic and layout."""
+    """The messages of one topic with one layout."""
 
     topic: str
     msgtype: str
@@ -217,7 +217,7 @@ class _Part:
 
 
 def _interleave(file: RosFile, parts: list[_Part], progress: Progress | None) -> None:
-    """Write the messages of all parts by time; at equal times in the order of the parts."""
+    """Write the messages of all parts in order of time; at equal times, in the order of the parts."""
     if not parts:
         return
     ns = np.concatenate([part.ns for part in parts])
@@ -237,7 +237,7 @@ def _interleave(file: RosFile, parts: list[_Part], progress: Progress | None) ->
 
 
 def _messages(run: Run, zero: int) -> Iterator[_Part]:
-    """Yield the messages of each topic, in the order in which equal times are written."""
+    """Yield the messages of each topic, in the order used at equal times."""
     ns = to_ns(run.stamps, zero)
     yield from _transforms(run, ns)
     at = to_ns(run.pose_stamps, zero)
@@ -253,10 +253,10 @@ def _messages(run: Run, zero: int) -> Iterator[_Part]:
 
 
 def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
-    """Yield the tree at every scan: map -> odom -> base_link equals the reference where there is one.
+    """Yield the transforms at every scan: map -> odom -> base_link, equal to the reference pose if there is one.
 
-    Without odometry it is map -> base_link. When the poses are the laser's, the base follows from the mount,
-    so that every listener sees one tree; /pose keeps the laser's poses, and the metadata says whose they are.
+    Without odometry, the tree is map -> base_link. Poses of the laser are converted with the mount, so the tree is the
+    same for all logs. /pose keeps the poses of the laser, and the metadata state their frame.
     """
     pairing = pair(run, whole_sweep=False)
     poses, paired = pairing.poses[pairing.paired], pairing.paired
@@ -279,7 +279,7 @@ def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
 
 
 def matches(path: Path, head: bytes) -> bool:
-    """Tell whether a file is MCAP."""
+    """Return whether a file is MCAP."""
     return head.startswith(MAGIC)
 
 
@@ -290,18 +290,18 @@ def read(
     no_return: str | None = None,
     mounts: Mounts | None = None,
 ) -> Run:
-    """Read a run from MCAP; a damaged file is refused, never read in part.
+    """Read a run from MCAP; a damaged file is rejected and not read partially.
 
     Raises
     ------
     LogError
-        if a checksum fails, the file is cut, or it holds no scans
+        If a checksum fails, the file is truncated, or it holds no scans.
     """
     return to_run(load(path, progress), path.name, topics, no_return, mounts)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:
-    """Read the messages of an MCAP file, every checksum checked."""
+    """Read the messages of an MCAP file and verify every checksum."""
 
     def refuse(loss: Loss) -> None:
         raise LogError(damage_text(path, loss))
@@ -309,28 +309,28 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
     recording, contents = collect(path, refuse, progress)
     if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
         raise LogError(
-            f"{path} holds {contents.n_messages} messages but says {contents.n_claimed}; "
-            f"save what is whole: sensorgraph recover {path} -o {recovered_name(path)}"
+            f"{path} holds {contents.n_messages} messages, but its statistics state {contents.n_claimed}; "
+            f"save the intact messages: sensorgraph recover {path} -o {recovered_name(path)}"
         )
     return recording
 
 
 def damage_text(path: Path, loss: Loss) -> str:
-    """Say what is wrong with a file and how to save it."""
+    """Describe the damage of a file and the command that recovers it."""
     return (
         f"{path} is damaged at byte {loss.start}: {loss.why}; "
-        f"save what is whole: sensorgraph recover {path} -o {recovered_name(path)}"
+        f"save the intact messages: sensorgraph recover {path} -o {recovered_name(path)}"
     )
 
 
 def recovered_name(path: Path) -> str:
-    """Suggest a name for what is recovered from a file."""
+    """Suggest a name for the recovered file."""
     name = path.name.removesuffix(".part").removesuffix(".mcap")
     return str(path.with_name(f"{name}.recovered.mcap"))
 
 
 def open_bytes(path: Path) -> bytes | mmap.mmap:
-    """Return a file's bytes; a large file is mapped, and must not be cut by others while it is read."""
+    """Return the bytes of a file; a large file is memory-mapped and must not be truncated during reading."""
     with path.open("rb") as file:
         if path.stat().st_size < MAPPED:
             return file.read()
@@ -340,7 +340,7 @@ def open_bytes(path: Path) -> bytes | mmap.mmap:
 def collect(
     path: Path, on_damage: Callable[[Loss], None], progress: Progress | None = None
 ) -> tuple[Recording, Contents]:
-    """Walk a file and sort its messages by topic; only types that we understand are kept in memory."""
+    """Read a file and sort its messages by topic; only supported types are kept in memory."""
     logged: dict[int, list[int]] = {}
     payloads: dict[int, cdr.Messages] = {}
     counts: dict[int, int] = {}
@@ -358,13 +358,15 @@ def collect(
 
     data = open_bytes(path)
     walk = RecordWalk(data, take, on_damage)
-    contents = walk.contents  # `take` knows them and not the walk: a circle would keep the file in memory
+    contents = (
+        walk.contents
+    )  # `take` must not refer to the walk: a reference cycle would keep the file in memory
     for done, pos in enumerate(walk.steps()):
         if progress is not None and done % 64 == 0:
             progress(pos, len(data))
     unknown = sum(count for key, count in counts.items() if key not in contents.channels)
     if unknown:
-        on_damage(Loss(len(data), len(data), f"{unknown} messages belong to no channel of the file"))
+        on_damage(Loss(len(data), len(data), f"{unknown} messages have an unknown channel"))
     recording = Recording(format="mcap")
     for name, pairs in contents.metadata:
         recording.metadata.setdefault(name, {}).update(pairs)

@@ -1,4 +1,4 @@
-"""What others record: rosbag2 folders (mcap, sqlite3, compressed), a bare .db3, and ROS 1 bags."""
+"""Read ROS bags: rosbag2 folders (mcap, sqlite3, compressed), single .db3 files, and ROS 1 bags."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from logs.yaml_text import parse_yaml
 ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
 """Environment variable; 1 allows files outside the folder of a bag or a map."""
 MAX_NAME = 1000
-"""Characters of a file's name that are looked at."""
+"""[characters] maximum length of a file name; the rest is ignored."""
 SQLITE_MAGIC, ROS1_MAGIC = b"SQLite format 3\x00", b"#ROSBAG V"
 
 
 def matches(path: Path, head: bytes) -> bool:
-    """Tell whether a path is a rosbag2 folder, a .db3 or a ROS 1 bag."""
+    """Return whether a path is a rosbag2 folder, a .db3 file or a ROS 1 bag."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
     return head.startswith((SQLITE_MAGIC, ROS1_MAGIC))
@@ -48,7 +48,7 @@ def read(
     Raises
     ------
     LogError
-        if the bag is damaged, incomplete, of an unknown storage, or without scans
+        If the bag is damaged, incomplete, in an unknown storage format, or without scans.
     """
     return to_run(load(path, progress), path.name, topics, no_return, mounts)
 
@@ -63,19 +63,19 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
 
 
 def _folder(path: Path, progress: Progress | None) -> Recording:
-    """Read a rosbag2 folder: the files that its metadata.yaml lists, in order."""
+    """Read a rosbag2 folder: the files listed in its metadata.yaml, in order."""
     about = _metadata(path)
     files = _listed(path, about)
     absent = [file.name for file in files if not file.is_file()]
     if absent or not files:
-        what = f"lists {', '.join(absent)}, which {'is' if len(absent) == 1 else 'are'} not there"
+        what = f"lists {', '.join(absent)}, which {'is' if len(absent) == 1 else 'are'} missing"
         raise LogError(
-            f"{path / 'metadata.yaml'} {what if absent else 'lists no files'}; copy the folder whole"
+            f"{path / 'metadata.yaml'} {what if absent else 'lists no files'}; copy the complete folder"
         )
     storage = about.get("storage_identifier")
     if storage not in ("mcap", "sqlite3"):
         raise LogError(
-            f"{path} is stored as {str(storage)[:40]}; expected mcap or sqlite3, convert it with `ros2 bag convert`"
+            f"{path} has the storage {str(storage)[:40]}, expected mcap or sqlite3; convert it with `ros2 bag convert`"
         )
     mode = str(about.get("compression_mode") or "none").lower()
     if mode == "file":
@@ -90,15 +90,19 @@ def _folder(path: Path, progress: Progress | None) -> Recording:
     claimed = about.get("message_count")
     found = sum(topic.n_messages for topic in recording.topics.values())
     if isinstance(claimed, int) and claimed != found:
-        raise LogError(f"{path} holds {found} messages, its metadata.yaml says {claimed}; is the copy whole?")
+        raise LogError(
+            f"{path} holds {found} messages, but its metadata.yaml states {claimed}; check that the copy is complete"
+        )
     return recording
 
 
 def _listed(path: Path, about: Mapping[str, Any]) -> list[Path]:
-    """Return the files that metadata.yaml lists; those outside the folder are refused."""
+    """Return the files listed in metadata.yaml; files outside the folder are rejected."""
     names = about.get("relative_file_paths") or []
     if not isinstance(names, list):
-        raise LogError(f"{path / 'metadata.yaml'}: relative_file_paths is no list; copy the folder whole")
+        raise LogError(
+            f"{path / 'metadata.yaml'}: relative_file_paths is not a list; copy the complete folder"
+        )
     files = [path / str(name)[:MAX_NAME] for name in names]
     outside = [file for file in files if not file.resolve().is_relative_to(path.resolve())]
     if outside and os.environ.get(ALLOW_OUTSIDE) != "1":
@@ -120,7 +124,7 @@ def _stored(files: list[Path], storage: str, progress: Progress | None) -> Recor
 
 
 def _unpacked(files: list[Path], folder: Path) -> list[Path]:
-    """Unpack files compressed as a whole, NAME.zstd to NAME."""
+    """Decompress whole files, NAME.zstd to NAME."""
     plain = []
     for file in files:
         data = file.read_bytes()
@@ -128,12 +132,12 @@ def _unpacked(files: list[Path], folder: Path) -> list[Path]:
         try:
             plain[-1].write_bytes(unpack(data, most_plain(len(data))))
         except ValueError as exc:
-            raise LogError(f"{file} cannot be unpacked ({exc}); copy it again") from exc
+            raise LogError(f"{file} cannot be decompressed ({exc}); copy it again") from exc
     return plain
 
 
 def _unpack_messages(recording: Recording, path: Path, most: int) -> None:
-    """Unpack messages that are compressed one by one, in place; `most` [bytes] may come out of all of them."""
+    """Decompress individually compressed messages, in place; `most` [bytes] limits their total size."""
     for topic in recording.topics.values():
         plain = Messages()
         for i, payload in enumerate(topic.payloads):
@@ -141,7 +145,7 @@ def _unpack_messages(recording: Recording, path: Path, most: int) -> None:
                 plain.append(data := unpack(payload, most))
             except ValueError as exc:
                 raise LogError(
-                    f"{path}: message {i} of {topic.name} cannot be unpacked ({exc}); copy the bag again"
+                    f"{path}: message {i} of {topic.name} cannot be decompressed ({exc}); copy the bag again"
                 ) from exc
             most -= len(data)
         topic.payloads = plain
@@ -155,7 +159,7 @@ def _metadata(path: Path) -> dict[str, Any]:
             raise TypeError("not a mapping")
     except (KeyError, TypeError, ValueError) as exc:
         raise LogError(
-            f"{path / 'metadata.yaml'} is not rosbag2's ({' '.join(str(exc).split())[:80]}); "
+            f"{path / 'metadata.yaml'} is not a rosbag2 file ({' '.join(str(exc).split())[:80]}); "
             "expected rosbag2_bagfile_information, rebuild it with `ros2 bag reindex`"
         ) from exc
     return about
@@ -172,7 +176,7 @@ def _merge(recording: Recording, more: Recording) -> None:
 
 
 def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
-    """Read rosbag2's sqlite3 files."""
+    """Read the sqlite3 files of rosbag2."""
     recording = Recording(format="rosbag2, sqlite3")
     for file in files:
         try:
@@ -180,7 +184,7 @@ def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
                 _sqlite_file(base, recording, progress)
         except (sqlite3.Error, UnicodeDecodeError) as exc:
             raise LogError(
-                f"{file} is damaged or no rosbag2 ({exc}); save what is whole: "
+                f"{file} is damaged or not a rosbag2 file ({exc}); save the intact messages: "
                 f"sqlite3 {file} .recover | sqlite3 {file.with_name(file.stem + '.recovered.db3')}"
             ) from exc
     return recording
@@ -189,7 +193,7 @@ def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
 def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progress | None) -> None:
     views = base.execute("SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger')").fetchone()
     if views is not None:
-        raise sqlite3.DatabaseError(f"it holds a view or trigger, {views[0]!s:.40}, as no bag does")
+        raise sqlite3.DatabaseError(f"it holds a view or trigger, {views[0]!s:.40}, which a bag never does")
     damage = base.execute("PRAGMA quick_check(1)").fetchone()[0]
     if damage != "ok":
         raise sqlite3.DatabaseError(" ".join(str(damage).split()))
@@ -216,7 +220,7 @@ def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progr
 
 
 def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
-    """Read by rosbags, which knows ROS 1."""
+    """Read with the rosbags library, which supports ROS 1."""
     from rosbags.highlevel import AnyReader
 
     recording = Recording(format=kind)
@@ -240,27 +244,29 @@ def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
                     progress(done, total)
     except OSError:
         raise
-    except Exception as exc:  # rosbags meets a damaged file with errors of many kinds, also its own asserts
+    except Exception as exc:  # rosbags raises many kinds of errors for a damaged file, also from its asserts
         why = " ".join(str(exc).split()) or type(exc).__name__
         cure = f"`rosbag reindex {path}`" if kind == "rosbag1" else f"`ros2 bag reindex {path}`"
         raise LogError(f"{path} is damaged ({why[:120]}); try {cure}, or copy it again") from exc
     for topic in recording.topics.values():
         if topic.payloads and len(topic.payloads) != topic.n_messages:
             raise LogError(
-                f"{path}: {topic.name} holds {len(topic.payloads)} messages, its index says {topic.n_messages}; "
-                "the bag is damaged, copy it again or `rosbag reindex` it"
+                f"{path}: {topic.name} holds {len(topic.payloads)} messages, but its index states {topic.n_messages}; "
+                f"the bag is damaged, copy it again or use `rosbag reindex {path}`"
             )
     return recording
 
 
 def cap_chunks(reader: Any, stored: int) -> None:
-    """Let the chunks of a ROS 1 bag unpack to no more than a bag of `stored` bytes can hold."""
+    """Limit the decompressed size of the chunks of a ROS 1 bag to that allowed for `stored` bytes."""
     most, sizes = most_plain(stored), dict[int, int]()
 
     def inflate(at: int, data: bytes) -> bytes:
         if not data.startswith((BZIP2_MAGIC, LZ4_MAGIC)):
             return data
-        plain = unpack(data, most - sum(sizes.values()) + sizes.get(at, 0))  # a chunk may be read again
+        plain = unpack(
+            data, most - sum(sizes.values()) + sizes.get(at, 0)
+        )  # a chunk may be read several times
         sizes[at] = len(plain)
         return plain
 

@@ -1,13 +1,16 @@
-"""Tables: one CSV row for each scan, for people with a spreadsheet and for sensors with a logger of their own.
+"""Read and write tables: CSV with one row per scan, for spreadsheets and for sensors with a custom logger.
+
+Example:
 
     # bearings: -1.5707963267948966 to 1.5707963267948966 in 181
     # range_max: 8.0
     t,x,y,phi,v,omega,r0,r1,...,r180
 
-`t` [s] and `r0` ... (or `ray_0` ...) [m] must be there, and the bearings [rad], in a comment above the header,
-either as above or one by one. Optional columns: `x,y,phi` the reference pose, `odom_x,odom_y,odom_phi` and
-`v,omega` the odometry, `cmd_v,cmd_omega` the command. `inf`, `-inf` and `nan` (or an empty cell) are REP-117's.
-Other comments `# NAME: VALUE` are those of the metadata record in our MCAP files (`own_run`), all optional.
+Required are `t` [s], `r0` ... (or `ray_0` ...) [m], and the bearings [rad] in a comment above the header. The bearings
+are given as above or one by one. Optional columns are the reference pose `x,y,phi`, the odometry
+`odom_x,odom_y,odom_phi` and `v,omega`, and the command `cmd_v,cmd_omega`. `inf`, `-inf` and `nan` (or an empty cell)
+follow REP-117. Further comments `# NAME: VALUE` are optional; they are the fields of the metadata record in our MCAP
+files (`own_record`).
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ _COMMENT = re.compile(r"#\s*([\w.]+)\s*:\s*(.*)")
 
 
 def matches(path: Path, head: bytes) -> bool:
-    """Tell whether the first line that is no comment names t and r0."""
+    """Return whether the first line that is not a comment contains t and r0."""
     for line in head.decode("utf-8", errors="replace").splitlines():
         if line.strip() and not line.startswith("#"):
             names = [name.strip() for name in line.split(",")]
@@ -60,7 +63,7 @@ def read(
     Raises
     ------
     LogError
-        if a row cannot be read, a ray column or the bearings are missing, or rows are fewer than the header claims
+        If a row cannot be read, a ray column or the bearings are missing, or the number of rows is not as stated.
     """
     lines = read_lines(path)
     stated = {found[1]: found[2].strip() for line in lines if (found := _COMMENT.match(line))}
@@ -69,16 +72,18 @@ def read(
     values = _values(path, rows[1:], len(names), progress)
     claimed = stated.get("rows")
     if claimed is not None and claimed != str(len(values)):
-        raise LogError(f"{path} has {len(values)} rows, its header says {claimed}; is the copy whole?")
+        raise LogError(
+            f"{path} has {len(values)} rows, but its header states {claimed}; check that the copy is complete"
+        )
     if len(values) == 0 and claimed is None:
-        raise LogError(f"{path} has a header but no rows; expected one for each scan")
+        raise LogError(f"{path} has a header but no rows; expected one row for each scan")
     values = values[np.argsort(values[:, names.index("t")], kind="stable")]
     rays = sorted((int(found[1]), i) for i, name in enumerate(names) if (found := _RAY.fullmatch(name)))
     if [number for number, _ in rays] != list(range(len(rays))):
-        raise LogError(f"{path}: ray columns are not r0 to r{len(rays) - 1} without a gap")
+        raise LogError(f"{path}: ray columns are missing; expected r0 to r{len(rays) - 1} without a gap")
     ranges, stamps = values[:, [i for _, i in rays]], values[:, names.index("t")]
     if not np.isfinite(stamps).all():
-        raise LogError(f"{path}: column t has a value that is not finite")
+        raise LogError(f"{path}: column t has a value that is not finite; remove those rows")
     try:
         sensor = _sensor(path, stated, ranges, no_return)
         epoch = int(stated.get("epoch_ns", "0"))
@@ -116,7 +121,7 @@ def read(
 
 
 def write(run: Run, path: Path) -> None:
-    """Write a run as a table: poses, odometry and commands are interpolated at the scans, attachments left out."""
+    """Write a run as a table: poses, odometry and commands are interpolated at the scans; attachments are omitted."""
     stated = sensor_facts(
         run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=0, meta=run.meta
     )
@@ -149,11 +154,14 @@ def _write_rows(path: Path, facts: Mapping[str, str], names: list[str], table: F
 
 
 def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
-    """Integrate twists (n, 2) held from each stamp to the next, from the origin; returns poses (n, 3)."""
+    """Integrate twists (n, 2) from the origin to poses (n, 3); each twist is constant up to the next stamp.
+
+    Each step is an arc with chord v dt sinc(omega dt / 2) in the direction phi + omega dt / 2, which is exact.
+    """
     steps = np.diff(stamps)
     phi = np.concatenate([[0.0], np.cumsum(twists[:-1, 1] * steps)])
     turn = twists[:-1, 1] * steps
-    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))  # of an arc: exact
+    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))
     along = phi[:-1] + turn / 2
     x, y = (np.concatenate([[0.0], np.cumsum(chord * f(along))]) for f in (np.cos, np.sin))
     return np.column_stack([x, y, wrap(phi)])
@@ -168,7 +176,9 @@ def _values(path: Path, rows: Sequence[str], width: int, progress: Progress | No
                 raise ValueError(f"it has {len(cells)} cells, expected {width}")
             out[i] = [float(cell) if cell.strip() else np.nan for cell in cells]
         except ValueError as exc:
-            raise LogError(f"{path}: row {i + 1} cannot be read: {exc}; is the copy whole?") from exc
+            raise LogError(
+                f"{path}: row {i + 1} cannot be read: {exc}; check that the copy is complete"
+            ) from exc
         if progress is not None and i % 500 == 0:
             progress(i, len(rows))
     return out
@@ -178,12 +188,12 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: st
     if "bearings" not in stated:
         n = ranges.shape[1]
         raise LogError(
-            f"{path} does not say its bearings; add a first line `# bearings: -1.5708 to 1.5708 in {n}`"
+            f"{path} does not state the bearings; add a first line `# bearings: -1.5708 to 1.5708 in {n}`"
         )
     bearings = parse_bearings(stated["bearings"])
     if len(bearings) != ranges.shape[1]:
         raise LogError(
-            f"{path} has {ranges.shape[1]} ray columns and {len(bearings)} bearings; expected as many"
+            f"{path} has {ranges.shape[1]} ray columns and {len(bearings)} bearings; expected equal numbers"
         )
     scalars: dict[str, Any] = {name: float(stated[name]) for name in SENSOR_SCALARS if name in stated}
     finite = ranges[np.isfinite(ranges)]
@@ -211,7 +221,7 @@ def _part(names: Sequence[str], values: Floats, wanted: Sequence[str]) -> Floats
 
 
 def _whole(stamps: Floats, part: Floats | None, width: int) -> tuple[Floats, Floats]:
-    """Leave out rows whose cells are all empty."""
+    """Omit rows whose cells are all empty."""
     if part is None:
         return np.zeros(0), np.zeros((0, width))
     there = ~np.isnan(part).all(axis=1)

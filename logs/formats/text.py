@@ -1,4 +1,4 @@
-"""Text logs: plain, gzip or bzip2, told by content; a cut stream is an error, never a shorter log."""
+"""Read text logs: plain, gzip or bzip2, detected from the content; a truncated stream is an error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HEAD_SIZE = 1 << 16
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return the first bytes of a file, unpacked if it is gzip or bzip2; none of a folder."""
+    """Return the first bytes of a file, decompressed if it is gzip or bzip2; empty for a folder."""
     if path.is_dir():
         return b""
     with path.open("rb") as file:
@@ -25,7 +25,7 @@ def first_bytes(path: Path) -> bytes:
     try:
         return zlib.decompressobj(wbits=31).decompress(head, HEAD_SIZE)
     except zlib.error as exc:
-        raise LogError(f"{path} is a damaged gzip file ({exc}); copy it again from where it came") from exc
+        raise LogError(f"{path} is a damaged gzip file ({exc}); copy it again from its source") from exc
 
 
 def _first_of_bzip2(path: Path) -> bytes:
@@ -33,7 +33,7 @@ def _first_of_bzip2(path: Path) -> bytes:
         with bz2.open(path) as file:
             return file.read(HEAD_SIZE)
     except (EOFError, OSError) as exc:
-        raise LogError(f"{path} is a damaged bzip2 file ({exc}); copy it again from where it came") from exc
+        raise LogError(f"{path} is a damaged bzip2 file ({exc}); copy it again from its source") from exc
 
 
 def read_lines(path: Path) -> list[str]:
@@ -45,13 +45,13 @@ def read_lines(path: Path) -> list[str]:
             data = unpack(data, most_plain(len(data)))
         except TooLarge as exc:
             raise LogError(
-                f"{path} is {len(data):,} bytes of {kind} and {exc}, which no log does; if you trust it, unpack it: "
-                f"`{tool} {path} > {path.stem}`"
+                f"{path} is {len(data):,} bytes of {kind} and {exc}, which exceeds the limit for a log; if you trust "
+                f"the file, unpack it: `{tool} {path} > {path.stem}`"
             ) from exc
         except ValueError as exc:
-            why = "is cut short" if isinstance(exc.__cause__, EOFError) else "is damaged"
+            why = "is truncated" if isinstance(exc.__cause__, EOFError) else "is damaged"
             raise LogError(
-                f"{path} {why} ({kind}: {exc}); copy it again, or keep its whole start with "
+                f"{path} {why} ({kind}: {exc}); copy it again, or keep its intact first part with "
                 f"`{tool} {path} > {path.stem}`"
             ) from exc
     return data.decode("utf-8", errors="replace").splitlines()

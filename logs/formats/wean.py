@@ -1,4 +1,4 @@
-"""The logs of CMU's Wean Hall: `O x y theta t` and `L x y theta xl yl thetal r1 .. r180 t` lines in cm and rad."""
+"""Read the logs of CMU's Wean Hall: `O x y theta t` and `L x y theta xl yl thetal r1 .. r180 t` lines in cm and rad."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from logs.types import Mounts, Progress
 
 N_WEAN_RAYS = 180
 NO_RETURN_RANGE = 81.83
-"""[m] 8183 cm and above are codes of the SICK scanner."""
+"""[m] ranges of 8183 cm and above are codes of the SICK scanner."""
 N_ODOMETRY_WORDS, N_LASER_WORDS = 5, 8 + N_WEAN_RAYS
 
 
 def matches(path: Path, head: bytes) -> bool:
-    """Tell whether the first line has the words of an O or an L line."""
+    """Return whether the first line has the format of an O or an L line."""
     words = next((line.split() for line in head.splitlines() if line.strip()), [b""])
     return (words[0], len(words)) in ((b"O", N_ODOMETRY_WORDS), (b"L", N_LASER_WORDS))
 
@@ -33,12 +33,12 @@ def read(
     no_return: str | None = None,
     mounts: Mounts | None = None,
 ) -> Run:
-    """Read a run; its only poses are wheel odometry.
+    """Read a run; its poses are wheel odometry.
 
     Raises
     ------
     LogError
-        if no scan line is whole, or more lines are broken
+        If the file has no valid scan line, or more invalid lines than scans.
     """
     odom, scans, broken = [], [], []
     lines = read_lines(path)
@@ -57,7 +57,7 @@ def read(
             progress(number, len(lines))
     if not scans or len(broken) > len(scans):
         raise LogError(
-            f"{path} has {len(scans)} whole L lines and {len(broken)} broken lines; is the copy whole?"
+            f"{path} has {len(scans)} valid L lines and {len(broken)} invalid lines; check that the copy is complete"
         )
     table = np.stack(scans)
     table = table[np.argsort(table[:, -1], kind="stable")]
@@ -69,8 +69,8 @@ def read(
     code = NO_RETURN_RANGE if no_return in (None, "range_max") else None
     notes = mask([ranges], code, is_zero=no_return == "zero")
     if broken:
-        notes.append(f"{len(broken)} broken lines left out, the first is line {broken[0]}")
-    # an L line holds the pose of the O line before it, which is older than its stamp: among these it would zigzag
+        notes.append(f"{len(broken)} invalid lines left out, the first is line {broken[0]}")
+    # an L line repeats the pose of the previous O line with a later stamp; combined with O lines it would zigzag
     own = np.column_stack([table[:, :3], stamps])
     wheel = np.array(odom, dtype=np.float64) if len(odom) > 1 else own
     wheel = wheel[np.argsort(wheel[:, 3], kind="stable")]

@@ -1,1 +1,1 @@
-"""Listen to a running ROS 2 robot over zenoh, as rmw_zenoh publishes, and write what it says; no ROS needed."""
+"""Record a running ROS 2 robot over zenoh, as published by rmw_zenoh; ROS is not required."""

@@ -1,7 +1,7 @@
-"""How rmw_zenoh names topics: key expressions of data, and the tokens by which publishers announce themselves.
+"""Topic names of rmw_zenoh: key expressions of the data, and the liveliness tokens that announce publishers.
 
-Source: the design page of ros2/rmw_zenoh. Humble writes `TypeHashNotSupported` where later distributions write the
-hash of a type's definition; the definitions of the types read here are the same in all of them.
+Source: the design page of ros2/rmw_zenoh. Humble uses `TypeHashNotSupported` in place of the hash of the type
+definition. The definitions of the types read here are the same in all distributions.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ ADMIN_SPACE = "@ros2_lv"
 PUBLISHER = "MP"
 TRANSIENT_LOCAL = "1"
 N_PARTS = 13
-"""Of a token: space, domain, session, node, entity, kind, enclave, namespace, node, topic, type, hash, quality."""
+"""Parts of a token: space, domain, session, node, entity, kind, enclave, namespace, node, topic, type, hash, quality."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedTopic:
-    """What a publisher announces."""
+    """A topic that a publisher announces."""
 
     name: str
     type: str
     is_latched: bool = False
-    """A late listener still gets the last message."""
+    """Whether a late subscriber receives the last message."""
 
 
 def tokens_of(domain: int) -> str:
-    """Return the key expression of all publishers' tokens of a domain."""
+    """Return the key expression of the tokens of all publishers in a domain."""
     return f"{ADMIN_SPACE}/{domain}/*/*/*/{PUBLISHER}/**"
 
 
 def parse_token(key: str) -> PublishedTopic | None:
-    """Read what a publisher's token announces; None: it is no such token."""
+    """Parse the token of a publisher; None if the key is not such a token."""
     parts = key.split("/")
     if len(parts) != N_PARTS or parts[0] != ADMIN_SPACE or parts[5] != PUBLISHER:
         return None
@@ -44,7 +44,7 @@ def parse_token(key: str) -> PublishedTopic | None:
 
 
 def data_key(domain: int, topic: PublishedTopic) -> str:
-    """Return the key expression of a topic's messages, whatever the distribution calls its type's hash."""
+    """Return the key expression of the messages of a topic, for any type hash."""
     return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.type)}/*"
 
 

@@ -1,4 +1,4 @@
-"""The network of a running robot: who publishes what, and the messages as they come, through a zenoh router."""
+"""Connect to a running robot through a zenoh router: announced topics and received messages."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ if TYPE_CHECKING:
 
 DEFAULT_ROUTER, DEFAULT_PORT = "127.0.0.1", 7447
 CONNECT_TIMEOUT = 3.0
-"""[s] in which the router must answer."""
+"""[s] time in which the router must answer."""
 FIRST_RETRY, LONGEST_RETRY = 0.1, 0.5
-"""[s] between two tries to reach a router that went away: the first, doubled up to the longest."""
+"""[s] delay between attempts to reach a lost router: the first delay is doubled up to the longest one."""
 ATTACHMENT_SIZE = 33
-"""[bytes] of what rmw_zenoh sends beside a message: sequence, time, and 16 of who publishes after their count."""
+"""[bytes] size of the attachment of rmw_zenoh: 8 of sequence, 8 of time, 1 of length, 16 of publisher id."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveMessage:
-    """One message as it came."""
+    """One received message."""
 
     topic: PublishedTopic
     received_ns: int
     payload: bytes
-    """CDR, as it was sent."""
+    """CDR, as sent."""
     publisher: bytes = b""
     sequence: int | None = None
-    """Count of what its publisher has sent; None: it does not say."""
+    """Sequence number of its publisher; None if not sent."""
 
 
 class RosNetwork:
-    """A robot's topics, through the router that its nodes use.
+    """The topics of a robot, received through the router of its nodes.
+
+    If the router is lost later, the connection is retried without a limit, and all subscriptions resume.
 
     Parameters
     ----------
     router : HOST, HOST:PORT, or a zenoh endpoint such as tcp/192.168.0.5:7447
-    domain : ROS_DOMAIN_ID; None: of the environment, else 0
-    wait : [s] in which the router must answer; None: CONNECT_TIMEOUT
-
-    A router that goes away later is waited for without end: what is listened to comes again when it is back.
+    domain : ROS_DOMAIN_ID; None: from the environment, otherwise 0
+    wait : [s] time in which the router must answer; None: CONNECT_TIMEOUT
 
     Raises
     ------
     LogError
-        if zenoh is not installed, no router answers in time, or the domain is no number
+        If zenoh is not installed, no router answers in time, or the domain is not a number.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class RosNetwork:
         self.router = endpoint_of(router)
         self.domain = _domain() if domain is None else domain
         self.topics: dict[str, PublishedTopic] = {}
-        """Name -> what was announced, since it was opened."""
+        """Name -> topic announced since the connection was opened."""
         self._inbox: SimpleQueue[LiveMessage | PublishedTopic] = SimpleQueue()
         self._subscribers: dict[str, Any] = {}
         self._session = _open(self.router, CONNECT_TIMEOUT if wait is None else wait)
@@ -70,11 +70,11 @@ class RosNetwork:
 
     @property
     def is_connected(self) -> bool:
-        """The router answers."""
+        """Whether the router answers."""
         return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
 
     def listen(self, topic: PublishedTopic) -> None:
-        """Receive a topic from now on; of a latched one, what was sent before, too."""
+        """Subscribe to a topic; a latched topic also delivers its earlier messages."""
         if topic.name in self._subscribers:
             return
         zenoh = _zenoh()
@@ -90,11 +90,11 @@ class RosNetwork:
         self._subscribers[topic.name] = subscriber
 
     def next(self, until: float) -> LiveMessage | PublishedTopic | None:
-        """Return the next message or announcement, in the order of coming; None: none came.
+        """Return the next message or announcement in order of arrival; None after the timeout.
 
         Parameters
         ----------
-        until : [s] of `time.monotonic` up to which to wait; what waits in the queue is returned also later
+        until : [s] of `time.monotonic` at which waiting ends; queued items are returned even later
         """
         try:
             item = self._inbox.get(timeout=max(until - time.monotonic(), 1e-4))
@@ -105,7 +105,7 @@ class RosNetwork:
         return item
 
     def close(self) -> None:
-        """Hang up; what had come by then can still be taken by `next`."""
+        """Close the connection; items already received remain available from `next`."""
         for subscriber in self._subscribers.values():
             subscriber.undeclare()
         self._subscribers.clear()
@@ -151,7 +151,7 @@ def _open(endpoint: str, wait: float) -> Any:
                 continue
             raise LogError(
                 f"no zenoh router answers at {endpoint}; start one on the robot (ros2 run rmw_zenoh_cpp rmw_zenohd, "
-                "its nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp), or say where it is: `router` HOST:PORT"
+                "its nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp), or set its address: `router` HOST:PORT"
             ) from exc
 
 
@@ -172,19 +172,19 @@ def _settings(endpoint: str, timeout: float) -> dict[str, Any]:
 def _domain() -> int:
     text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdigit():
-        raise LogError(f"ROS_DOMAIN_ID is {text!r}, expected a whole number; set it, or give `domain`")
+        raise LogError(f"ROS_DOMAIN_ID is {text!r}, expected an integer; correct it, or set `domain`")
     return int(text)
 
 
 def _message(topic: PublishedTopic, sample: zenoh.Sample) -> LiveMessage:
-    beside = sample.attachment.to_bytes() if sample.attachment is not None else b""
-    is_known = len(beside) == ATTACHMENT_SIZE
+    attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+    is_known = len(attachment) == ATTACHMENT_SIZE
     return LiveMessage(
         topic=topic,
         received_ns=time.time_ns(),
         payload=sample.payload.to_bytes(),
-        publisher=beside[17:] if is_known else b"",
-        sequence=int.from_bytes(beside[:8], "little") if is_known else None,
+        publisher=attachment[17:] if is_known else b"",
+        sequence=int.from_bytes(attachment[:8], "little") if is_known else None,
     )
 
 
@@ -194,6 +194,6 @@ def _zenoh() -> Any:
         import zenoh.ext
     except ImportError as exc:
         raise LogError(
-            "listening to a robot needs zenoh, which is not installed: pip install sensorgraph[live]"
+            "recording a running robot requires zenoh, which is not installed: pip install sensorgraph[live]"
         ) from exc
     return zenoh

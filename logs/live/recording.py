@@ -1,4 +1,4 @@
-"""A recording of a running robot: every message as it came, what is missing, and the latest seconds as a run."""
+"""Record a running robot: write every message as received, detect gaps, and provide the latest seconds as a run."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from logs.run import Run
 
 @dataclass(frozen=True, kw_only=True)
 class LiveSettings:
-    """When a recording gives up, and what it calls a gap."""
+    """Timeouts of a recording, and the definition of a gap."""
 
     patience: float = 10.0
-    """[s] in which a topic with readings, and the topics that were named, must be announced, unless told otherwise."""
+    """[s] default time in which a topic with readings and all selected topics must be announced."""
     gap_periods: float = 3.0
-    """A silence of so many periods of a topic is a gap."""
+    """Minimum duration of a gap, in periods of the topic."""
     least_gap: float = 0.25
-    """[s] but not a shorter one."""
+    """[s] minimum duration of a gap."""
     gap_steps: int = 20
-    """The period is the median of so many steps, so that a gap among them does not hide the next."""
+    """Number of steps whose median is the period, so that one gap does not hide the next."""
     rate_span: float = 5.0
-    """[s] over which the rate that is shown is counted."""
+    """[s] interval over which the displayed rate is counted."""
     window: float = 6.0
-    """[s] of messages that are kept to tell where the robot is."""
+    """[s] of messages kept to estimate the current pose of the robot."""
     look_every: float = 0.1
-    """[s] between two looks whether the router is there."""
+    """[s] interval between checks of the router."""
 
 
 SETTINGS = LiveSettings()
@@ -48,33 +48,33 @@ SETTINGS = LiveSettings()
 
 @dataclass
 class TopicRate:
-    """How the messages of a topic have come so far."""
+    """Statistics of the received messages of a topic; all times are in seconds since the epoch."""
 
     type: str
     n_messages: int = 0
     n_lost: int = 0
-    """Messages that its publishers counted and that never came."""
+    """Number of messages that were sent, according to the sequence numbers, but not received."""
     n_gaps: int = 0
     longest_gap: float = 0.0
-    """[s] between two messages."""
+    """[s] longest time between two messages."""
     longest_gap_began: float = 0.0
-    """[s] when the message before it came, since the epoch, as all times here."""
+    """[s] time of the message before the longest gap."""
     recent: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
-    """[s] when the latest came."""
+    """[s] times of the latest messages."""
     _sequences: dict[bytes, int] = field(default_factory=dict)
 
     def hz(self, now: float) -> float:
-        """Return messages a second up to now [s]: 0 where a topic has fallen silent."""
+        """Return the message rate [Hz] up to now [s]; 0 for a silent topic."""
         begin = max(now - SETTINGS.rate_span, self.recent[0]) if self.recent else now
         count = sum(at > begin for at in self.recent)
         return count / (now - begin) if now > begin else 0.0
 
     def silence(self, now: float) -> float:
-        """Return how long [s] nothing has come."""
+        """Return the time [s] since the last message."""
         return now - self.recent[-1] if self.recent else 0.0
 
     def is_gap(self, silence: float) -> bool:
-        """Tell whether a silence [s] is longer than the topic's rate explains."""
+        """Return whether a silence [s] is too long for the rate of the topic."""
         n = min(len(self.recent), SETTINGS.gap_steps + 1)
         if n <= 3 or silence <= SETTINGS.least_gap:
             return False
@@ -100,26 +100,26 @@ class TopicRate:
 
 @dataclass(kw_only=True)
 class Outage:
-    """The router was away: nothing could come."""
+    """A period without connection to the router."""
 
     began: float
     """[s] since the epoch."""
     ended: float | None = None
-    """[s]; None: it is still away."""
+    """[s] since the epoch; None: still disconnected."""
 
 
 class LiveRecording:
-    """Write all topics of a robot that a run is made of to `NAME.mcap`, message by message.
+    """Write all topics of a robot that a run needs to `NAME.mcap`, message by message.
 
-    A robot or a router that goes away is waited for; what comes later is written to the same file.
+    If the robot or the router disconnects, the recording waits and continues in the same file.
 
-    While open, the file is `NAME.mcap.part`, of which a crash loses the open chunk (64 KiB) at most:
-    `sensorgraph recover` saves the rest. An exception keeps what there is as `NAME.interrupted.mcap`.
+    While open, the file is `NAME.mcap.part`. A crash loses at most the open chunk (64 KiB), and `sensorgraph recover`
+    saves the rest. After an exception, the data written so far are kept as `NAME.interrupted.mcap`.
 
     Parameters
     ----------
-    topics : role -> topic, where the robot names them otherwise; of lasers, only those named are written
-    attachments : files to keep inside the file
+    topics : Role -> topic, for non-standard topic names. If scan topics are given, only those lasers are written.
+    attachments : Name -> content of files to attach.
     """
 
     def __init__(
@@ -133,12 +133,12 @@ class LiveRecording:
         check_roles(topics)
         self.path, self.network, self.roles = path, network, dict(topics or {})
         self.rates: dict[str, TopicRate] = {}
-        """Topic -> how its messages have come."""
+        """Topic -> statistics of its messages."""
         self.notes: list[str] = []
-        """What was left out, a line each."""
+        """Notes on omitted data, one line each."""
         self.outages: list[Outage] = []
         self.began: float | None = None
-        """[s] since the epoch: when the first message came."""
+        """[s] time of the first message since the epoch."""
         self._looked = 0.0
         self._recent: deque[LiveMessage] = deque()
         self._fixed: dict[str, list[LiveMessage]] = {}
@@ -152,20 +152,20 @@ class LiveRecording:
 
     @property
     def n_scans(self) -> int:
-        """Messages with readings so far."""
+        """Number of messages with readings so far."""
         return sum(rate.n_messages for rate in self.rates.values() if rate.type in (SCAN_TYPE, RANGE_TYPE))
 
     def wait_for_topics(self, patience: float | None = None) -> None:
-        """Wait until the readings and what was named are announced.
+        """Wait until a topic with readings and all selected topics are announced.
 
         Parameters
         ----------
-        patience : [s]; None: that of the settings
+        patience : [s] maximum time; None: from the settings
 
         Raises
         ------
         LogError
-            if they are not in time; it lists the topics that were seen
+            If a topic is not announced in time; the message lists the announced topics.
         """
         until = time.monotonic() + (SETTINGS.patience if patience is None else patience)
         while (missing := self._missing()) and time.monotonic() < until:
@@ -174,12 +174,12 @@ class LiveRecording:
             known = sorted(self.network.topics.values(), key=lambda topic: topic.name)
             seen = ", ".join(f"{topic.name} ({topic.type})" for topic in known) or "no topic"
             raise LogError(
-                f"{' and '.join(missing)} not published in domain {self.network.domain} at {self.network.router}; seen: "
-                f"{seen}; start the driver, name the topic (`topics` scan=/front/scan), or set `domain`"
+                f"{' and '.join(missing)} not published in domain {self.network.domain} at {self.network.router}; found: "
+                f"{seen}; start the driver, select the topic (`topics` scan=/front/scan), or set `domain`"
             )
 
     def pump(self, duration: float) -> None:
-        """Write what comes within `duration` [s]."""
+        """Write the messages received within `duration` [s]."""
         until = time.monotonic() + duration
         while (now := time.monotonic()) < until:
             if now - self._looked > SETTINGS.look_every:
@@ -188,7 +188,7 @@ class LiveRecording:
             self._take(self.network.next(min(until, now + SETTINGS.look_every)))
 
     def recent(self) -> Run | None:
-        """Return the latest seconds as a run, read as the file will be; None: they hold no scan yet."""
+        """Return the latest seconds as a run, interpreted like the file; None if they contain no scan."""
         recording = Recording(format="mcap")
         for message in (*(m for kept in self._fixed.values() for m in kept), *self._recent):
             topic = recording.topics.setdefault(
@@ -204,12 +204,12 @@ class LiveRecording:
             return None
 
     def close(self) -> Path:
-        """Take what still waits, and finish the file under its name.
+        """Write the queued messages, and give the file its final name.
 
         Raises
         ------
         LogError
-            if not one scan came; nothing is left then
+            If no scan was received; the file is then removed.
         """
         self.network.close()
         for message in self._waiting():
@@ -217,7 +217,7 @@ class LiveRecording:
         if self.n_scans == 0:
             self._file.abandon()
             names = ", ".join(name for name, rate in self.rates.items() if rate.n_messages) or "no topic"
-            raise LogError(f"not one scan came, messages only of {names}; is the laser on?")
+            raise LogError(f"no scan was received, only messages of {names}; check that the laser is running")
         return self._file.finish()
 
     def __enter__(self) -> LiveRecording:
@@ -234,7 +234,7 @@ class LiveRecording:
             self._file.finish(interrupted=True)
 
     def _look_for_router(self) -> None:
-        """Note when the router goes away and comes back."""
+        """Record when the connection to the router is lost and restored."""
         is_away = bool(self.outages) and self.outages[-1].ended is None
         if self.network.is_connected:
             if is_away:
@@ -266,11 +266,13 @@ class LiveRecording:
         return topic.type in KEPT_TYPES
 
     def _take(self, item: LiveMessage | PublishedTopic | None) -> None:
-        """Listen to what is announced, write what came."""
+        """Subscribe to an announced topic, or write a received message."""
         if isinstance(item, PublishedTopic):
             if self._is_wanted(item):
                 first = self.rates.setdefault(item.name, TopicRate(item.type)).type
-                note = f"{item.name} is published as {first} and as {item.type}; only the first is written"
+                note = (
+                    f"{item.name} is published as {first} and as {item.type}; only the first type is written"
+                )
                 if first != item.type and note not in self.notes:
                     self.notes.append(note)
                 self.network.listen(item)

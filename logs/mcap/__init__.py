@@ -1,1 +1,1 @@
-"""MCAP files record by record: how they are laid out, how they are checked, and what damage costs."""
+"""MCAP files record by record: layout, validation and handling of damage."""

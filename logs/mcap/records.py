@@ -1,4 +1,4 @@
-"""MCAP records and how their fields are read; `walk` goes from one to the next."""
+"""Parse the fields of MCAP records; `walk` iterates over the records."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FIXED_LENGTHS = {FOOTER: 20, DATA_END: 4, SUMMARY_OFFSET: 17}
 
 
 class DamagedRecord(ValueError):
-    """A record that cannot be trusted; the message says why."""
+    """A record is damaged; the message states the reason."""
 
 
 @dataclass(frozen=True)
 class Schema:
-    """What the messages of a channel look like."""
+    """The message definition of a channel."""
 
     name: str
     encoding: str
@@ -51,7 +51,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Attachment:
-    """A file inside the file."""
+    """An attached file."""
 
     name: str
     media_type: str
@@ -62,7 +62,7 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Loss:
-    """A stretch of the file that could not be used."""
+    """An unusable section of the file."""
 
     start: int
     end: int
@@ -71,7 +71,7 @@ class Loss:
 
 @dataclass
 class Contents:
-    """Everything in the file but its messages."""
+    """The contents of the file except its messages."""
 
     profile: str = ""
     library: str = ""
@@ -82,22 +82,22 @@ class Contents:
     n_chunks: int = 0
     bad_chunks: int = 0
     lost_messages: dict[int, int] = field(default_factory=dict)
-    """Channel id -> count of messages in chunks that could not be trusted, as their indexes tell."""
+    """Channel id -> number of messages in damaged chunks, according to their indexes."""
     n_messages: int = 0
     n_claimed: int | None = None
-    """Count of messages that the file's own statistics claim."""
+    """Number of messages according to the statistics of the file."""
     is_finished: bool = False
-    """The file ends with its footer and magic."""
+    """Whether the file ends with its footer and magic."""
 
 
 class Cursor:
-    """Read fields of one record; running past its end is damage."""
+    """Read the fields of one record; a field beyond its end is damage."""
 
     def __init__(self, data: Data, pos: int, end: int) -> None:
         self.data, self.pos, self.end = data, pos, end
 
     def take(self, size: int) -> bytes:
-        """Read so many bytes."""
+        """Read `size` bytes."""
         if self.pos + size > self.end:
             raise DamagedRecord("a field runs past the end of its record")
         self.pos += size
@@ -108,14 +108,14 @@ class Cursor:
         return int(kind.unpack(self.take(kind.size))[0])
 
     def text(self) -> str:
-        """Read a counted UTF-8 text."""
+        """Read a length-prefixed UTF-8 text."""
         try:
             return self.take(self.number(U4)).decode()
         except UnicodeDecodeError as exc:
             raise DamagedRecord("a text field is not UTF-8") from exc
 
     def mapping(self) -> dict[str, str]:
-        """Read a counted map of texts."""
+        """Read a length-prefixed map of texts."""
         inner = Cursor(self.data, self.pos + 4, self.pos + 4 + self.number(U4))
         if inner.end > self.end:
             raise DamagedRecord("a map runs past the end of its record")
@@ -127,27 +127,27 @@ class Cursor:
         return pairs
 
     def finish(self) -> None:
-        """Check that nothing is left of the record."""
+        """Check that the record has been read completely."""
         if self.pos != self.end:
             raise DamagedRecord(f"{self.end - self.pos} bytes are left over in a record")
 
 
 def inflate(compression: str, data: bytes, most: int) -> bytes:
-    """Decompress as much of a chunk as is there, at most so many bytes."""
+    """Decompress the available part of a chunk, at most `most` bytes."""
     if not compression:
         return data
     if compression not in ("zstd", "lz4"):
-        raise DamagedRecord(f"compression {compression!r} is not known; expected zstd, lz4 or none")
+        raise DamagedRecord(f"compression {compression!r} is unknown; expected zstd, lz4 or none")
     try:
         return unpack(data, most)
     except TooLarge as exc:
-        raise DamagedRecord(f"a chunk {exc}, which is more than it or a file of this size can hold") from exc
+        raise DamagedRecord(f"a chunk {exc}, more than it states or a file of this size can hold") from exc
     except ValueError as exc:
-        raise DamagedRecord(f"a {compression} chunk does not decompress") from exc
+        raise DamagedRecord(f"a {compression} chunk cannot be decompressed") from exc
 
 
 def chunk_fields(cursor: Cursor) -> tuple[int, int, str, bytes]:
-    """Return size and checksum of a chunk's content, its compression, and its stored bytes."""
+    """Return the size and checksum of the content of a chunk, its compression, and its stored bytes."""
     _, _, size, crc = CHUNK_HEAD.unpack(cursor.take(CHUNK_HEAD.size))
     compression = cursor.text()
     data = cursor.take(cursor.number(U8))
@@ -156,7 +156,7 @@ def chunk_fields(cursor: Cursor) -> tuple[int, int, str, bytes]:
 
 
 def read_attachment(cursor: Cursor) -> Attachment:
-    """Read an attachment and check its checksum."""
+    """Read an attachment and verify its checksum."""
     start = cursor.pos
     log_time, create_time = cursor.number(U8), cursor.number(U8)
     name, media_type = cursor.text(), cursor.text()

@@ -1,6 +1,6 @@
-"""Walk an MCAP file record by record, check every checksum, and find the next sound record after damage.
+"""Read an MCAP file record by record, verify every checksum, and find the next intact record after damage.
 
-What the messages mean is told by `ros.interpret`; `formats.mcap_file` reads and writes whole files.
+`ros.interpret` interprets the messages; `formats.mcap_file` reads and writes whole files.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ DamageSink = Callable[[Loss], None]
 
 
 class RecordWalk:
-    """Walk the records of an MCAP file once."""
+    """Iterate over the records of an MCAP file once."""
 
     def __init__(self, data: Data, on_message: MessageSink, on_damage: DamageSink) -> None:
         self.data, self.size = data, len(data)
@@ -70,15 +70,15 @@ class RecordWalk:
         self._after_bad_chunk = False
         self._has_chunks = True
         self._in_summary = False
-        self._left = most_plain(self.size)  # [bytes] that its chunks may still unpack to
+        self._left = most_plain(self.size)  # [bytes] remaining decompressed size allowed for its chunks
 
     def steps(self) -> Iterator[int]:
-        """Walk to the end, yielding the position after each record."""
+        """Read to the end and yield the position after each record."""
         if self.data[:8] != MAGIC:
             self._damage(Loss(0, 8, "it does not start with the MCAP magic"))
         self._pos = 8
         while self._pos < self.size:
-            if self.contents.is_finished:  # only the magic is left, as the footer's check has seen
+            if self.contents.is_finished:  # only the magic remains, which the footer check has verified
                 if self._pos + 8 == self.size:
                     return
                 self._damage(Loss(self._pos, self.size, "bytes follow the end of the file"))
@@ -86,7 +86,9 @@ class RecordWalk:
             self._step()
             yield self._pos
         if not self.contents.is_finished:
-            self._damage(Loss(self.size, self.size, "it ends without its footer: the writer was cut off"))
+            self._damage(
+                Loss(self.size, self.size, "it ends without a footer because its writer was interrupted")
+            )
 
     def _damage(self, loss: Loss) -> None:
         self._is_whole = False
@@ -99,14 +101,14 @@ class RecordWalk:
         except DamagedRecord as exc:
             if self._recover_open_chunk(start):
                 self._pos = self.size
-                self._damage(Loss(start, self.size, f"{exc}; what is whole at its start was kept"))
+                self._damage(Loss(start, self.size, f"{exc}; the complete records at its start were kept"))
             else:
                 self._resume(start, str(exc))
             return
         try:
             self._record(opcode, body, end)
             self._pos = end
-        except _BadChunk as exc:  # the framing holds, so the next record is where it should be
+        except _BadChunk as exc:  # the framing is intact, so the position of the next record is known
             self.contents.bad_chunks += 1
             self._after_bad_chunk = True
             self._damage(Loss(start, end, str(exc)))
@@ -119,9 +121,9 @@ class RecordWalk:
         self._damage(Loss(start, self._pos, why))
 
     def _frame(self, pos: int) -> tuple[int, int, int]:
-        """Return opcode, start and end of the record at pos, if it can be one."""
+        """Return opcode, start and end of the record at pos, if these are plausible."""
         if pos + 9 > self.size:
-            raise DamagedRecord("it is cut inside a record")
+            raise DamagedRecord("it is truncated inside a record")
         opcode, length = RECORD_HEAD.unpack_from(self.data, pos)
         end = pos + 9 + length
         if not 1 <= opcode <= DATA_END and opcode < 0x80:
@@ -134,9 +136,7 @@ class RecordWalk:
 
     def _record(self, opcode: int, body: int, end: int) -> None:
         if opcode in SUMMARY_ONLY and not self._in_summary:
-            raise DamagedRecord(
-                f"a record with opcode {opcode:#04x} stands before the end of the data section"
-            )
+            raise DamagedRecord(f"a record with opcode {opcode:#04x} is before the end of the data section")
         cursor = Cursor(self.data, body, end)
         contents = self.contents
         if opcode == CHUNK_RECORD:
@@ -146,7 +146,7 @@ class RecordWalk:
             if opcode == MESSAGE and (
                 contents.n_chunks or Cursor(self.data, body, end).number(U2) not in contents.channels
             ):
-                raise DamagedRecord("a message stands outside the chunks, or before its channel")
+                raise DamagedRecord("a message is outside the chunks, or before its channel")
             self._content(opcode, self.data, body, end)
         elif opcode == MESSAGE_INDEX:
             self._message_index(cursor)
@@ -227,7 +227,7 @@ class RecordWalk:
             pos = end
 
     def _content(self, opcode: int, data: Data, body: int, end: int) -> None:
-        """Take a record that may stand inside a chunk."""
+        """Process a record that may be inside a chunk."""
         if opcode == MESSAGE:
             if end - body < MESSAGE_HEAD.size:
                 raise DamagedRecord(f"a message record has {end - body} bytes")
@@ -248,7 +248,7 @@ class RecordWalk:
             self.contents.channels.setdefault(key, channel)
 
     def _recover_open_chunk(self, pos: int) -> bool:
-        """Take what is whole in a chunk that the end of the file cuts; tell whether it is one."""
+        """Read the complete records of a truncated last chunk; return whether there is such a chunk."""
         if pos + 9 > self.size or self.data[pos] != CHUNK_RECORD:
             return False
         cursor = Cursor(self.data, pos + 9, self.size)
@@ -257,7 +257,7 @@ class RecordWalk:
             compression = cursor.text()
             stored = cursor.number(U8)
             if stored <= self.size - cursor.pos:
-                return False  # not cut: its length is wrong
+                return False  # not truncated: its length is wrong
             rest = inflate(compression, self.data[cursor.pos : self.size], self._left)
             self._chunk_content(rest, complete=False)
         except DamagedRecord:
@@ -265,7 +265,7 @@ class RecordWalk:
         return True
 
     def _resync(self, pos: int) -> int:
-        """Return the next position from pos on where a plausible record starts."""
+        """Return the first position at or after pos where a plausible record starts."""
         while pos + 9 <= self.size:
             block = np.frombuffer(self.data[pos : pos + SEARCH_BLOCK + 8], dtype=np.uint8)
             n = len(block) - 8
@@ -279,7 +279,7 @@ class RecordWalk:
         return self.size
 
     def _is_plausible(self, pos: int, depth: int = 2) -> bool:
-        """Tell whether the record at pos is whole and followed by another whole one."""
+        """Return whether the record at pos is complete and followed by another complete record."""
         try:
             opcode, body, end = self._frame(pos)
             cursor = Cursor(self.data, body, end)
@@ -292,7 +292,7 @@ class RecordWalk:
             if opcode == FOOTER:
                 return bool(self.data[end:] == MAGIC)
             if opcode == MESSAGE:
-                # in a chunk whose framing is lost, what looks like a message may be cut by compression
+                # inside a chunk without framing, an apparent message may be part of compressed data
                 if (
                     self._has_chunks
                     or end - body < MESSAGE_HEAD.size
@@ -307,4 +307,4 @@ class RecordWalk:
 
 
 class _BadChunk(DamagedRecord):
-    """A chunk whose framing holds but whose content does not."""
+    """A chunk with intact framing but damaged content."""

@@ -1,1 +1,1 @@
-"""What ROS messages mean: their byte layout, topics and the roles they play, transforms, and the run they make."""
+"""Interpret ROS messages: byte layout, topics and their roles, transforms, and the resulting run."""

@@ -1,6 +1,7 @@
-"""CDR, the byte layout of ROS 2 messages (and ROS 1's), for whole columns at once; files live elsewhere.
+"""Pack and unpack the byte layouts of ROS 2 (CDR) and ROS 1 messages, whole columns at once.
 
-Messages of one topic repeat one layout: it is walked once, then every field is a column of a byte matrix.
+The messages of one topic share a layout. It is parsed once, then every field is a column of a byte matrix. Reading
+and writing of files is in other modules.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ MESSAGE_FIELDS: dict[str, Fields] = {
         ("data", "i1[]"),
     ),
 }
-"""Type -> fields in order: `f8` one, `f8:7` seven, `f4[]` counted, `str`, or a spec that repeats (counted)."""
+"""Type -> fields in order: `f8` is one number, `f8:7` seven, `f4[]` a length-prefixed array, `str` a text.
+
+A nested tuple is a length-prefixed sequence of such fields."""
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
 _U4 = struct.Struct("<I")
@@ -64,7 +67,7 @@ _U4 = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class _FieldLayout:
-    """Where a field of numbers lies in a message."""
+    """Position of a numeric field in a message."""
 
     offset: int
     dtype: np.dtype[Any]
@@ -73,7 +76,7 @@ class _FieldLayout:
 
 @dataclass
 class _Layout:
-    """Where every field of one message lies; `fixed` are the bytes that make the layout what it is."""
+    """Position of every field of one message; `fixed` are the bytes that determine the layout."""
 
     places: dict[str, _FieldLayout] = field(default_factory=dict)
     strings: dict[str, str] = field(default_factory=dict)
@@ -102,9 +105,9 @@ class MessageColumns:
     """Messages of one layout."""
 
     index: NDArray[np.intp]
-    """(m,) which of the given messages these are."""
+    """(m,) indices of these messages among those given."""
     strings: Mapping[str, str]
-    """The text fields, the same in all of them."""
+    """The text fields, equal in all of these messages."""
     rows: Bytes
     """(m, size) the messages."""
     places: Mapping[str, _FieldLayout]
@@ -117,12 +120,12 @@ class MessageColumns:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """(m,) [ns] of the header."""
+        """(m,) [ns] stamps of the headers."""
         sec, nanosec = self["sec"][:, 0].astype(np.int64), self["nanosec"][:, 0].astype(np.int64)
         return sec * 1_000_000_000 + nanosec
 
     def part(self, i: int) -> MessageColumns:
-        """Return the i-th of a repeated part as columns of its own."""
+        """Return the i-th element of a repeated part as separate columns."""
         head = f"{i}."
         return MessageColumns(
             index=self.index,
@@ -133,12 +136,12 @@ class MessageColumns:
 
     @property
     def n_parts(self) -> int:
-        """Count of a repeated part."""
+        """Number of elements of a repeated part."""
         return len({name.split(".")[0] for name in self.places if "." in name})
 
 
 class Messages:
-    """The messages of a topic; those of one size lie in one buffer, which takes half of what a list of them does."""
+    """The messages of a topic; messages of one size share a buffer, which needs half the memory of a list."""
 
     def __init__(self, messages: Iterable[bytes] = ()) -> None:
         self._buffers: dict[int, bytearray] = {}
@@ -151,7 +154,7 @@ class Messages:
         return self._n
 
     def append(self, message: bytes) -> None:
-        """Add a message after all others."""
+        """Append a message."""
         size = len(message)
         if size not in self._buffers:
             self._buffers[size], self._index[size] = bytearray(), array("q")
@@ -160,7 +163,7 @@ class Messages:
         self._n += 1
 
     def take(self, more: Messages) -> None:
-        """Move the messages of another part of the topic here, after all others, in their order."""
+        """Move the messages of another part of the topic to the end, in order."""
         for size, buffer in more._buffers.items():
             if size not in self._buffers:
                 self._buffers[size], self._index[size] = bytearray(), array("q")
@@ -171,13 +174,13 @@ class Messages:
         more._buffers, more._index, more._n = {}, {}, 0
 
     def by_size(self) -> Iterator[tuple[NDArray[np.intp], Bytes]]:
-        """Yield which messages (m,) are of one size, and their bytes (m, size), the smallest first."""
+        """Yield the indices (m,) of the messages of one size and their bytes (m, size), smallest size first."""
         for size in sorted(self._buffers):
             index = np.array(self._index[size], dtype=np.intp)
             yield index, np.frombuffer(self._buffers[size], dtype=np.uint8).reshape(len(index), size)
 
     def __iter__(self) -> Iterator[bytes]:
-        """Yield the messages in their order."""
+        """Yield the messages in order."""
         size_of = np.empty(self._n, dtype=np.int64)
         for size, index in self._index.items():
             size_of[np.array(index, dtype=np.intp)] = size
@@ -190,7 +193,7 @@ class Messages:
 def unpack(
     messages: Messages | Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
 ) -> Iterator[MessageColumns]:
-    """Yield columns of `messages`, one block for each layout met; the encoding is `cdr` or `ros1`."""
+    """Yield columns of `messages`, one block per layout; the encoding is `cdr` or `ros1`."""
     spec = MESSAGE_FIELDS[msgtype]
     packed = messages if isinstance(messages, Messages) else Messages(messages)
     for index, rows in packed.by_size():
@@ -215,16 +218,16 @@ def unpack(
 def pack(
     msgtype: str, n: int, *, strings: Mapping[str, str], columns: Mapping[str, NDArray[Any]], parts: int = 0
 ) -> Bytes:
-    """Pack n messages that share their text; fields not given are 0.
+    """Pack n messages with equal texts; missing fields are 0.
 
     Parameters
     ----------
-    columns : name -> (n,), (n, count) or (count,); a counted field takes its count from the last axis
-    parts : how often a repeated part stands in each message; its fields are named `0.frame_id`, `1.frame_id`, …
+    columns : Name -> (n,), (n, count) or (count,). The last axis is the length of an array field.
+    parts : Number of elements of the repeated part in each message; its fields are `0.frame_id`, `1.frame_id`, …
 
     Returns
     -------
-    (n, size) bytes, one message a row
+    (n, size) bytes, one message per row
     """
     layout = _Layout()
     layout.fixed.append((0, _ENCAPSULATION))
@@ -251,7 +254,7 @@ def _lay_out(
     columns: Mapping[str, NDArray[Any]],
     parts: int,
 ) -> None:
-    """Lay out fields that are to be packed."""
+    """Determine the layout of fields to pack."""
     for name, kind in spec:
         if not isinstance(kind, str):
             layout.align(4)
@@ -273,9 +276,9 @@ def _lay_out(
 
 
 def _walk(spec: Fields, data: bytes, *, is_ros1: bool) -> _Layout:
-    """Find where the fields of one message lie.
+    """Find the positions of the fields of one message.
 
-    ROS 1 has the same fields in the same order, without alignment and encapsulation, and counts its headers.
+    ROS 1 has the same fields in the same order, without alignment and encapsulation, and numbers its headers.
     """
     if is_ros1:
         layout = _Layout(end=0, is_ros1=True)
@@ -285,7 +288,7 @@ def _walk(spec: Fields, data: bytes, *, is_ros1: bool) -> _Layout:
         layout = _Layout(fixed=[(0, data[:2])])
     _find(layout, spec, "", data)
     if layout.end > len(data):
-        raise ValueError(f"it has {len(data)} bytes, its fields need {layout.end}")
+        raise ValueError(f"it has {len(data)} bytes, but its fields need {layout.end}")
     return layout
 
 
@@ -316,4 +319,6 @@ def _find(layout: _Layout, spec: Fields, head: str, data: bytes) -> None:
 
 
 def _bad(topic: str, msgtype: str, i: int, why: str) -> str:
-    return f"message {i} on {topic} is no {msgtype}: {why}; the file is damaged or mislabelled"
+    return (
+        f"message {i} on {topic} is not a valid {msgtype}: {why}; the file is damaged or states a wrong type"
+    )

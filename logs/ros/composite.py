@@ -1,4 +1,4 @@
-"""Several sensors read as one: each ray keeps its own mount, and each reading its own time."""
+"""Combine several sensors into one: each ray keeps the mount of its sensor, and each reading its time."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from logs.transforms import wrap
 from logs.types import Floats
 
 SAME_SCAN_NS = 500_000
-"""[ns] readings of several sensors that are this close together are one scan."""
+"""[ns] maximum time between readings of different sensors that form one scan."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CompositeRays:
-    """Where the rays of several sensors start, in base_link."""
+    """The combined rays of several sensors, in base_link."""
 
     scans: LaserScans
     origins: Floats
-    """(n_rays, 2) [m]"""
+    """(n_rays, 2) [m] origin of each ray."""
     cones: Floats
-    """(n_rays,) [rad]"""
+    """(n_rays,) [rad] opening angle of each ray."""
 
 
 def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequence[str]) -> CompositeRays:
-    """Return one sensor, in base_link, whose rays are those of all parts by their bearing there.
+    """Return one sensor in base_link with the rays of all parts, sorted by bearing.
 
-    A scan has the readings of the sensors that measured at its time; the other rays are nan, which tells nothing.
+    A scan contains the readings of the sensors that measured at its time; the other rays are nan (not measured).
 
     Parameters
     ----------
-    mounts : (3,) [m, m, rad] of each part in base_link
-    names : of the parts, for notes
+    mounts : (3,) [m, m, rad] mount of each part in base_link
+    names : names of the parts for the notes
     """
     bearings = np.concatenate(
         [wrap(part.bearings + mount[2]) for part, mount in zip(parts, mounts, strict=True)]
@@ -56,7 +56,7 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
     notes = [note for part in parts for note in part.notes]
     notes.append(f"{len(parts)} sensors are read as one, each with its own mount: {', '.join(names)}")
     if any(part.time_increment for part in parts):
-        notes.append("the sweep of each sensor was not kept")
+        notes.append("the sweep of each sensor was ignored")
     starts = np.full(n_rows, np.iinfo(np.int64).max)
     np.minimum.at(starts, row, stamps)
     codes = {part.no_return for part in parts} - {"inf"}
@@ -73,7 +73,7 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
 
 
 def _rows(stamps: np.ndarray, sensor: np.ndarray) -> np.ndarray:
-    """Return the scan of each reading in time order: a new one where time has passed, or a sensor measures again."""
+    """Return the scan index of each reading in time order; a new scan starts after a delay or a repeated sensor."""
     out = np.empty(len(stamps), dtype=np.intp)
     row, start, seen = -1, 0, set[int]()
     for i, (at, who) in enumerate(zip(stamps.tolist(), sensor.tolist(), strict=True)):

@@ -1,4 +1,4 @@
-"""ROS 2 message definitions (from rosbags) and the quality of service that makes a file play unconfigured."""
+"""ROS 2 message definitions (from rosbags), and the quality of service with which players replay a file."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 LATCHED = ("/tf_static", "/map", "/plan", "/coverage")
-"""Topics that a late listener must still receive."""
+"""Topics that a late subscriber must receive."""
 
 
 @cache
 def typestore() -> Typestore:
-    """Return the messages of ROS 2 Humble; rosbags is imported only when a file is written."""
+    """Return the message types of ROS 2 Humble; rosbags is imported only when a file is written."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_HUMBLE)
@@ -22,20 +22,20 @@ def typestore() -> Typestore:
 
 @cache
 def definition(msgtype: str) -> bytes:
-    """Return the concatenated ros2msg text that an MCAP schema holds."""
+    """Return the concatenated ros2msg text for an MCAP schema."""
     text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
     return text.encode()
 
 
 QUALITY = "offered_qos_profiles"
-"""Key of a channel's metadata."""
+"""Key in the metadata of a channel."""
 
 
 def quality(topic: str) -> str:
-    """Return `offered_qos_profiles` with integer policies, as rosbag2 reads them without its own metadata.
+    """Return `offered_qos_profiles` with integer policies, as rosbag2 reads them without a metadata.yaml.
 
-    A text policy there crashes players (ros2/rosbag2 #1125); without transient_local a late listener never
-    gets /tf_static (ros2/rosbag2 #1049).
+    A text policy crashes players (ros2/rosbag2 #1125). Without transient_local, a late subscriber does not receive
+    /tf_static (ros2/rosbag2 #1049).
     """
     is_latched = topic in LATCHED
     infinite = "{sec: 9223372036, nsec: 854775807}"

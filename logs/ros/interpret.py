@@ -1,4 +1,4 @@
-"""From the messages of any ROS file to a Run: which topic plays which role, and what its numbers mean."""
+"""Convert the messages of a ROS file to a Run: assign roles to topics and interpret their values."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from logs.transforms import to_planar
 from logs.types import Bools, Floats, Mounts
 
 FLOOR_FRAME = "base_footprint"
-"""On the floor (REP 120); base_link may be anywhere on the robot, at the height of its axle for instance."""
+"""Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
 MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
 FIXED_FRAMES = (*MAP_FRAMES, "odom")
-"""Words in the names of frames that stand still; poses in another are perhaps in none of the map's."""
-MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
+"""Words in the names of stationary frames; poses in other frames may not refer to the map."""
+MIN_UPRIGHT_COSINE = 0.98  # cosine of the maximum tilt (11°) of a level laser
 
 
 def to_run(
@@ -53,15 +53,15 @@ def to_run(
 
     Parameters
     ----------
-    topics : role -> topic, where a log names them otherwise
-    no_return : how the driver logs a missing return, one of `NO_RETURNS`; None: noticed
-    mounts : topic or frame of a sensor -> (3,) [m, m, rad] in base_link, where no transform says it
-    census : topic -> how often each shape of scan is met in the whole log, where the recording is a piece of it
+    topics : Role -> topic, for non-standard topic names.
+    no_return : Encoding of a missing return, one of `NO_RETURNS`; None: Detected from the readings.
+    mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
+    census : Topic -> number of scans of each shape in the whole log, if the recording is a piece of it.
 
     Raises
     ------
     LogError
-        if it has no scans, or several topics could play a role and none was named
+        If the recording has no scans, or several topics fit a role and none is selected.
     """
     check_roles(topics)
     if own_record.is_own(recording, topics):
@@ -72,7 +72,7 @@ def to_run(
     odom = _odometry(recording, odom_name)
     children = (odom.child,) if odom and odom.child else ()
     parts, titles = _read_topics(recording, names, no_return, census or {})
-    reading = _placed(parts, titles, source, tree, children, mounts or {})
+    reading = _mounted(parts, titles, source, tree, children, mounts or {})
     scans, base = reading.scans, reading.base
     pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
     command = None
@@ -83,7 +83,7 @@ def to_run(
         notes += [note for note in (part.notes if part else []) if note not in notes]
     for role, name in (("odom", odom_name), ("cmd", cmd_name)):
         if name is None and choices(recording, role):
-            notes.append(f"several topics could be {role}, none was taken: {choices(recording, role)}")
+            notes.append(f"several topics could be {role}, none was used: {choices(recording, role)}")
     if tree.conflicts:
         notes.append(f"frames with two parents: {', '.join(tree.conflicts)}")
     return _assemble(
@@ -105,23 +105,23 @@ def to_run(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorReading:
-    """The scans of one sensor, or of several as one, and where it sits."""
+    """The scans of one sensor, or of several as one, and its mount."""
 
     scans: LaserScans
     base: str | None
-    """The frame of the robot's base, where the tree has one."""
+    """The base frame of the robot; None if the transform tree has none."""
     mount: Floats
     height: float
     origins: Floats
     cones: Floats
     rate: float | None = None
-    """[Hz] of the fastest of several sensors."""
+    """[Hz] rate of the fastest of several sensors; None for one sensor."""
 
 
 def _read_topics(
     recording: Recording, names: Sequence[str], no_return: str | None, census: Mapping[str, ShapeCensus]
 ) -> tuple[list[LaserScans], list[tuple[str, str]]]:
-    """Read the sensors of some topics; return them, and the topic and frame of each."""
+    """Read the sensors of some topics; also return the topic and frame of each sensor."""
     parts: list[LaserScans] = []
     titles: list[tuple[str, str]] = []
     for name in names:
@@ -135,7 +135,7 @@ def _read_topics(
     return parts, titles
 
 
-def _placed(
+def _mounted(
     parts: Sequence[LaserScans],
     titles: Sequence[tuple[str, str]],
     source: str,
@@ -143,17 +143,17 @@ def _placed(
     children: Sequence[str],
     stated: Mounts,
 ) -> SensorReading:
-    """Place sensors on the robot: one laser as it is, several sensors as one in base_link.
+    """Determine the mounts of the sensors; several sensors are combined into one in base_link.
 
     Parameters
     ----------
     titles : topic and frame of each sensor
-    children : further names of the robot's base
-    stated : mounts that count where the tree has none
+    children : further names of the base frame
+    stated : mounts that apply if the transform tree has none
     """
     bases = [
         tree.first_ancestor(
-            part.frame, (*(tree.named_beside(name, part.frame) for name in BASE_FRAMES), *children)
+            part.frame, (*(tree.in_namespace_of(part.frame, name) for name in BASE_FRAMES), *children)
         )
         for part in parts
     ]
@@ -182,8 +182,8 @@ def _placed(
         )  # fmt: skip
     if lost:
         raise LogError(
-            f"{source}: nothing says where {', '.join(lost)} sit on the robot; record /tf_static, give a robot.yaml "
-            "whose `sensors` name them (`robot`), or choose one with `topics` scan=NAME"
+            f"{source}: the mounts of {', '.join(lost)} are unknown; record /tf_static, give a robot.yaml that lists "
+            "them under `sensors` (`robot`), or select one with `topics` scan=NAME"
         )
     names = [topic for topic, _ in titles]
     rays = combine(parts, mounts, [" in ".join(t) if names.count(t[0]) > 1 else t[0] for t in titles])
@@ -206,31 +206,31 @@ def _odometry(recording: Recording, name: str | None) -> Track | None:
         return None
     topic = recording.topics[name]
     pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
-    unturned = (pose.values[:, 3:] == 0).all(axis=1)
-    if unturned.any():
-        pose.notes.append(f"{_unturned_text(name, unturned)}: their heading was taken as 0")
+    unoriented = (pose.values[:, 3:] == 0).all(axis=1)
+    if unoriented.any():
+        pose.notes.append(f"{_unoriented_text(name, unoriented)}: their heading was set to 0")
     pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
     return pose
 
 
 def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
-    """Return the laser in base_link (3,), its height [m] over the floor, as far as known, and whether it hangs upside down."""
+    """Return the mount (3,) in base_link, the height [m] above the floor if known, and whether it is upside down."""
     if scans.frame in BASE_FRAMES:
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
     if place is None:
         scans.notes.append(
-            f"no transform base_link -> {scans.frame or 'laser'}: the mount is robot.yaml's where one is given, else 0"
+            f"no transform base_link -> {scans.frame or 'laser'}: the mount of robot.yaml is used if given, otherwise 0"
         )
         return np.zeros(3), 0.0, False
     if abs(place.up) < MIN_UPRIGHT_COSINE:
         scans.notes.append(
-            f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, taken as level"
+            f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, but assumed to be level"
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
-        scans.notes.append("the laser moves on the robot: its first place was taken")
-    # the floor's frame may be the root of the tree, above base_link, or a leaf below it
-    floor = tree.named_beside(FLOOR_FRAME, scans.frame)
+        scans.notes.append("the laser moves on the robot: its first mount was used")
+    # the floor frame may be the root of the tree, above base_link, or a leaf below it
+    floor = tree.in_namespace_of(scans.frame, FLOOR_FRAME)
     below = tree.place(base, floor) if base is not None else None
     above_floor = tree.place(floor, scans.frame) or place
     return place.poses[0], above_floor.height - (below.height if below else 0.0), place.up < 0
@@ -245,30 +245,30 @@ def _reference(
     odom: Track | None,
     odom_name: str | None,
 ) -> tuple[Track | None, PoseFrame, str]:
-    """Return the poses, whose they are, and where they come from: /pose, then /tf, then any pose, then /odom."""
+    """Return the poses, their frame and their source: the first of /pose, /tf, any other pose topic, and /odom."""
     name = choose(recording, "pose", topics)
     is_named = (topics or {}).get("pose") is not None
     if name is not None and (is_named or name == ROLES["pose"][0]) and recording.topics[name].type != TF_TYPE:
-        return _posed(recording, name, odom_name)
-    for root in (tree.named_beside(name, scans.frame) for name in MAP_FRAMES):
+        return _pose_topic(recording, name, odom_name)
+    for root in (tree.in_namespace_of(scans.frame, name) for name in MAP_FRAMES):
         for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
             place = tree.place(root, frame) if frame else None
             if place is not None and frame != root and not place.is_static:
                 found = Track(place.stamps, place.poses, root)
                 return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
     if name is not None and recording.topics[name].type != TF_TYPE:
-        return _posed(recording, name, odom_name)
+        return _pose_topic(recording, name, odom_name)
     if odom is not None:
         return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
     if choices(recording, "pose"):
         raise LogError(
-            f"several topics could be the reference pose; choose with {choices(recording, 'pose')}"
+            f"several topics could be the reference pose; select one with {choices(recording, 'pose')}"
         )
     return None, "base_link", "none"
 
 
-def _posed(recording: Recording, name: str, odom_name: str | None) -> tuple[Track, PoseFrame, str]:
-    """Return the poses of a topic, whose they are, and where they come from; `none` where no pose is left."""
+def _pose_topic(recording: Recording, name: str, odom_name: str | None) -> tuple[Track, PoseFrame, str]:
+    """Return the poses of a topic, their frame and their source; the source is `none` if no pose is usable."""
     found = _poses(recording, name)
     is_odometry = recording.topics[name].type == ODOMETRY_TYPE and ("odom" in name or name == odom_name)
     source = f"odometry {name}" if is_odometry else name
@@ -276,7 +276,7 @@ def _posed(recording: Recording, name: str, odom_name: str | None) -> tuple[Trac
 
 
 def _odometry_as_poses(run: Run) -> Run:
-    """Take the odometry as the poses of a run that has no others; the meta notes it."""
+    """Use the odometry as the poses of a run without other poses; the meta records this."""
     if len(run.pose_stamps) or not len(run.odom_stamps):
         return run
     return replace(
@@ -294,18 +294,18 @@ def _poses(recording: Recording, name: str) -> Track:
     if topic.type == POSE_COVARIANCE_TYPE:
         found.covariances = planar_covariances(track(topic, "covariance", 36).values)
     if found.frame and not any(word in found.frame.rpartition("/")[2] for word in FIXED_FRAMES):
-        found.notes.append(f"{name} is in the frame {found.frame}, which is unknown: taken as the map")
-    unturned = (found.values[:, 3:] == 0).all(axis=1)
-    if unturned.any():
-        found.notes.append(f"{_unturned_text(name, unturned)}: left out")
-        found.stamps, found.values = found.stamps[~unturned], found.values[~unturned]
-        found.covariances = found.covariances[~unturned] if len(found.covariances) else found.covariances
+        found.notes.append(f"{name} is in the unknown frame {found.frame}, which is assumed to be the map")
+    unoriented = (found.values[:, 3:] == 0).all(axis=1)
+    if unoriented.any():
+        found.notes.append(f"{_unoriented_text(name, unoriented)}: left out")
+        found.stamps, found.values = found.stamps[~unoriented], found.values[~unoriented]
+        found.covariances = found.covariances[~unoriented] if len(found.covariances) else found.covariances
     found.values = to_planar(found.values)
     return found
 
 
-def _unturned_text(name: str, unturned: Bools) -> str:
-    return f"{name}: {unturned.sum()} of {len(unturned)} poses have no orientation (quaternion 0 0 0 0)"
+def _unoriented_text(name: str, unoriented: Bools) -> str:
+    return f"{name}: {unoriented.sum()} of {len(unoriented)} poses have no orientation (quaternion 0 0 0 0)"
 
 
 def _assemble(

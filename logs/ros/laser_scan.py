@@ -1,4 +1,4 @@
-"""LaserScan messages as drivers send them, brought to one convention: REP-117, counter-clockwise, within a turn."""
+"""Decode LaserScan messages and convert them to one convention: REP-117, counter-clockwise, at most one turn."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.errors import LogError
-from logs.no_return import CODE_SEARCH, frequent_nans, nan_text, notice, range_max_text, zero_text
+from logs.no_return import CODE_SEARCH, detect_no_return, frequent_nans, nan_text, range_max_text, zero_text
 from logs.resampling import resample, resampled_text
 from logs.ros import cdr
-from logs.ros.recording import Topic, settle
+from logs.ros.recording import Topic, sort_stamps
 from logs.sweep import LIMITS
 from logs.transforms import Stamps
 from logs.types import Floats
@@ -22,7 +22,7 @@ _U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
 
 
 class ScanShape(NamedTuple):
-    """Which bearings a scan has."""
+    """The bearings of a scan."""
 
     n_rays: int
     angle_min: float
@@ -31,18 +31,18 @@ class ScanShape(NamedTuple):
     """[rad]"""
 
     def rounded(self) -> ScanShape:
-        """Return the shape to a hundred-thousandth of a radian: those alike there are one."""
+        """Return the shape rounded to 1e-5 rad; shapes with equal rounded values count as one."""
         return ScanShape(self.n_rays, round(self.angle_min, 5), round(self.increment, 5))
 
 
 @dataclass
 class ShapeCensus:
-    """How often each shape of scan is met in a log."""
+    """The number of scans of each shape in a log."""
 
     counts: Counter[ScanShape] = field(default_factory=Counter)
-    """By the rounded shape."""
+    """Rounded shape -> number of scans."""
     first: dict[ScanShape, ScanShape] = field(default_factory=dict)
-    """Rounded shape -> the first that was met."""
+    """Rounded shape -> first exact shape."""
 
     def add(self, shape: ScanShape, count: int = 1) -> None:
         """Count scans of a shape."""
@@ -65,7 +65,7 @@ class LaserScans:
     frame: str
     notes: list[str]
     no_return: str
-    """How the driver logs a missing return, one of `NO_RETURNS`."""
+    """Encoding of a missing return in the log, one of `NO_RETURNS`."""
     cone: float = 0.0
     """[rad] opening angle of each ray."""
 
@@ -77,7 +77,7 @@ class _Group:
     index: list[np.ndarray]
     ranges: list[Floats]
     limits: Floats
-    """(7,) of the first."""
+    """(7,) angle, time and range fields of the first message."""
     frame: str
 
     def bearings(self) -> Floats:
@@ -87,7 +87,9 @@ class _Group:
         if increment == 0 and n > 1:
             increment = (angle_max - angle_min) / (n - 1)
         if n > 1 and not abs(increment) > 1e-9:
-            raise LogError(f"scans have {n} rays and angle_increment {increment}; no bearings")
+            raise LogError(
+                f"scans have {n} rays and angle_increment {increment}; expected an increment other than 0"
+            )
         return _bearings(n, angle_min, increment)
 
 
@@ -96,7 +98,7 @@ def _bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
 
 
 def shape_of(payload: bytes) -> ScanShape | None:
-    """Return the shape of one LaserScan in CDR; None where it cannot be told."""
+    """Return the shape of one LaserScan in CDR; None if the message is too short."""
     try:
         (length,) = _U4.unpack_from(payload, 12)
         at = 16 + length
@@ -107,16 +109,16 @@ def shape_of(payload: bytes) -> ScanShape | None:
 
 
 def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus | None = None) -> LaserScans:
-    """Decode LaserScan messages; those of another shape than most are resampled to the bearings of most.
+    """Decode LaserScan messages; scans of other shapes are resampled to the most common bearings.
 
     Parameters
     ----------
-    no_return : one of `NO_RETURNS`; None: noticed from its frequency
-    census : of the whole log, where the topic holds a piece of it
+    no_return : one of `NO_RETURNS`; None: detected from the frequency of readings
+    census : census of the whole log, if the topic holds a piece of it
 
     Raises
     ------
-    LogError : most scans have no rays, or no bearings
+    LogError : If most scans have no rays, or no bearings.
     """
     n = len(topic.payloads)
     stamps = np.array(topic.log_times, dtype=np.int64)
@@ -153,45 +155,46 @@ def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus |
         ranges[np.concatenate(group.index)] = (
             part if shape == most else resample(part, group.bearings(), bearings)
         )
-    stamps, order, said = settle(topic.name, stamps, np.array(topic.log_times, dtype=np.int64))
+    stamps, order, stamp_notes = sort_stamps(topic.name, stamps, np.array(topic.log_times, dtype=np.int64))
     if len(counts) > 1:
-        said.append(
+        stamp_notes.append(
             f"{topic.name}: {resampled_text([shape.n_rays for shape in counts], list(counts.values()))}"
         )
     time_increment, scan_time = limits[3:5].tolist()
     return LaserScans(
         stamps, ranges[order], bearings, time_increment, scan_time, range_min, range_max, main.frame,
-        said + notes, no_return,
+        stamp_notes + notes, no_return,
     )  # fmt: skip
 
 
 def clean_ranges(
     parts: list[Floats], limits: tuple[float, float], no_return: str | None, notes: list[str]
 ) -> tuple[float, float, str]:
-    """Bring missing returns to REP-117, in place; what was changed is noted.
+    """Convert readings to REP-117, in place, and append notes on the changes.
 
-    A range of exactly 0 tells nothing, so it becomes nan, unless it is how the driver logs a missing return.
+    A range of exactly 0 becomes nan, an invalid reading, unless 0 encodes a missing return.
 
     Parameters
     ----------
     parts : arrays (n_scans, n_rays) [m]
-    limits : range_min and range_max [m] as the driver states them
-    no_return : one of `NO_RETURNS`; None: noticed from its frequency
+    limits : range_min and range_max [m] as stated by the driver
+    no_return : one of `NO_RETURNS`; None: detected from the frequency of readings
+    notes : list to which the notes are appended
 
     Returns
     -------
-    range_min and range_max [m] as used, and how a missing return was logged
+    range_min and range_max [m] as used, and the encoding of a missing return
     """
     range_min, range_max = map(float, limits)
     if not (np.isfinite(range_max) and range_max > max(range_min, 0.0)):
         top = max((float(part[np.isfinite(part)].max(initial=0.0)) for part in parts), default=0.0) or 1.0
-        notes.append(f"range_max {range_max:g} makes no sense, the largest range {top:g} m was taken")
+        notes.append(f"range_max {range_max:g} is invalid, the largest range {top:g} m was used")
         range_max = max(top, 1e-3)
     if not 0 <= range_min < range_max:
-        notes.append(f"range_min {range_min:g} makes no sense, 0 was taken")
+        notes.append(f"range_min {range_min:g} is invalid, 0 was used")
         range_min = 0.0
     if no_return is None:
-        no_return = notice(parts, range_max)
+        no_return = detect_no_return(parts, range_max)
     invalid = "" if no_return == "nan" else frequent_nans(parts)
     total, at_max, zeros, nans = sum(part.size for part in parts), 0, 0, 0
     counts = Counter[str]()
@@ -209,7 +212,7 @@ def clean_ranges(
         if no_return == "zero":
             part[zero], zeros = np.inf, zeros + int(zero.sum())
         else:
-            counts["are exactly 0, which tells nothing: nan"] += int(zero.sum())
+            counts["are exactly 0, an invalid reading: nan"] += int(zero.sum())
         counts["are negative: nan"] += int(broken.sum())
         counts[f"are below range_min {range_min:g} m: -inf"] += int(near.sum())
         counts[f"are above range_max {range_max:g} m: +inf"] += int(above.sum())
@@ -226,22 +229,22 @@ def clean_ranges(
 
 
 def check_sweep(scans: LaserScans) -> None:
-    """Take a sweep that would last longer than the time between scans as 0, in place; that is noted."""
+    """Set the `time_increment` of a sweep that is longer than the scan period to 0, in place, with a note."""
     steps = np.diff(scans.stamps)
     period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
     sweep = abs(scans.time_increment) * len(scans.bearings)
     if not np.isfinite(sweep) or (period > 0 and sweep > LIMITS.max_periods * period):
         scans.notes.append(
-            f"time_increment {scans.time_increment:.3g} s makes no sense, {len(scans.bearings)} rays would take "
-            f"{sweep:.3g} s of the {period:.3g} s between scans: 0 was taken"
+            f"time_increment {scans.time_increment:.3g} s is invalid, {len(scans.bearings)} rays would take "
+            f"{sweep:.3g} s of the {period:.3g} s between scans: 0 was used"
         )
         scans.time_increment = 0.0
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
-    """Make bearings increase, counter-clockwise seen from above, over less than a turn, in place.
+    """Order the rays by increasing bearing, counter-clockwise from above, over less than one turn, in place.
 
-    A laser that begins ahead, 0 to 2 pi, keeps its numbering: so do its rays their index.
+    A laser whose bearings run from 0 to 2 pi keeps the indices of its rays.
     """
     if scans.bearings[-1] < scans.bearings[0]:
         _reverse(scans)
@@ -249,15 +252,20 @@ def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
     if upside_down:
         scans.bearings = -scans.bearings
         _reverse(scans)
-        scans.notes.append("the laser hangs upside down: rays were mirrored")
+        scans.notes.append("the laser is mounted upside down: rays were mirrored")
     n_turn = int(np.searchsorted(scans.bearings, scans.bearings[0] + 2 * np.pi - 1e-4))
     if n_turn < len(scans.bearings):
-        scans.notes.append(f"{len(scans.bearings) - n_turn} rays repeat others after a full turn, dropped")
+        scans.notes.append(
+            f"{len(scans.bearings) - n_turn} rays repeat others after a full turn and were dropped"
+        )
         scans.bearings, scans.ranges = scans.bearings[:n_turn], scans.ranges[:, :n_turn]
 
 
 def _reverse(scans: LaserScans) -> None:
-    """Number the rays from the other end; the stamp stays that of ray 0. An increment of 0 becomes -0.0: clockwise."""
+    """Reverse the order of the rays; the stamp remains that of ray 0.
+
+    A time increment of 0 becomes -0.0, which marks a clockwise sweep.
+    """
     scans.bearings, scans.ranges = scans.bearings[::-1].copy(), scans.ranges[:, ::-1].copy()
     last = round((len(scans.bearings) - 1) * scans.time_increment * 1e9)
     scans.stamps, scans.time_increment = scans.stamps + last, -scans.time_increment

@@ -1,4 +1,4 @@
-"""From arrays to ROS 2 messages: one call packs a whole topic."""
+"""Convert arrays to ROS 2 messages, a whole topic per call."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from logs.types import Floats
 
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
 PLANAR = np.array([0, 1, 5])
-"""x, y and yaw among the six rows of a covariance in ROS."""
+"""Indices of x, y and yaw in the six rows of a ROS covariance."""
 
 
 def zero_time(epoch_ns: int, first: float) -> int:
-    """Return the file's time [ns] of stamp 0; MCAP has no time before 1970, so such runs start at 0."""
+    """Return the time [ns] of stamp 0 in the file; MCAP has no time before 1970, so earlier runs start at 0."""
     start = epoch_ns + round(first * 1e9)
     return epoch_ns - min(start, 0)
 
 
 def to_ns(stamps: Floats, zero: int) -> Stamps:
-    """Return int64 nanoseconds of stamps [s]."""
+    """Convert stamps [s] to int64 nanoseconds."""
     if not np.isfinite(stamps).all():
-        raise LogError("a stamp is not finite; leave such samples out before writing")
+        raise LogError("a stamp is not finite; remove such samples before writing")
     ns: Stamps = np.rint(stamps * 1e9).astype(np.int64) + zero
     if len(ns) and ns.max() >= 2**31 * 10**9:
         raise LogError(
-            f"a stamp is {ns.max() / 1e9:.0f} s after 1970, ROS time ends at {2**31}; check epoch_ns"
+            f"a stamp is {ns.max() / 1e9:.0f} s after 1970, but ROS time ends at {2**31} s; check epoch_ns"
         )
     return ns
 
 
 def header(ns: Stamps) -> dict[str, Stamps]:
-    """Return the columns of a header stamp."""
+    """Return the columns of the header stamps."""
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
 
 
@@ -76,7 +76,7 @@ def pose_covariance_messages(ns: Stamps, poses: Floats, covariances: Floats) -> 
 
 
 def planar_covariances(rows: Floats) -> Floats:
-    """Return the covariances (n, 3, 3) of x, y, phi in ROS's (n, 36) of x, y, z and three rotations."""
+    """Extract the covariances (n, 3, 3) of x, y, phi from ROS covariances (n, 36) of x, y, z and three rotations."""
     return rows.reshape(-1, 6, 6)[:, PLANAR[:, None], PLANAR].astype(np.float64)
 
 
@@ -94,7 +94,7 @@ def command_messages(ns: Stamps, twists: Floats) -> cdr.Bytes:
 
 
 def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0.0) -> cdr.Bytes:
-    """Pack TFMessage (n, size), each with one transform for every edge (parent, child, poses (n, 3))."""
+    """Pack TFMessage messages (n, size) with one transform per edge (parent, child, poses (n, 3))."""
     strings: dict[str, str] = {}
     columns: dict[str, NDArray[Any]] = {}
     for i, (parent, child, poses) in enumerate(edges):
@@ -105,7 +105,7 @@ def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0
 
 
 def map_message(ns: Stamps, occupancy: OccupancyMap) -> cdr.Bytes:
-    """Pack one OccupancyGrid (1, size)."""
+    """Pack one OccupancyGrid message (1, size)."""
     ny, nx = occupancy.data.shape
     columns = {
         **header(ns),

@@ -1,7 +1,7 @@
-"""The metadata record of our own MCAP files, so that a Run read equals the Run that was written.
+"""The metadata record of our own MCAP files, with which a Run is restored exactly as written.
 
-The metadata record `sensorgraph` holds plain text: the sensor as float64 (LaserScan has float32 and no sigma),
-whose pose /pose is, the time of stamp 0, and the run's meta as `meta.NAME`.
+The metadata record `sensorgraph` holds plain text. It contains the sensor as float64 (LaserScan has float32 and no
+sigma), the frame of /pose, the time of stamp 0, and the meta of the run as `meta.NAME`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from logs.ros.recording import (
     TWIST_STAMPED_TYPE,
     Recording,
     Track,
-    settle,
+    sort_stamps,
     track,
 )
 from logs.run import RangeSensor, Run, rare_times, with_rare_times
@@ -59,7 +59,7 @@ def sensor_facts(
 
 
 def is_intact(record: Mapping[str, str]) -> bool:
-    """Tell whether a record is as it was written; MCAP itself gives metadata no checksum."""
+    """Return whether a record is unchanged; MCAP has no checksum for metadata."""
     return record.get("crc32") == _checksum(record)
 
 
@@ -69,15 +69,15 @@ def _checksum(record: Mapping[str, str]) -> str:
 
 
 def is_own(recording: Recording, topics: Mapping[str, str] | None) -> bool:
-    """Tell whether the file is ours and the caller asks for no other topic than ours."""
-    asked = {role: "/" + name.lstrip("/") for role, name in (topics or {}).items()}
+    """Return whether the file is ours and the caller selects no other topics."""
+    selected = {role: "/" + name.lstrip("/") for role, name in (topics or {}).items()}
     return METADATA_NAME in recording.metadata and all(
-        TOPIC_OF_ROLE[role] == name for role, name in asked.items()
+        TOPIC_OF_ROLE[role] == name for role, name in selected.items()
     )
 
 
 def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
-    """Rebuild the sensor from the metadata record."""
+    """Restore the sensor from the metadata record."""
     scalars: dict[str, Any] = {name: float(sensor_facts[name]) for name in SENSOR_SCALARS}
     sensor = RangeSensor(
         bearings=parse_bearings(sensor_facts["bearings"]),
@@ -90,15 +90,15 @@ def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
 
 
 def to_run(recording: Recording, source: str, no_return: str | None = None) -> Run:
-    """Rebuild the run that was written; a missing return is +inf there, unless `no_return` says otherwise."""
+    """Restore the run as written; a missing return is +inf unless `no_return` selects another encoding."""
     record = recording.metadata[METADATA_NAME]
     if record.get("version") != RECORD_VERSION:
         raise LogError(
-            f"{source} was written in version {record.get('version')}, this reads {RECORD_VERSION}; update"
+            f"{source} has record version {record.get('version')}, expected {RECORD_VERSION}; update sensorgraph"
         )
     if not is_intact(record):
         raise LogError(
-            f"{source}: its `{METADATA_NAME}` record is not as it was written; "
+            f"{source}: its `{METADATA_NAME}` record does not match its checksum; "
             f"save the messages without it: sensorgraph recover {source} -o OUT.mcap"
         )
     try:
@@ -106,7 +106,8 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         epoch = int(record["epoch_ns"])
     except (KeyError, ValueError) as exc:
         raise LogError(
-            f"{source}: its `{METADATA_NAME}` record is not whole ({exc}); was it edited?"
+            f"{source}: its `{METADATA_NAME}` record is incomplete ({exc}); "
+            f"save the messages without it: sensorgraph recover {source} -o OUT.mcap"
         ) from exc
     stamps, ranges, notes = _scans(recording, sensor.n_rays, source)
     apply_no_return(ranges, sensor.range_max, no_return)
@@ -115,7 +116,7 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
     twist = _track(recording, "odom", ODOMETRY_TYPE, "twist", 6)
     command = _track(recording, "cmd", TWIST_STAMPED_TYPE, "twist", 6)
     meta = {k.removeprefix("meta."): v for k, v in record.items() if k.startswith("meta.")}
-    said = _with_sorted([*notes, *pose.notes, *odom.notes, *command.notes], meta.get("notes", ""))
+    all_notes = _with_sorted([*notes, *pose.notes, *odom.notes, *command.notes], meta.get("notes", ""))
     return Run(
         sensor=sensor,
         stamps=(stamps - zero) / 1e9,
@@ -130,13 +131,16 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         commands=command.values[:, [0, 5]],
         pose_frame="laser" if record.get("pose_frame") == "laser" else "base_link",
         epoch_ns=epoch,
-        meta={**meta, **({"notes": said} if said else {})},
+        meta={**meta, **({"notes": all_notes} if all_notes else {})},
         attachments=dict(recording.attachments),
     )
 
 
 def _with_sorted(found: list[str], written: str) -> str:
-    """Return the notes that were written with the run, and which stamps of the file go back; duplicates may be the run's own."""
+    """Return the stored notes of the run, and notes on stamps of the file that go back.
+
+    Notes on duplicate stamps are omitted, because the run may contain duplicates itself.
+    """
     back = [note for note in found if "stamps go back" in note]
     return "; ".join(dict.fromkeys(filter(None, [*written.split("; "), *back])))
 
@@ -149,7 +153,7 @@ def _track(recording: Recording, role: str, msgtype: str, column: str, width: in
 
 
 def _covariances(recording: Recording, stamps: Stamps) -> Floats:
-    """Return the covariance (n, 3, 3) of each pose, or none where a stamp lacks one."""
+    """Return the covariance (n, 3, 3) of each pose, or an empty array if the stamps do not match."""
     topic = recording.topics.get(COVARIANCE_TOPIC)
     if topic is None or topic.type != POSE_COVARIANCE_TYPE or not topic.payloads:
         return np.zeros((0, 3, 3))
@@ -166,11 +170,11 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floa
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         if block.places["ranges"].count != n_rays:
             raise LogError(
-                f"{source}: a scan has {block.places['ranges'].count} ranges, its `{METADATA_NAME}` record says {n_rays}; "
-                f"read it as a foreign file by removing that record"
+                f"{source}: a scan has {block.places['ranges'].count} ranges, but its `{METADATA_NAME}` record states "
+                f"{n_rays}; remove that record to read the file as a foreign log"
             )
         stamps[block.index], ranges[block.index] = block.stamps_ns, block["ranges"]
-    stamps, order, notes = settle(topic.name, stamps, stamps)
+    stamps, order, notes = sort_stamps(topic.name, stamps, stamps)
     return stamps, ranges if (np.diff(order) == 1).all() else ranges[order], notes
 
 
@@ -179,7 +183,7 @@ def _numbers_text(values: Floats) -> str:
 
 
 def parse_numbers(text: str) -> Floats:
-    """Read numbers that stand one by one."""
+    """Parse numbers separated by white space."""
     return np.array([float(word) for word in text.split()], dtype=np.float64)
 
 
@@ -191,7 +195,7 @@ def _bearings_text(bearings: Floats) -> str:
 
 
 def parse_bearings(text: str) -> Floats:
-    """Read bearings [rad], `FIRST to LAST in N` or one by one."""
+    """Parse bearings [rad], given as `FIRST to LAST in N` or one by one."""
     if " to " in text:
         first, _, last, _, n = text.split()
         return np.linspace(float(first), float(last), int(n))

@@ -1,4 +1,4 @@
-"""Range messages of sonars and infrared sensors: each sensor is a scan of one ray with a cone."""
+"""Decode Range messages of sonars and infrared sensors: each sensor is a scan of one ray with a cone."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from logs.ros import cdr
 from logs.ros.laser_scan import LaserScans, clean_ranges
-from logs.ros.recording import Topic, settle
+from logs.ros.recording import Topic, sort_stamps
 
 
 def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
-    """Decode Range messages of a topic, one result for each frame in which its sensors measure.
+    """Decode the Range messages of a topic, one result per sensor frame.
 
     Parameters
     ----------
-    no_return : one of `NO_RETURNS`; None: noticed from its frequency
+    no_return : one of `NO_RETURNS`; None: detected from the frequency of readings
     """
     stamps = np.array(topic.log_times, dtype=np.int64)
     limits = np.full((len(topic.payloads), 4), np.nan)  # field_of_view, min_range, max_range, range
@@ -26,15 +26,15 @@ def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
     out = []
     for frame, parts in frames.items():
         mine = np.sort(np.concatenate(parts))
-        at, order, notes = settle(topic.name, stamps[mine], logged[mine])
+        at, order, notes = sort_stamps(topic.name, stamps[mine], logged[mine])
         readings = limits[mine, 3:]
-        said: list[str] = []
+        range_notes: list[str] = []
         stated = (float(limits[mine[0], 1]), float(limits[mine[0], 2]))
-        range_min, range_max, code = clean_ranges([readings], stated, no_return, said)
+        range_min, range_max, code = clean_ranges([readings], stated, no_return, range_notes)
         out.append(
             LaserScans(
                 at, readings[order], np.zeros(1), 0.0, 0.0, range_min, range_max, frame,
-                notes + [f"{topic.name}: {text}" for text in said], code, float(limits[mine[0], 0]),
+                notes + [f"{topic.name}: {text}" for text in range_notes], code, float(limits[mine[0], 0]),
             )
         )  # fmt: skip
     return out

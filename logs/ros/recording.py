@@ -1,4 +1,4 @@
-"""The contents of a ROS file before they are interpreted: topics, and which of them plays which role."""
+"""The uninterpreted contents of a ROS file: topics, and the role of each."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KEPT_TYPES = frozenset(
         TWIST_STAMPED_TYPE,
     }
 )
-"""Types whose messages are kept in memory; others are only counted."""
+"""Types whose messages are kept in memory; messages of other types are only counted."""
 ENCODINGS = ("cdr", "ros1")
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "scan": ("/scan", (SCAN_TYPE, RANGE_TYPE)),
@@ -49,9 +49,9 @@ ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "odom": ("/odom", (ODOMETRY_TYPE,)),
     "cmd": ("/cmd_vel", (TWIST_STAMPED_TYPE, TWIST_TYPE)),
 }
-"""Role -> (the name that needs no telling, the types that can play it)."""
+"""Role -> (default topic name, supported types)."""
 COVARIANCE_TOPIC = "/pose_with_covariance"
-"""The poses of /pose once more, each with its covariance, as what listens to AMCL takes them."""
+"""The poses of /pose with their covariances, in the message type of AMCL."""
 
 
 @dataclass
@@ -63,9 +63,9 @@ class Topic:
     encoding: str = "cdr"
     n_messages: int = 0
     log_times: list[int] = field(default_factory=list)
-    """[ns] of each message, in the order of the file."""
+    """[ns] log time of each message, in the order of the file."""
     payloads: cdr.Messages = field(default_factory=cdr.Messages)
-    """The messages, where their type is one of `KEPT_TYPES`."""
+    """The messages, if their type is in `KEPT_TYPES`."""
 
 
 @dataclass
@@ -95,11 +95,11 @@ class Track:
     child: str = ""
     notes: list[str] = field(default_factory=list)
     covariances: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """(n, 3, 3) of x, y, phi, or (0, 3, 3): not known."""
+    """(n, 3, 3) covariance of x, y, phi; (0, 3, 3): unknown."""
 
 
 def full_type(msgtype: str) -> str:
-    """Return the full name: `sensor_msgs/LaserScan` -> `sensor_msgs/msg/LaserScan`; tf's old name is renewed."""
+    """Return the full type name: `sensor_msgs/LaserScan` -> `sensor_msgs/msg/LaserScan`, `tf/tfMessage` -> tf2 type."""
     package, _, name = msgtype.partition("/")
     name = name.removeprefix("msg/")
     if (package, name) == ("tf", "tfMessage"):
@@ -108,7 +108,7 @@ def full_type(msgtype: str) -> str:
 
 
 def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) -> str | None:
-    """Return the topic that plays a role, or None where none or several could and none was named."""
+    """Return the topic for a role; None if no topic fits, or if several fit and none is selected."""
     preferred, types = ROLES[role]
     named = (topics or {}).get(role)
     if named is not None:
@@ -121,25 +121,25 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
             ):
                 return name
         raise LogError(
-            f"{role}={named} is no topic with messages of {' or '.join(types)}; "
-            f"there are {listing(recording) or 'no topics'}"
+            f"{role}={named} is not a topic with messages of {' or '.join(types)}; "
+            f"the log has {listing(recording) or 'no topics'}"
         )
     names = recording.of_type(types if role != "pose" else (POSE_TYPE, POSE_COVARIANCE_TYPE))
     if preferred in names:
         return preferred
-    if role == "pose":  # a goal or a first guess is a pose too, but not where the robot was
+    if role == "pose":  # a goal and an initial guess are poses too, but not of the robot over time
         names = [name for name in names if "goal" not in name and "initial" not in name]
     return names[0] if len(names) == 1 else None
 
 
 def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | None) -> list[str]:
-    """Return the topics whose readings are the scans: those named, else the one LaserScan, else every Range.
+    """Return the topics of the scans: those selected, otherwise the only LaserScan, otherwise every Range.
 
-    Several are named with commas between, or by a pattern: `scan=/front,/rear`, `scan=/sonar/*`.
+    Several topics are selected with commas or a pattern: `scan=/front,/rear`, `scan=/sonar/*`.
 
     Raises
     ------
-    LogError : a name fits no topic with readings, several lasers could be meant, or there is none
+    LogError : If a name matches no topic with readings, several lasers are possible, or no topic has readings.
     """
     there = recording.of_type(ROLES["scan"][1])
     named = (topics or {}).get("scan")
@@ -150,8 +150,8 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
             mine = [name for name in there if fnmatchcase("/" + name.lstrip("/"), pattern)]
             if not mine:
                 raise LogError(
-                    f"{source}: scan={word} is no topic with messages of {' or '.join(ROLES['scan'][1])}; "
-                    f"there are {listing(recording) or 'no topics'}"
+                    f"{source}: scan={word} is not a topic with messages of {' or '.join(ROLES['scan'][1])}; "
+                    f"the log has {listing(recording) or 'no topics'}"
                 )
             found += [name for name in mine if name not in found]
         return found
@@ -160,8 +160,8 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
         return [ROLES["scan"][0] if ROLES["scan"][0] in lasers else lasers[0]]
     if lasers:
         raise LogError(
-            f"{source} has {len(lasers)} scan topics; choose with {choices(recording, 'scan')}, or take several as one sensor: "
-            f"`topics` scan={','.join(lasers)}"
+            f"{source} has {len(lasers)} scan topics; select one with {choices(recording, 'scan')}, or combine several "
+            f"into one sensor: `topics` scan={','.join(lasers)}"
         )
     if not there:
         raise LogError(f"{source} has no Range and no LaserScan; it has {listing(recording) or 'no topics'}")
@@ -169,26 +169,28 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
 
 
 def choices(recording: Recording, role: str) -> str:
-    """Return the topics that could play a role."""
+    """Return the options that select a topic for a role."""
     return ", ".join(f"`topics` {role}={name}" for name in recording.of_type(ROLES[role][1]))
 
 
 def listing(recording: Recording) -> str:
-    """Return every topic with its type."""
+    """Return all topics with their types as text."""
     return ", ".join(f"{topic.name} ({topic.type})" for topic in recording.topics.values())
 
 
 def check_roles(topics: Mapping[str, str] | None) -> None:
-    """Refuse a role that does not exist."""
+    """Reject an unknown role."""
     unknown = set(topics or {}) - set(ROLES)
     if unknown:
-        raise LogError(f"no role {', '.join(sorted(unknown))}; expected {', '.join(ROLES)} as in scan=/scan")
+        raise LogError(
+            f"no role {', '.join(sorted(unknown))}; expected one of {', '.join(ROLES)}, as in scan=/scan"
+        )
 
 
 def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> Track:
     """Decode one field of every message of a topic, sorted by stamp.
 
-    With `absolute`, a header stamp of 0 is the time 0, not a stamp that the driver forgot.
+    With `absolute`, a header stamp of 0 is the time 0 and not a missing stamp.
     """
     n = len(topic.payloads)
     logged = np.array(topic.log_times, dtype=np.int64)
@@ -202,17 +204,17 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
         frames[key] = frames.get(key, 0) + len(block.index)
     frame, child = max(frames, key=lambda key: frames[key], default=("", ""))
     notes = [f"{topic.name} changes its frame"] if len(frames) > 1 else []
-    stamps, order, more = settle(topic.name, stamps, stamps if absolute else logged)
+    stamps, order, more = sort_stamps(topic.name, stamps, stamps if absolute else logged)
     return Track(stamps, values[order], frame.strip("/"), child.strip("/"), notes + more)
 
 
-def settle(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDArray[np.intp], list[str]]:
-    """Replace stamps that are 0 by the log time, and sort; return notes on what was done."""
+def sort_stamps(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDArray[np.intp], list[str]]:
+    """Replace stamps of 0 by the log time, and sort; return the stamps, their order and notes on the changes."""
     notes = []
     absent = (stamps == 0) & (logged != 0)
     if absent.any():
         stamps = np.where(absent, logged, stamps)
-        notes.append(f"{name}: {int(absent.sum())} messages have stamp 0, their log time was taken")
+        notes.append(f"{name}: {int(absent.sum())} messages have stamp 0, their log time was used")
     back = int((np.diff(stamps) < 0).sum())
     if back:
         notes.append(f"{name}: stamps go back {back} times, sorted")
@@ -247,18 +249,18 @@ def transform_tree(recording: Recording) -> TransformTree:
 
 
 def parse_topics(texts: Iterable[str]) -> dict[str, str]:
-    """Return role -> topic of texts such as `scan=/front/scan`.
+    """Parse texts such as `scan=/front/scan` to role -> topic.
 
     Raises
     ------
     LogError
-        if a text is no ROLE=NAME, or names a role that does not exist
+        If a text is not ROLE=NAME, or the role is unknown.
     """
     topics = {}
     for text in texts:
         role, equals, name = text.partition("=")
         if not equals or not name:
-            raise LogError(f"topic {text!r} is no ROLE=NAME; expected for example scan=/front/scan")
+            raise LogError(f"topic {text!r} is not ROLE=NAME; expected for example scan=/front/scan")
         topics[role.strip()] = name.strip()
     check_roles(topics)
     return topics

@@ -1,4 +1,4 @@
-"""The tree of frames in a ROS log, and where one frame is in another over time."""
+"""The transform tree of a ROS log, and the pose of one frame in another over time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from logs.transforms import Stamps, interpolate, to_planar, to_translation_quate
 from logs.types import Floats
 
 HOLD_NS = 1_000_000_000
-"""[ns] a slow correction such as map -> odom holds this long past its last sample."""
+"""[ns] time for which a slow correction such as map -> odom stays valid after its last sample."""
 
 
 def to_matrices(transforms: Floats) -> Floats:
-    """Return homogeneous matrices (n, 4, 4) of translations with quaternions (n, 7)."""
+    """Convert translations with quaternions (n, 7) to homogeneous matrices (n, 4, 4)."""
     x, y, z, w = (transforms[:, 3:] / np.linalg.norm(transforms[:, 3:], axis=1, keepdims=True)).T
     out = np.zeros((len(transforms), 4, 4))
     out[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1)
@@ -28,12 +28,12 @@ def to_matrices(transforms: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class RelativePose:
-    """Where a frame is in another, sample by sample."""
+    """The pose of one frame in another, sample by sample."""
 
     stamps: Stamps
-    """(n,) [ns]; one sample at 0 where nothing in the chain moves."""
+    """(n,) [ns]; one sample at 0 if the chain is static."""
     poses: Floats
-    """(n, 3) [m, m, rad] the x axis seen from above."""
+    """(n, 3) [m, m, rad] planar pose; the heading is that of the x axis projected on the floor."""
     height: float
     """[m] median z."""
     up: float
@@ -51,12 +51,12 @@ class _Edge:
 
 @dataclass
 class TransformTree:
-    """The frames of a log and what joins them."""
+    """The frames of a log and the transforms between them."""
 
     edges: dict[str, _Edge] = field(default_factory=dict)
     """Child frame -> its edge."""
     conflicts: list[str] = field(default_factory=list)
-    """Frames that have more than one parent; the one with most samples was taken."""
+    """Frames with more than one parent; the parent with the most samples is used."""
 
     def add(self, parent: str, child: str, stamps: Stamps, transforms: Floats, *, is_static: bool) -> None:
         """Add the samples (n,) [ns], (n, 7) of one edge."""
@@ -69,7 +69,7 @@ class TransformTree:
         self.edges[child] = _Edge(parent, stamps[order], transforms[order], is_static)
 
     def lines(self) -> list[str]:
-        """Say each edge in one line."""
+        """Describe each edge in one line."""
         return [
             f"{edge.parent} -> {child}"
             + (" (static)" if edge.is_static else f" ({len(edge.stamps)} samples)")
@@ -77,11 +77,14 @@ class TransformTree:
         ]
 
     def has(self, frame: str) -> bool:
-        """Tell whether the frame stands in the tree."""
+        """Return whether the frame is in the tree."""
         return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
 
-    def named_beside(self, name: str, frame: str) -> str:
-        """Return a standard name as the robot of `frame` bears it: amr7/base_link beside amr7/laser, where the tree has it."""
+    def in_namespace_of(self, frame: str, name: str) -> str:
+        """Return a standard frame name in the namespace of `frame`, if the tree contains it.
+
+        For example, base_link for amr7/laser gives amr7/base_link.
+        """
         space = frame
         while "/" in space:
             space = space.rpartition("/")[0]
@@ -90,15 +93,15 @@ class TransformTree:
         return name
 
     def first_ancestor(self, frame: str, names: Iterable[str]) -> str | None:
-        """Return the first of `names` from which `frame` hangs."""
+        """Return the first of `names` that is an ancestor of `frame`, or None."""
         above = self._above(frame)
         return next((name for name in names if name in above), None)
 
     def place(self, ancestor: str, frame: str) -> RelativePose | None:
-        """Compose the chain ancestor -> frame, or return None where there is none.
+        """Compose the chain ancestor -> frame; return None if the frames are not connected.
 
-        The chain is sampled where its fastest edge is; slower edges are interpolated, and held for a second
-        past their last sample. Edges that move are taken as planar, edges that do not as they are.
+        The chain is sampled at the stamps of its fastest edge. Slower edges are interpolated, and held for one second
+        after their last sample. Moving edges are treated as planar, static edges are used as they are.
         """
         chain: list[_Edge] = []
         above = self._above(frame)
@@ -125,7 +128,7 @@ class TransformTree:
         )
 
     def _above(self, frame: str) -> list[str]:
-        """Return the frame and those it hangs from, nearest first."""
+        """Return the frame and its ancestors, nearest first."""
         above = [frame]
         while above[-1] in self.edges and self.edges[above[-1]].parent not in above:
             above.append(self.edges[above[-1]].parent)
@@ -133,7 +136,7 @@ class TransformTree:
 
 
 def _sample(edge: _Edge, at: Stamps) -> Floats:
-    """Return matrices (n, 4, 4) of an edge at the times (n,)."""
+    """Return the matrices (n, 4, 4) of an edge at the times (n,)."""
     if edge.is_static or len(edge.stamps) == 1:
         return to_matrices(edge.transforms[-1:])
     start = edge.stamps[0]
