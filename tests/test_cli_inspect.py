@@ -66,7 +66,11 @@ def test_choice_of_topics_is_offered_and_taken(tmp_path: Path, capsys: pytest.Ca
 def test_missing_signals_are_named(tmp_path: Path) -> None:
     write_bag2(tmp_path / "bag", [scan(0.1 * i, [1, 2, 3]) for i in range(3)])
     found = inspect(tmp_path / "bag")
-    for words in ("reference poses (/pose, or /tf map -> base_link)", "odometry (/odom)", "commands (/cmd_vel)"):
+    for words in (
+        "reference poses (/pose, or /tf map -> base_link)",
+        "odometry (/odom)",
+        "commands (/cmd_vel)",
+    ):
         assert any(words in line for line in found.missing)
     assert found.pairing == "0 of 3 scans paired with poses, 3 without any pose"
 

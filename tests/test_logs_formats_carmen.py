@@ -201,7 +201,8 @@ def test_lines_of_one_laser_with_180_and_181_rays_are_all_kept(tmp_path: Path) -
     assert run.ranges.shape == (30, 180)
     np.testing.assert_allclose(run.ranges, np.tile(2 + np.arange(180) / 100, (30, 1)))
     assert (
-        "180 to 181 rays: 10 of 30 were resampled to the bearings of most scans (180 rays), none was dropped" in run.meta["notes"]
+        "180 to 181 rays: 10 of 30 were resampled to the bearings of most scans (180 rays), none was dropped"
+        in run.meta["notes"]
     )
 
 

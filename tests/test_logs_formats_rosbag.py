@@ -262,7 +262,10 @@ def test_a_log_read_by_pieces_has_the_bearings_of_most_scans_and_loses_none(
     assert ranges.shape == (60, 36)
     np.testing.assert_array_equal(np.isposinf(ranges), np.isposinf(whole.ranges))
     np.testing.assert_allclose(ranges[np.isfinite(ranges)], whole.ranges[np.isfinite(ranges)], atol=1e-5)
-    assert "20 of 60 were resampled to the bearings of most scans (36 rays), none was dropped" in log.head.meta["notes"]
+    assert (
+        "20 of 60 were resampled to the bearings of most scans (36 rays), none was dropped"
+        in log.head.meta["notes"]
+    )
 
 
 @pytest.mark.parametrize("mode", [None, "FILE", "MESSAGE"])
@@ -300,7 +303,12 @@ def test_split_and_compressed_folders_give_the_whole_run(
 @pytest.mark.parametrize(
     ("code", "named", "want", "words"),
     [
-        (10.0, None, np.inf, "ranges of exactly range_max 10 m are missing returns: 80 rays (10.0%) are +inf"),
+        (
+            10.0,
+            None,
+            np.inf,
+            "ranges of exactly range_max 10 m are missing returns: 80 rays (10.0%) are +inf",
+        ),
         (0.0, None, np.inf, "ranges of 0 are missing returns: 80 rays (10.0%) are +inf"),
         (10.0, "inf", 10.0, ""),
         (0.0, "range_max", np.nan, "80 ranges are exactly 0, an invalid reading: nan"),
@@ -392,4 +400,6 @@ def test_poses_in_an_unknown_frame_are_said_to_be_taken_as_the_maps(
             whole.header.frame_id = frame
             bag[i] = (topic, kind, at, bytes(HUMBLE.serialize_cdr(whole, kind)))
     said = read(tmp_path, bag).meta.get("notes", "")
-    assert said == ("" if is_known else f"/pose is in the unknown frame {frame}, which is assumed to be the map")
+    assert said == (
+        "" if is_known else f"/pose is in the unknown frame {frame}, which is assumed to be the map"
+    )
