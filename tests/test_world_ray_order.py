@@ -160,7 +160,7 @@ def test_commands_say_the_numbering_in_one_line(tmp_path: Path, capsys: pytest.C
     assert command(["build", str(tmp_path / "behind.mcap"), "-o", graph]) == 0
     assert "modulo" not in capsys.readouterr().out
     assert command(["evaluate", graph, log]) == 0
-    line = f"{log}: ray 0 points to 0°, that of {graph} to -180°: the same rays modulo 360°, each keeps the index"
+    line = f"{log}: ray 0 points to 0°, that of {graph} to -180°: the same rays modulo 360°; each log keeps its ray"
     assert capsys.readouterr().out.count(line) == 1
 
 

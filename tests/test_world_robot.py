@@ -58,7 +58,7 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("footprint_radius: 0", "expected above 0"),
         ("sensor: {n_rays: 1.5}", "expected a whole number"),
         ("sensor: {n_rays: true}", "expected a whole number"),
-        ("sensor: {fov: 180}", "degrees are not meant"),
+        ("sensor: {fov: 180}", "write an angle in degrees as `180 deg`"),
         ("sensors: [{n_rays: 5, fov: 180}]", "sensors[0].fov is 180.0 rad, expected at most 2 pi"),
         (
             "sensor: {fov: 360 grad}",
@@ -71,10 +71,10 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("sensor: {range_min: 9.0}", "expected 0 <= min < max"),
         ("sensor: {range_max: .nan}", "expected a number"),
         ("sensor: 7", "expected keys"),
-        ("- a\n- b", "holds a list"),
+        ("- a\n- b", "contains a list"),
         (
             '{"type": "FeatureCollection", "features": []}',
-            "holds an arena (keys type, features), expected a robot.yaml",
+            "contains an arena (keys type, features), expected a robot.yaml",
         ),
         ("image: map.pgm\nresolution: 0.05", "are arena and robot swapped?"),
         ("a: [", "not YAML"),

@@ -1,1 +1,1 @@
-"""The arena as the robot meets it: robot files, ray casting, the embedded robot and its recordings."""
+"""The simulated world: robot files, ray casting, the simulated robot and its recordings."""

@@ -1,4 +1,4 @@
-"""Beams: what every ray of a run would read, as a distribution."""
+"""Beams: the distribution of the reading of every ray of a run."""
 
 from __future__ import annotations
 
@@ -12,61 +12,62 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(eq=False)
 class Beams:
-    """Every ray of every scan; arrays (n_scans, n_rays) unless said otherwise."""
+    """Every ray of every scan; arrays are (n_scans, n_rays) unless stated otherwise."""
 
     ox: Floats
-    """(n_scans, 1) or (n_scans, n_rays) [m] origin in map."""
+    """(n_scans, 1) or (n_scans, n_rays) [m] Origin in map."""
     oy: Floats
     ux: Floats
     """Unit direction in map."""
     uy: Floats
     ranges: Floats
-    """[m] length of the straight path to what is hit; inf where nothing is."""
+    """[m] Length of the straight path to the hit; inf without a hit."""
     wall: Ints
-    """Index in `Scene.walls`; -1 nothing, DISC a round obstacle, below it a mover."""
+    """Index in `Scene.walls`; -1 none, DISC_WALL a round obstacle, below it a mover."""
     nx: Floats
-    """Unit normal of what is hit, facing the ray (n . u <= 0); 0 where nothing is hit."""
+    """Unit normal of the surface hit, facing the ray (n . u <= 0); 0 without a hit."""
     ny: Floats
     reading: Floats
-    """[m] expected value of a return."""
+    """[m] Expected value of a return."""
     slope: Floats | float = 1.0
-    """d reading / d range."""
+    """Derivative of the reading with respect to the range."""
     p_return: Floats | float = 1.0
-    """Chance that the ray returns at all, the sensor's limits aside."""
+    """Probability that the ray returns, apart from the limits of the sensor."""
     sigma: Floats | float = 0.01
-    """[m] standard deviation of a return."""
+    """[m] Standard deviation of a return."""
     straight: Bools | None = None
-    """Where the reading follows from `ranges` by `slope`; None: everywhere."""
+    """Whether the reading follows from `ranges` by `slope`; None: everywhere."""
     within: Bools | None = None
-    """Where the nearest surface lies inside a cone, not at its edge, so that turning changes nothing; None: nowhere."""
+    """Whether the nearest surface is inside a cone, not at its edge, so that rotation changes nothing; None:
+    nowhere."""
 
     @property
     def cosine(self) -> Floats:
-        """Cosine of the incidence, 1 = head-on; 0 where nothing is hit."""
+        """Cosine of the incidence, 1 = head-on; 0 without a hit."""
         return np.asarray(-(self.nx * self.ux + self.ny * self.uy))
 
     @cached_property
     def incidence(self) -> Floats:
-        """[rad] between ray and normal, 0 = head-on; nan where nothing is hit."""
+        """[rad] Angle between ray and normal, 0 = head-on; nan without a hit."""
         hit = np.isfinite(self.ranges)
         return np.where(hit, np.arccos(np.clip(self.cosine, -1.0, 1.0)), np.nan)
 
     def forget(self) -> None:
-        """Forget what was derived from rays that have changed since."""
+        """Discard values derived from rays that have changed."""
         self.__dict__.pop("incidence", None)
 
     def towards(self, x: Floats | float, y: Floats | float) -> tuple[Floats, Floats]:
-        """Return how far ahead on each ray a place lies, and how far it lies to the right of it [m].
+        """Return the distances [m] of a point along each ray and to the right of it.
 
         Parameters
         ----------
-        x, y : [m, map] one place, or as the rays broadcast
+        x, y : [m, map] One point, or arrays that broadcast with the rays.
         """
         dx, dy = x - self.ox, y - self.oy
         return dx * self.ux + dy * self.uy, dx * self.uy - dy * self.ux
 
     def along(self, walls: Floats, which: Bools | None = None) -> Floats:
-        """Return how far [m] from the first end of its wall each ray hits; nan off the walls, and for rays not asked for."""
+        """Return the distance [m] of each hit from the first end of its wall; nan without a wall, and outside `which`."""
         on = self.wall >= 0 if which is None else which & (self.wall >= 0)
         out = np.full(self.wall.shape, np.nan)
         a, b = walls[self.wall[on]].transpose(1, 2, 0)
@@ -79,7 +80,7 @@ class Beams:
         return out
 
     def bent(self) -> Bools:
-        """Return `straight`, made an array of its own to write in."""
+        """Return `straight` as a separate, writable array."""
         if self.straight is None:
             self.straight = np.ones(self.ranges.shape, dtype=np.bool_)
         return self.straight

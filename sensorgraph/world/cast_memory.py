@@ -1,8 +1,8 @@
-"""What is kept between casts of the same scans: their rays, and what these met.
+"""Cache between casts of the same scans: their rays, and what these hit.
 
-A fit casts the same scans again and again with one obstacle moved, or one disc more. Rays whose mount and times are
-the same are the same rays; where few walls have moved, only these are met anew, and only the rays that had stopped at
-one of them look for another.
+A fit casts the same scans repeatedly, with one obstacle moved or one disc added. Rays with the same mount and
+times are the same. If few walls have moved, only these are intersected again, and only the rays that had
+stopped at one of them are cast again.
 """
 
 from __future__ import annotations
@@ -18,59 +18,59 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_after_moves
 
 MAX_RAYS, MAX_HITS, MAX_BEAMS = 4, 8, 12
-"""So many sets of rays, of what they meet, and of what a sensor so sees are kept."""
+"""Number of cached sets of rays, of their hits, and of beams."""
 MAX_MOVED_SHARE = 0.4
-"""Of the walls; if more have moved, all are cast anew, which takes as long."""
+"""Share of moved walls above which all walls are cast again, which is then as fast."""
 
 T = TypeVar("T")
 
 
 @dataclass(eq=False)
 class Recent(Generic[T]):
-    """Results by the bytes that they follow from; of more than `most` the one unused longest is forgotten."""
+    """Results by the bytes that determine them; of more than `most`, the least recently used is dropped."""
 
     most: int
     kept: dict[bytes, T] = field(default_factory=dict)
 
     def get(self, key: bytes, make: Callable[[], T]) -> T:
-        """Return what is kept under a key, made where there is nothing."""
+        """Return the result for a key; compute it if it is not cached."""
         found = self.kept.pop(key) if key in self.kept else make()
         while len(self.kept) >= self.most:
             self.kept.pop(next(iter(self.kept)))
-        self.kept[key] = found  # the one used last stands last
+        self.kept[key] = found  # the most recently used is last
         return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayPaths:
-    """Where the rays of all scans begin and go."""
+    """Origins and directions of the rays of all scans."""
 
     ox: Floats
     """(n_scans, 1) or (n_scans, n_rays) [m, map]"""
     oy: Floats
     ux: Floats
-    """(n_scans, n_rays) unit direction."""
+    """(n_scans, n_rays) Unit direction."""
     uy: Floats
     lasers: Floats | None
-    """(n_scans, 3) pose of the laser where all rays of a scan begin at once; None: each has its own."""
+    """(n_scans, 3) Pose of the laser if all rays of a scan start at once; None: each has its own."""
     bearings: Floats
-    """(n_rays,) [rad] as seen from above."""
+    """(n_rays,) [rad] Bearings in the horizontal plane."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallHits:
-    """What rays met."""
+    """Hits of rays on walls."""
 
     walls: Floats
-    """(n_walls, 2, 2) [m] that they were cast at."""
+    """(n_walls, 2, 2) [m] Walls of the cast."""
     ranges: Floats
-    """(n_scans, n_rays) [m]; inf nothing."""
+    """(n_scans, n_rays) [m]; inf without a hit."""
     wall: Ints
-    """(n_scans, n_rays) index of the wall; -1 nothing."""
+    """(n_scans, n_rays) Index of the wall; -1 without a hit."""
 
 
 class CastMemory:
-    """Rays, hits and beams of one run's scans."""
+    """Cached rays, hits and beams of the scans of one run."""
 
     def __init__(self) -> None:
         self._rays: Recent[RayPaths] = Recent(MAX_RAYS)
@@ -84,11 +84,11 @@ class CastMemory:
     def hits(
         self, key: bytes, rays: RayPaths, walls: Floats, cast: Callable[[], tuple[Floats, Ints]]
     ) -> WallHits:
-        """Return what the rays of a key meet; only walls that have moved since another cast are met anew.
+        """Return the hits of the rays of a key; walls that have not moved since another cast are not cast again.
 
         Parameters
         ----------
-        cast : meet all walls, and return ranges and walls (n_scans, n_rays)
+        cast : Casts at all walls; returns ranges and walls (n_scans, n_rays).
         """
         earlier = self._hits.get(key, lambda: Recent(MAX_HITS))
 
@@ -109,5 +109,5 @@ class CastMemory:
         return earlier.get(walls.tobytes(), make)
 
     def beams(self, key: bytes, make: Callable[[], Beams]) -> Beams:
-        """Return the beams of a whole scene without its surfaces."""
+        """Return the beams of a whole scene, without its surfaces."""
         return self._beams.get(key, make)

@@ -1,4 +1,4 @@
-"""The outline of the set cells of a raster as polygons, in time that grows with its edges rather than with its cells."""
+"""Outline of the set cells of a raster as polygons, with a cost that depends on its edges rather than its cells."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def outline(cells: Bools, origin: Floats, cell: float) -> MultiPolygon:
 
     Parameters
     ----------
-    cells : (n, m) along x, along y
-    origin : (2,) [m] lower left corner of the first cell
-    cell : [m] side of a cell
+    cells : (n, m) Along x, along y.
+    origin : (2,) [m] Lower left corner of the first cell.
+    cell : [m] Side of a cell.
     """
     edges = origin + cell * _straight_edges(cells)
     lines = np.atleast_1d(np.asarray(shapely.linestrings(edges), dtype=np.object_))
@@ -27,9 +27,9 @@ def outline(cells: Bools, origin: Floats, cell: float) -> MultiPolygon:
 
 
 def widened_outline(cells: Bools, origin: Floats, cell: float) -> MultiPolygon:
-    """Return the union of the set cells, wider by half a cell on every side: a mitred buffer, made in the raster.
+    """Return the union of the set cells, widened by half a cell on every side: a mitred buffer, computed in the raster.
 
-    Gaps of one cell close. Parameters as of `outline`.
+    Gaps of one cell close. Parameters are those of `outline`.
     """
     n, m = cells.shape
     wide = np.zeros((2 * n + 2, 2 * m + 2), dtype=np.bool_)
@@ -40,7 +40,7 @@ def widened_outline(cells: Bools, origin: Floats, cell: float) -> MultiPolygon:
 
 
 def _straight_edges(cells: Bools) -> Floats:
-    """Return the boundary as straight pieces (k, 2, 2) [cells] that end wherever another one may begin."""
+    """Return the boundary as straight segments (k, 2, 2) [cells] that end wherever another one may start."""
     padded = np.pad(cells, 1)
     upright = padded[1:, 1:-1] != padded[:-1, 1:-1]  # (n + 1, m)
     level = (padded[1:-1, 1:] != padded[1:-1, :-1]).T  # (m + 1, n)

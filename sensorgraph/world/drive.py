@@ -1,10 +1,13 @@
-"""The embedded robot: it follows a trajectory (or replays commands) with its own limits, lag and wheels.
+"""The simulated robot: it follows a trajectory or replays commands, subject to its limits, lag and wheels.
 
-The controller is Kanayama's tracking law on the noisy reference pose, its feed-forward shifted by the lag and
-the dead time of the motors (Kanayama, Kimura, Miyazaki and Noguchi 1990, eq. 6). The motors are first-order
-behind a dead time, with limited acceleration; the body stops at walls, and lags on slippery floor, while the
-wheels go on turning. A `Drivetrain` says what motors, wheels and floor really are; the controller knows only
-robot.yaml.
+The tracking law (Kanayama, Kimura, Miyazaki and Noguchi 1990, eq. 6) acts on the noisy reference pose:
+
+    v = v_r cos(turn) + GAIN_X ahead,  omega = omega_r + GAIN_Y v_r aside + GAIN_PHI sin(turn).
+
+Here ahead, aside and turn are the pose error in base_link. The feed-forward (v_r, omega_r) leads by the lag
+and the dead time of the motors. The motors are first-order with dead time and limited acceleration. The body
+stops at walls and slips on slippery floor, while the wheels keep turning. A `Drivetrain` holds the true
+motors, wheels and floor; the controller knows only robot.yaml.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import Robot
 
 TRUTH_STEP = 0.01  # [s] of the simulated truth
-STANDSTILL = 0.5  # [s] that the robot is recorded standing after the last command
+STANDSTILL = 0.5  # [s] of recording after the last command
 GAIN_X, GAIN_Y, GAIN_PHI = 1.2, 4.0, 2.0  # [1/s], [1/m²] and [1/m] of the tracking law
 Clearance = Callable[[float, float], float]
 Command = Callable[[float, float, float, float], tuple[float, float]]
@@ -30,23 +33,24 @@ Command = Callable[[float, float, float, float], tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExecutedDrive:
-    """What the robot truly did, on a fine grid of time, and what it was told."""
+    """The true motion on a fine time grid, and the commands."""
 
     stamps: Floats
-    """(n,) [s], every STEP."""
+    """(n,) [s] Stamps every TRUTH_STEP."""
     poses: Floats
-    """(n, 3) [m, m, rad] true base_link in map, phi not wrapped."""
+    """(n, 3) [m, m, rad] True base_link in map, phi not wrapped."""
     twists: Floats
-    """(n, 2) [m/s, rad/s] of the wheels (the body too, unless a wall holds it or the floor is slippery)."""
+    """(n, 2) [m/s, rad/s] Twists of the wheels; those of the body are equal, unless a wall or slippery floor
+    acts on it."""
     cmd_stamps: Floats
     """(n_commands,) [s]"""
     commands: Floats
     """(n_commands, 2) [m/s, rad/s]"""
     contacts: int
-    """How often the body came to touch a wall."""
+    """Number of times the body touched a wall."""
 
     def at(self, stamps: Floats) -> Floats:
-        """Interpolate the true poses (..., 3) at stamps (...) [s]; phi not wrapped."""
+        """Interpolate the true poses (..., 3) at stamps (...) [s]; phi is not wrapped."""
         return np.stack([np.interp(stamps, self.stamps, column) for column in self.poses.T], axis=-1)
 
 
@@ -59,7 +63,12 @@ def follow(
     drivetrain: Drivetrain | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ExecutedDrive:
-    """Drive along a trajectory, steering by the noisy reference pose; `drivetrain`: as in robot.yaml if not given."""
+    """Drive along a trajectory, steered by the noisy reference pose.
+
+    Parameters
+    ----------
+    drivetrain : True motors, wheels and floor; None: as in robot.yaml.
+    """
     duration = trajectory.duration + STANDSTILL
     want_pose, feed = tracking_targets(trajectory, robot, duration)
     noise = rng.normal(size=want_pose.shape) * [
@@ -67,10 +76,10 @@ def follow(
         robot.pose.sigma_xy,
         robot.pose.sigma_yaw,
     ]
-    want, forward, shake = want_pose.tolist(), feed.tolist(), noise.tolist()
+    want, forward, pose_noise = want_pose.tolist(), feed.tolist(), noise.tolist()
 
     def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
-        dx, dy, dphi = shake[int(k)]
+        dx, dy, dphi = pose_noise[int(k)]
         return tracking_law(want[int(k)], forward[int(k)], (x + dx, y + dy, phi + dphi))
 
     start = trajectory.poses[0]
@@ -79,9 +88,11 @@ def follow(
 
 
 def tracking_targets(trajectory: Trajectory, robot: Robot, duration: float) -> tuple[Floats, Floats]:
-    """Return the poses (n, 3) that the robot wants at each of its commands, and the twists (n, 2) fed forward."""
+    """Return the target pose (n, 3) and the feed-forward twist (n, 2) at each command."""
     period = 1.0 / robot.wheels.rate
-    lead = robot.actuators.tau + robot.actuators.delay + period / 2  # a held command acts half a period late
+    lead = (
+        robot.actuators.tau + robot.actuators.delay + period / 2
+    )  # a held command acts half a period late on average
     stamps = trajectory.stamps[0] + period * np.arange(_n_commands(duration, robot))
     want, _ = trajectory.at(stamps)
     _, feed = trajectory.at(stamps + lead)
@@ -90,7 +101,7 @@ def tracking_targets(trajectory: Trajectory, robot: Robot, duration: float) -> t
 
 
 def tracking_law(want: Sequence[float], feed: Sequence[float], pose: Sequence[float]) -> tuple[float, float]:
-    """Return the command (v, omega) that leads from a pose (3,) to the wanted one (Kanayama et al. 1990, eq. 6)."""
+    """Return the command (v, omega) at a pose (3,), given the target pose and the feed-forward twist."""
     (xr, yr, phi_r), (v_r, omega_r), (x, y, phi) = want, feed, pose
     c, s = math.cos(phi), math.sin(phi)
     ahead = c * (xr - x) + s * (yr - y)
@@ -110,7 +121,7 @@ def replay(
     drivetrain: Drivetrain | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ExecutedDrive:
-    """Drive open loop by recorded commands (n, 2), each held until the next, from `start` (3,)."""
+    """Drive open loop by recorded commands (n, 2) from `start` (3,); each command holds until the next."""
     stamps = cmd_stamps - cmd_stamps[0]
     period = 1.0 / robot.wheels.rate
     last = (
@@ -142,12 +153,12 @@ def react(
     clearance: Clearance,
     progress: Callable[[int, int], None] | None = None,
 ) -> ExecutedDrive:
-    """Drive closed loop for `duration` [s] from `start` (3,): every new scan gives the next command.
+    """Drive closed loop for `duration` [s] from `start` (3,); each new scan gives the next command.
 
     Parameters
     ----------
-    controller : readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]
-    scan : (number of the scan, pose (3,)) -> readings (n_rays,) [m]
+    controller : Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s].
+    scan : (number of the scan, pose (3,)) -> readings (n_rays,) [m].
     """
     period = 1.0 / robot.wheels.rate
     last, held = -1, (0.0, 0.0)
@@ -173,9 +184,9 @@ def react(
 def odometry(
     driven: ExecutedDrive, robot: Robot, rng: np.random.Generator, *, drivetrain: Drivetrain | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """Return stamps (n,), poses (n, 3) in odom and twists (n, 2) as the wheels measure and integrate them."""
+    """Return stamps (n,), poses (n, 3) in odom and twists (n, 2), as the wheels measure and integrate them."""
     drivetrain = drivetrain or Drivetrain.of(robot)
-    measured = driven.twists @ drivetrain.measured.T  # (n, 2) what the wheels take their motion for
+    measured = driven.twists @ drivetrain.measured.T  # (n, 2) twists as the wheels measure them
     stamps = np.arange(0.0, driven.stamps[-1] + 1e-9, 1.0 / robot.wheels.rate)
     travelled = np.concatenate(
         [np.zeros((1, 2)), np.cumsum((measured[1:] + measured[:-1]) / 2 * TRUTH_STEP, axis=0)]
@@ -206,7 +217,7 @@ def _drive(
     clearance: Clearance,
     progress: Callable[[int, int], None] | None,
 ) -> ExecutedDrive:
-    """Integrate the robot; `command(k, x, y, phi)` is asked once per control period."""
+    """Integrate the motion; `command(k, x, y, phi)` is called once per control period."""
     limits, radius = robot.limits, robot.footprint_radius
     backward = 0.0 if robot.drive == "dubins" else -limits.v
     n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
@@ -214,7 +225,7 @@ def _drive(
     keep = math.exp(-TRUTH_STEP / drivetrain.tau) if drivetrain.tau > 0 else 0.0
     late = drivetrain.delay / TRUTH_STEP
     whole = math.floor(late + 1e-9)
-    share = max(late - whole, 0.0)  # of a step that the older command still holds
+    share = max(late - whole, 0.0)  # of a step in which the older command still holds
     v_max = drivetrain.v_max
     dv, domega = limits.a * TRUTH_STEP, limits.alpha * TRUTH_STEP
     x, y, phi = (float(value) for value in start)

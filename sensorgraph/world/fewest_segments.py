@@ -1,7 +1,12 @@
-"""The fewest straight segments that stay within a tolerance of a closed chain of points, as bitmaps are traced.
+"""Approximate a closed chain of points by the fewest straight segments within a tolerance, as in bitmap tracing.
 
-Selinger (2003), "Potrace: a polygon-based tracing algorithm", section 2.2: of all polygons on the points that stay within
-the tolerance, one with the fewest corners, and of these the one whose lines fit best.
+Dynamic programming over the points minimises, in lexicographic order, (count, misfit):
+
+    count[j] = min_i count[i] + 1,  misfit[j] = min_i misfit[i] + d(i, j).
+
+The minimum is over points i whose chord to j stays within the tolerance of all points between. The term d(i,
+j) is the sum of squared distances of the points i to j from their best line (Selinger 2003, "Potrace: a
+polygon-based tracing algorithm", section 2.2).
 """
 
 from __future__ import annotations
@@ -14,18 +19,20 @@ from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 
 DIGITAL = 0.75
-"""[step] by which the middles of the borders of cells are off the line that is drawn in them, at most 0.71."""
+"""[step] Distance of the midpoints of cell borders from the straight line drawn in the cells; at most 0.71."""
 CUT = 2
-"""Points that a corner may cut off at either end of a stretch."""
+"""Number of points that a corner may cut off at each end of a segment."""
 CUT_OFF = DIGITAL + 0.5
-"""[step] by which these are off at most: the middle of a border half a step further. Else the corner of a pilaster is lost."""
+"""[step] Maximum distance of these points from the line: a border midpoint half a step farther. A smaller
+limit would lose the corners of pilasters."""
 
 
 def closed_corners(points: Floats, tolerance: float) -> Ints:
-    """Return which points (n, 2) of a closed chain of borders of cells [step] are corners of its simplest polygon, in order.
+    """Return the indices of the corners of the simplest polygon of a closed chain of cell borders (n, 2) [step].
 
-    Points between two corners lie within the tolerance of the segment that joins these, or within what a digital line
-    leaves of the line that fits them: where a cell at a corner is cut off, a polygon on the points has a side more.
+    Points between two corners lie within the tolerance of their chord, or within `DIGITAL` of their best
+    line. The second test is needed where a cell at a corner is cut off: a polygon on the points has an
+    additional side there.
     """
     opened = np.vstack([points, points[:1]])
     middle = int(open_corners(opened, tolerance)[1])
@@ -35,7 +42,7 @@ def closed_corners(points: Floats, tolerance: float) -> Ints:
 
 
 def _merged(points: Floats, corners: Ints) -> Ints:
-    """Take away corners (k,) of a closed chain whose two sides are one digital line, the straightest first."""
+    """Remove corners (k,) of a closed chain whose two sides form one digital line, the straightest first."""
     kept = corners.tolist()
     while len(kept) > 3:
         leaves = [_off_line(points, kept[k - 1], kept[(k + 1) % len(kept)]) for k in range(len(kept))]
@@ -47,10 +54,10 @@ def _merged(points: Floats, corners: Ints) -> Ints:
 
 
 def _off_line(points: Floats, first: int, last: int) -> float:
-    """Return how far points from one to another, but for their ends, are off the line that fits them at most.
+    """Return the maximum distance of the points of a stretch, without its ends, from their best line.
 
-    Where they go back along it, as into a slit and out again, or an end is more than a corner that is cut off, there is no
-    such line: inf.
+    It is inf without such a line: if the stretch turns back, as in a slit, or if its ends exceed a cut-off
+    corner.
     """
     n = len(points)
     own = points[np.arange(first, last + (n if last <= first else 0) + 1) % n]
@@ -66,7 +73,7 @@ def _off_line(points: Floats, first: int, last: int) -> float:
 
 @kernel
 def open_corners(points: Floats, tolerance: float) -> Ints:
-    """Return which points (n, 2) of a chain are corners of its simplest polyline, with both ends."""
+    """Return the indices of the corners of the simplest polyline of an open chain (n, 2), including both ends."""
     n = len(points)
     sums = np.zeros((n + 1, 5))
     for i in range(n):
@@ -82,7 +89,7 @@ def open_corners(points: Floats, tolerance: float) -> Ints:
     count[0], misfit[0] = 0, 0.0
     for i in range(n - 1):
         low, high, farthest = -math.inf, math.inf, 0.0
-        main = math.nan  # direction that angles are taken from: of the first point that limits them
+        main = math.nan  # reference direction of the angles: that of the first limiting point
         for j in range(i + 1, n):
             x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
             d = math.hypot(x, y)
@@ -111,7 +118,7 @@ def open_corners(points: Floats, tolerance: float) -> Ints:
 
 @kernel
 def _misfit(sums: Floats, i: int, j: int) -> float:
-    """Return the squares that the best line leaves of the points from i to j, by sums over the first k points (n + 1, 5)."""
+    """Return the squared distances of the points i to j from their best line, given prefix sums (n + 1, 5)."""
     m = j + 1 - i
     sx, sy = (sums[j + 1, 0] - sums[i, 0]) / m, (sums[j + 1, 1] - sums[i, 1]) / m
     xx = sums[j + 1, 2] - sums[i, 2] - m * sx * sx
@@ -121,14 +128,14 @@ def _misfit(sums: Floats, i: int, j: int) -> float:
 
 
 def plain_open_corners(points: Floats, tolerance: float) -> Ints:
-    """Return what `open_corners` does, each segment measured by itself."""
+    """Return the result of `open_corners` by direct evaluation of each segment."""
     n = len(points)
     best: list[tuple[float, float, list[int]]] = [(0, 0.0, [0])]
     for j in range(1, n):
         options = []
         for i in range(j):
             own = points[i : j + 1]
-            if _stays(own, tolerance):
+            if _is_within(own, tolerance):
                 squares = np.linalg.svd(own - own.mean(axis=0), compute_uv=False)
                 fewest, left, way = best[i]
                 options.append((fewest + 1, left + float(squares[-1] ** 2), [*way, j]))
@@ -136,7 +143,7 @@ def plain_open_corners(points: Floats, tolerance: float) -> Ints:
     return np.array(best[-1][2])
 
 
-def _stays(points: Floats, tolerance: float) -> bool:
+def _is_within(points: Floats, tolerance: float) -> bool:
     """Tell whether points (n, 2) stay within a tolerance of the chord from the first to the last."""
     chord = points[-1] - points[0]
     inner = points[1:-1] - points[0]

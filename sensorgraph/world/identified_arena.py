@@ -1,6 +1,6 @@
-"""The arena that a sensorgraph of faces holds: visible stretches as walls, space that returning rays crossed as free space.
+"""Arena of a sensorgraph of faces: visible stretches are walls, and space crossed by returning rays is free.
 
-With it a later run is diagnosed, planned or simulated against what was identified, as against a drawn map.
+A later run can be diagnosed, planned or simulated in it, as in a drawn map.
 """
 
 from __future__ import annotations
@@ -23,28 +23,29 @@ from sensorgraph.world.cell_outline import widened_outline
 MIN_WALL_VISIBILITY = 0.5
 """Visibility above which a stretch is a wall."""
 MIN_WALL_LENGTH = 0.01  # [m] of a wall
-MERGE_DISTANCE = 0.004  # [m] ends this near are one corner
-TOUCH_DISTANCE = 0.06  # [m] walls whose ends are this near belong to one thing
-WALL_THICKNESS = 0.05  # [m] behind a wall is not free, whatever a grid of 10 cm cells says
-MIN_HALF_WIDTH = 0.15  # [m] free space nowhere twice as wide is what the grid smeared behind a wall
+MERGE_DISTANCE = 0.004  # [m] ends this close are one corner
+TOUCH_DISTANCE = 0.06  # [m] walls with ends this close belong to one object
+WALL_THICKNESS = 0.05  # [m] not free behind a wall, even in free cells of 10 cm
+MIN_HALF_WIDTH = 0.15  # [m] parts that are nowhere wider come from grid cells behind a wall
 
 
 def arena_of(graph: Sensorgraph) -> Arena:
-    """Return walls and free space of a graph of model `faces`.
+    """Return walls and free space of a sensorgraph of faces.
 
-    Connected walls have one name: `room/edge_i` for those that reach farthest, `thing_k/edge_i` for the others.
+    Connected walls share a name: `room/edge_i` for those of largest extent, `thing_k/edge_i` for the others.
     """
     model, walls, normals = _faces_of(graph)
-    thing = _connected_walls(walls)
+    component = _connected_walls(walls)
     size = [
-        float(np.prod(np.ptp(walls[thing == k].reshape(-1, 2), axis=0) + 0.1)) for k in range(thing.max() + 1)
+        float(np.prod(np.ptp(walls[component == k].reshape(-1, 2), axis=0) + 0.1))
+        for k in range(component.max() + 1)
     ]
     rank = np.argsort(-np.array(size), kind="stable")
-    order = np.concatenate([np.flatnonzero(thing == k) for k in rank])
+    order = np.concatenate([np.flatnonzero(component == k) for k in rank])
     names = []
     for place, k in enumerate(rank):
         name = "room" if place == 0 else f"thing_{place}"
-        names += [f"{name}/edge_{i}" for i in range(int((thing == k).sum()))]
+        names += [f"{name}/edge_{i}" for i in range(int((component == k).sum()))]
     return Arena(
         free=_free_space(model.observed, walls, normals),
         walls=walls[order],
@@ -55,17 +56,17 @@ def arena_of(graph: Sensorgraph) -> Arena:
 
 
 def walls_of(graph: Sensorgraph) -> Floats:
-    """Return the walls (n, 2, 2) [m, map] of a graph of model `faces`, without the free space, which takes long.
+    """Return the walls (n, 2, 2) [m, map] of a sensorgraph of faces, without the free space, which is slow to compute.
 
     Raises
     ------
-    SensorgraphError : the graph is of another model, or has no face that is surely seen
+    SensorgraphError : The sensorgraph has another model, or no reliably observed face.
     """
     return _faces_of(graph)[1]
 
 
 def walls_with_normals(graph: Sensorgraph) -> tuple[Floats, Floats]:
-    """Return `walls_of` a graph, and for each the unit normal (n, 2) towards the space from which it was seen."""
+    """Return `walls_of` a sensorgraph, and the unit normal (n, 2) of each towards the observed side."""
     return _faces_of(graph)[1:]
 
 
@@ -74,24 +75,24 @@ def _faces_of(graph: Sensorgraph) -> tuple[Faces, Floats, Floats]:
     model = graph.model
     if not isinstance(model, Faces):
         raise SensorgraphError(
-            f"the graph's model is {model.name}, which has no walls; build one of faces, or give a map"
+            f"the sensorgraph's model is {model.name}, which has no walls; build one with faces, or give a map"
         )
     walls, normals = _walls(model)
     if len(walls) == 0:
         raise SensorgraphError(
-            "the graph has no face that is surely seen; build it from a longer log, or give a map"
+            "the sensorgraph has no reliably observed face; build it from a longer log, or give a map"
         )
     return model, walls, normals
 
 
 def _walls(model: Faces) -> tuple[Floats, Floats]:
-    """Return the ends (n, 2, 2) of all stretches that are surely seen, corners made one, and their normals."""
+    """Return the ends (n, 2, 2) of all reliably observed stretches, with merged corners, and their normals."""
     faces = model.faces
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
     at = np.flatnonzero(faces.levels > MIN_WALL_VISIBILITY)
     joined = np.flatnonzero(
         (np.diff(at) == 1) & (owner[at[1:]] == owner[at[:-1]])
-    )  # a step in visibility is no end
+    )  # a change of visibility does not end a wall
     starts, stops = np.delete(at, joined + 1), np.delete(at, joined) + 1
     keep = faces.edges[stops] - faces.edges[starts] > MIN_WALL_LENGTH
     starts, stops = starts[keep], stops[keep]
@@ -108,7 +109,7 @@ def _walls(model: Faces) -> tuple[Floats, Floats]:
 
 
 def _connected_walls(walls: Floats) -> Ints:
-    """Number connected walls alike: ends that touch, or an end that touches another wall's middle."""
+    """Return the component number of each wall; connected are ends that touch, and an end that touches a wall."""
     lines = [shapely.LineString(wall) for wall in walls]
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCH_DISTANCE)
     n = len(walls)
@@ -125,7 +126,7 @@ def _group_points(points: Floats, distance: float) -> tuple[int, Ints]:
 
 
 def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
-    """Return the cells that are known to be free, a little wider, without what lies behind walls."""
+    """Return the free cells, slightly widened, without the space behind walls."""
     cells = widened_outline(crossed.free, np.asarray(crossed.origin), crossed.cell)
     behind = np.concatenate(
         [walls, walls[:, ::-1] - WALL_THICKNESS * normals[:, None]], axis=1
@@ -133,15 +134,15 @@ def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polyg
     free = cells.difference(shapely.union_all(shapely.polygons(behind)))
     parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and _is_wide(p)]
     if not parts:
-        raise SensorgraphError("the graph knows no free space; build it from a longer log, or give a map")
+        raise SensorgraphError("the sensorgraph has no free space; build it from a longer log, or give a map")
     return MultiPolygon(parts) if len(parts) > 1 else parts[0]
 
 
 def _is_wide(part: Polygon) -> bool:
-    """Tell whether a disc of MIN_HALF_WIDTH fits in.
+    """Tell whether a disc of radius MIN_HALF_WIDTH fits into a part.
 
-    The boundary at depth t within is no longer than the boundary itself but for 2 pi t a hole (Sz.-Nagy 1959; Makai 1959),
-    so a part with more area than such strips have together is wide; for others the strips are cut off, which takes
+    The boundary at depth t has at most the length of the boundary plus 2 pi t per hole (Sz.-Nagy 1959; Makai
+    1959). A part with more area than strips of this length is wide. Other parts are eroded, which takes
     seconds for a large floor.
     """
     longest = part.length + np.pi * len(part.interiors) * MIN_HALF_WIDTH

@@ -1,4 +1,4 @@
-"""Where the free space of an arena ends though no wall stands there: beyond, nothing is known."""
+"""Borders of the free space of an arena without a wall; beyond them nothing is known."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from planners.arena import Arena
 from sensorgraph.types import Floats
 
 WALL_DISTANCE = 0.12
-"""[m] from a wall within which free space ends at that wall; a graph's free space is of cells of 5 to 10 cm."""
+"""[m] Distance to a wall within which free space ends at that wall. The free space of a sensorgraph consists
+of cells of 5 to 10 cm."""
 MIN_HOLE = 0.25
-"""[m²] of what was never crossed amid free space, below which rays pass: no ray happened to cross those cells."""
+"""[m²] Area of an uncrossed region within free space below which rays pass it: no ray happened to cross these
+cells."""
 
 
 def open_borders(arena: Arena) -> Floats:
-    """Return where free space ends though no wall stands there, (n, 2, 2) [m]; none in a map that walls enclose."""
+    """Return the borders (n, 2, 2) [m] of free space without a wall; empty for a map enclosed by walls."""
     rings = [
         np.asarray(ring.coords)[:, :2]
         for part in shapely.get_parts(arena.free)

@@ -1,4 +1,4 @@
-"""Is the scan mirrored, or the laser mounted backwards? Asked of the map, or of the scans themselves."""
+"""Detect a mirrored scan or a laser mounted backwards, by comparison with the map or with the scans themselves."""
 
 from __future__ import annotations
 
@@ -21,39 +21,40 @@ CAUSES = {
 }
 MAX_MEDIAN_ERROR = 0.1  # [m] median error above which map, poses and scans do not belong together
 MAX_ERROR_RATIO = 0.8  # another orientation must be better by this factor to be reported
-END_POINT_CELL = 0.1  # [m] of the grid in which end points pile up, where the orientation is right
+END_POINT_CELL = 0.1  # [m] cell of the grid of end points
 
 
 @dataclass(frozen=True, kw_only=True)
 class Orientation:
-    """How well the scan fits under each orientation; smaller is better."""
+    """Misfit of the scan under each orientation; smaller is better."""
 
     fits: dict[str, float]
-    """Orientation -> median |measured - cast| [m] against a map, else cells filled by the end points."""
+    """Orientation -> median |measured - cast| [m] against a map, otherwise the number of cells filled by end
+    points."""
     against: str
     """`the arena` or `itself`."""
     n_scans: int
 
     @property
     def best(self) -> str:
-        """Return the orientation that fits best, unless the logged one is nearly as good."""
+        """Return the orientation with the best fit, unless the logged one is nearly as good."""
         name = min(self.fits, key=lambda key: self.fits[key])
         return name if self.fits[name] < MAX_ERROR_RATIO * self.fits["as logged"] else "as logged"
 
     def lines(self) -> list[str]:
-        """Say how well each orientation fits, and what to do if another one fits better."""
+        """Return the fit of each orientation, and advice if another one fits better."""
         unit, scale = ("cm median error", 100.0) if self.against == "the arena" else ("cells filled", 1.0)
         fits = ", ".join(f"{name} {scale * value:,.0f}" for name, value in self.fits.items())
         out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
         if self.best != "as logged":
             out.append(
-                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
+                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the yaw of the mount "
                 "and the driver's `inverted` setting"
             )
         elif self.against == "the arena" and self.fits[self.best] > MAX_MEDIAN_ERROR:
             out.append(
-                f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): is it the arena of this "
-                "run, are the clocks of poses and scans the same, is the mount right?"
+                f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): check that it is the arena "
+                "of this run, that poses and scans share a clock, and the mount"
             )
         return out
 
@@ -61,10 +62,13 @@ class Orientation:
 def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     """Compare the scans of a run with an arena, or with each other, under four orientations of the sensor.
 
-    Without an arena the right orientation is the one whose end points fall on each other: they fill the fewest
-    cells. That needs a robot that looked at the same walls under several headings. Returns None for fewer than 10 scans with
-    poses, and for cones, of which nobody knows where in them something was seen. Several sensors that are read as one are
-    mirrored and turned together, with the places where they sit.
+    Without an arena, the end points coincide best under the right orientation and fill the fewest cells. This
+    requires views of the same walls under several headings. Composite sensors are mirrored and turned
+    together, including their mounts.
+
+    Returns
+    -------
+    None for fewer than 10 scans with poses, and for cones, whose end points are unknown.
     """
     if run.sensor.cones.any():
         return None
@@ -88,7 +92,7 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
 
 
 def _turned(sensor: RangeSensor, sign: int, turn: float) -> RangeSensor:
-    """Return several sensors mirrored, and then turned about the origin of their frame; bearings stay as they are."""
+    """Return a composite sensor mirrored, then turned about the origin of its frame; bearings are unchanged."""
     x, y = sensor.origins[:, 0], sign * sensor.origins[:, 1]
     c, s = np.cos(turn), np.sin(turn)
     return replace(sensor, origins=np.stack([c * x - s * y, s * x + c * y], axis=1))

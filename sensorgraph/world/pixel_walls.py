@@ -1,7 +1,8 @@
-"""Walls of a map of pixels: straight, through the middle of their cells, and where free space ends without one.
+"""Straight walls of an occupancy-grid map, and the borders of its free space without a wall.
 
-A map_server map has thousands of walls as long as a pixel. Their outlines are traced by as few straight stretches as
-stay within a pixel of them, and every stretch is fitted to the steps that it replaces.
+A map_server map has thousands of walls of one pixel. Their outlines are approximated by the fewest straight
+segments within a pixel, and each segment is fitted to the steps that it replaces. The walls run through the
+middle of their cells.
 """
 
 from __future__ import annotations
@@ -20,39 +21,44 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.fewest_segments import closed_corners
 
 PREFIX = "map/edge_"
-"""Of the walls of a map of pixels, which are named by their order."""
+"""Prefix of the wall names of an occupancy-grid map; a number follows."""
 OUTLINE, THING = "outline", "thing_"
-"""Names of the straight walls that stand for them: around free space, and of what stands in it."""
+"""Names of the straight walls: outlines of free space, and of objects in it."""
 MIN_AROUND = 0.75
-"""Of the outline of a thing, that free space touches."""
-MAX_THING = 4.0
-"""[m] across; what is longer is a part of the building, and no furniture."""
+"""Minimum share of the outline of an object that free space touches."""
+MAX_OBJECT = 4.0
+"""[m] Maximum extent of an object; longer ones are part of the building."""
 MIN_FREE = 100
-"""[pixel²] a smaller part of free space holds no robot: a gap between cells of a thick wall."""
+"""[pixel²] Minimum area of free space for a robot; smaller parts are gaps between the cells of a thick wall."""
 MAX_STEP = 0.75
-"""[pixel] that the borders of cells may stray from a chord; those of a straight wall stray by 0.71 from where it is."""
+"""[pixel] Maximum distance of cell borders from a chord; those of a straight wall have up to 0.71."""
 ROUND_OFF = 1e-4
-"""[m] of coordinates, as files keep them."""
+"""[m] Precision of coordinates in files."""
 MIN_WALLS = 40
-"""Fewer borders are no steps worth straightening."""
+"""Minimum number of walls of an occupancy-grid map; fewer are not worth straightening."""
 SPECK = 0.2
-"""[pixel] a shorter wall is what is left of a single cell."""
+"""[pixel] Shorter walls are remnants of single cells and are dropped."""
 MIN_WALL = 1.5
-"""[pixel] a shorter stretch of an outline stays a part of its neighbour."""
+"""[pixel] Minimum length of a separate segment of an outline."""
 MIN_THIN = 3.0
-"""[pixel] cells in a row of this length are a wall without thickness; fewer are a box, which may be seen from its end, too."""
+"""[pixel] Minimum length of a row of cells that is a wall without thickness; shorter rows are boxes, which
+are also visible from their ends."""
 CURVE_STEP = 2
-"""[pixel] between corners of a wall that is round, whose steps are averaged over as much either way [half pixel]."""
+"""[pixel] Distance between corners of a round wall; steps are averaged over as much on each side [half
+pixel]."""
 MAX_OFF_LINES = 1.25
-"""By how much the borders of a circle's cells may stray more from it than from lines of their own: circles of 3 to 20 pixels do."""
+"""Maximum ratio of the scatter of cell borders around a circle to that around separate lines; circles of 3 to
+20 pixels are below."""
 MIN_BULGE = 0.5
-"""[pixel] by which something round strays from its chord at least; with less a straight wall does."""
+"""[pixel] Minimum distance of an arc from its chord; a straight wall has less."""
 LONG_RUN = 8.0
-"""[pixel] of a straight run on both sides of a single step, where the wall may have a jog of less than a pixel."""
+"""[pixel] Minimum length of a straight run on both sides of a single step at which the wall may have a jog
+below one pixel."""
 REGULAR = 2.25
-"""[pixel] by which the runs of a slanting wall differ: by one, the last before a corner by two (steps are halves)."""
+"""[pixel] Maximum difference between the runs of a slanting wall: one, or two before a corner (steps are
+halves)."""
 MEETS = np.cos(np.arcsin(0.2))
-"""Cosine of the turn below which two walls hardly meet."""
+"""Cosine of the turn below which two walls are nearly parallel and have no stable intersection."""
 
 
 def is_raster(arena: Arena) -> bool:
@@ -61,7 +67,7 @@ def is_raster(arena: Arena) -> bool:
 
 
 def pixel_of(arena: Arena) -> float:
-    """Return the width of a cell [m]: what divides all gaps between the rows and columns that borders lie on."""
+    """Return the width of a cell [m]: the common divisor of all gaps between the rows and columns of borders."""
     ends = arena.walls.reshape(-1, 2) @ _axes(arena).T
     lines = [np.unique(np.round(ends[:, k], 6)) for k in (0, 1)]
     return float(
@@ -70,14 +76,14 @@ def pixel_of(arena: Arena) -> float:
 
 
 def _common_divisor(a: float, b: float) -> float:
-    """Return the largest length that two are whole multiples of, but for round-off."""
+    """Return the largest length that divides both, up to round-off."""
     while b > ROUND_OFF:
         a, b = b, abs(a - b * round(a / b))
     return a
 
 
 def _axes(arena: Arena) -> Floats:
-    """Return the directions of the rows and columns of a map of pixels, (2, 2) unit vectors; a map may be turned."""
+    """Return the directions of rows and columns of an occupancy-grid map, (2, 2) unit vectors; a map may be rotated."""
     x, y = arena.walls[0, 1] - arena.walls[0, 0]
     angle = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
     if abs(angle) < ROUND_OFF:
@@ -86,11 +92,11 @@ def _axes(arena: Arena) -> Floats:
 
 
 def straightened(arena: Arena) -> tuple[Arena, float]:
-    """Return an arena of pixels with straight walls, and how far these leave the borders of the cells, r.m.s. [m].
+    """Return an occupancy-grid arena with straight walls, and their r.m.s. distance [m] from the cell borders.
 
-    A cell is occupied because a surface is somewhere in it, so that the borders of the cells lie on the average half
-    the width of a cell before the surface, seen along its normal. A chain of short walls that turn all one way is a
-    round thing: its walls follow the outline every `CURVE_STEP` pixels. Walls that no free space touches are left out.
+    A cell is occupied because a surface lies somewhere in it. So the borders are on average half a cell width
+    before the surface, along its normal. A chain of short segments that turn the same way is a round object;
+    its walls follow the outline every `CURVE_STEP` pixels. Walls without adjacent free space are dropped.
     """
     pixel, axes = pixel_of(arena), _axes(arena)
     cells = _along_grid(arena, axes)
@@ -98,20 +104,20 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     free = shapely.union_all(parts[~is_gap])
     shapely.prepare(free)
     found = [_Outline(ring, free, pixel) for ring in _rings(cells.walls, free, pixel)]
-    found.sort(key=lambda one: one.is_thing)  # the first outline of an arena is no obstacle
-    walls, names, n_things, n_around = [np.zeros((0, 2, 2))], list[str](), 0, 0
+    found.sort(key=lambda one: one.is_object)  # the first outline of an arena is not an obstacle
+    walls, names, n_objects, n_outline_walls = [np.zeros((0, 2, 2))], list[str](), 0, 0
     for one in found:
         own = one.walls()
         own = own[np.hypot(*np.diff(own, axis=1)[:, 0].T) > SPECK * pixel]
         walls.append(own)
         if not len(own):
             continue
-        if one.is_thing:
-            n_things += 1
-            names += [f"{THING}{n_things}/edge_{i}" for i in range(len(own))]
+        if one.is_object:
+            n_objects += 1
+            names += [f"{THING}{n_objects}/edge_{i}" for i in range(len(own))]
         else:
-            names += [f"{OUTLINE}/edge_{n_around + i}" for i in range(len(own))]
-            n_around += len(own)
+            names += [f"{OUTLINE}/edge_{n_outline_walls + i}" for i in range(len(own))]
+            n_outline_walls += len(own)
     straight = np.concatenate(walls)
     rms = float(
         np.sqrt(np.mean(np.concatenate([np.zeros(1), *(off for one in found for off in one.off)]) ** 2))
@@ -121,7 +127,7 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
 
 
 def _along_grid(arena: Arena, axes: Floats) -> Arena:
-    """Return a map of pixels with its rows and columns along x and y."""
+    """Return an occupancy-grid arena rotated so that rows and columns run along x and y."""
     if (axes == np.eye(2)).all():
         return arena
     free = shapely.transform(arena.free, lambda points: np.round(points @ axes.T, 9))
@@ -129,9 +135,9 @@ def _along_grid(arena: Arena, axes: Floats) -> Arena:
 
 
 def is_near_gap(arena: Arena, points: Floats) -> Bools:
-    """Tell which points (n, 2) are within a pixel of a part of free space that holds no robot.
+    """Tell which points (n, 2) are within a pixel of a part of free space too small for a robot.
 
-    Such a slit may be open to a ray though cells close it.
+    Such a slit may be open to a ray although cells close it.
     """
     parts, is_gap = _parts_of_free(arena)
     if not is_gap.any():
@@ -142,15 +148,16 @@ def is_near_gap(arena: Arena, points: Floats) -> Bools:
 
 
 def _parts_of_free(arena: Arena) -> tuple[NDArray[np.object_], Bools]:
-    """Return the connected parts (n,) of free space, and which are mere gaps."""
+    """Return the connected parts (n,) of free space, and which are gaps."""
     parts = shapely.get_parts(arena.free)
     return parts, np.asarray(shapely.area(parts) <= MIN_FREE * pixel_of(arena) ** 2)
 
 
 def _rings(walls: Floats, free: shapely.Geometry, pixel: float) -> list[Floats]:
-    """Return the outlines (n, 2) of the faces between walls that hold free space.
+    """Return the outlines (n, 2) of the faces between walls that contain free space.
 
-    The other face at a wall, of its cells, has the same outline but where cells touch by a corner alone.
+    The other face at a wall, that of its cells, has the same outline, except where cells touch at a corner
+    only.
     """
     steps = shapely.linestrings(walls)
     frame = shapely.box(*shapely.total_bounds(steps)).buffer(pixel, join_style="mitre")
@@ -162,14 +169,14 @@ def _rings(walls: Floats, free: shapely.Geometry, pixel: float) -> list[Floats]:
 
 
 class _Outline:
-    """One closed outline of steps, and the straight stretches that it is made of."""
+    """A closed outline of steps, and its straight segments."""
 
     def __init__(self, ring: Floats, free: shapely.Geometry, pixel: float) -> None:
         self.pixel = pixel
-        far = int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T)))  # a true corner to begin at
+        far = int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T)))  # start at a true corner
         self.steps = _dense(np.roll(ring, -far, axis=0), pixel)
         self.side = _side_of_cells(self.steps, free)
-        # the middle of each border, which a wall drawn in cells passes within half a pixel
+        # midpoints of the borders: a wall drawn in cells passes within half a pixel
         borders = self.steps[1::2]
         corners = closed_corners(borders / pixel, MAX_STEP)
         self.kept: Floats = borders[corners]
@@ -181,19 +188,19 @@ class _Outline:
             self._fit(self._between(first, last))
 
     @property
-    def is_thing(self) -> bool:
-        """Tell whether free space is around the outline, nearly everywhere, and not within it, and it is no building."""
+    def is_object(self) -> bool:
+        """Tell whether free space surrounds the outline almost completely, is not inside it, and the outline is small."""
         x, y = self.steps.T
         area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-        is_small = float(np.hypot(*np.ptp(self.steps, axis=0))) < MAX_THING
+        is_small = float(np.hypot(*np.ptp(self.steps, axis=0))) < MAX_OBJECT
         return is_small and area * float(self.side.sum()) > 0 and float(np.mean(self.side != 0)) > MIN_AROUND
 
     def _between(self, first: int, last: int) -> Floats:
-        """Return the steps (n, 2) from one to another."""
+        """Return the steps (n, 2) between two indices."""
         return np.asarray(self.steps[np.arange(first, last + 1) % len(self.steps)])
 
     def _fit(self, points: Floats) -> None:
-        """Lay a line through steps (n, 2), and move it behind them."""
+        """Fit a line to steps (n, 2), and shift it to the surface behind them."""
         middles = (points[1:] + points[:-1]) / 2
         centre = middles.mean(axis=0)
         way = points[-1] - points[0]
@@ -205,13 +212,13 @@ class _Outline:
         self.lines.append((centre + self._behind(way), way))
 
     def _behind(self, way: Floats) -> Floats:
-        """Return the vector [m] from the borders of cells to their surface, along unit ways (..., 2)."""
+        """Return the offset [m] from cell borders to their surface, for unit directions (..., 2)."""
         across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
         half_width = 0.5 * self.pixel * np.abs(way).sum(axis=-1, keepdims=True)
         return np.asarray(np.sign(self.side.sum()) * half_width * across)
 
     def walls(self) -> Floats:
-        """Return straight walls (n, 2, 2) [m] that stand for what free space touches of the outline."""
+        """Return straight walls (n, 2, 2) [m] for the part of the outline with adjacent free space."""
         n = len(self.lines)
         if n < 3:
             return self._thin_or_small()
@@ -232,7 +239,7 @@ class _Outline:
         return np.concatenate(walls)
 
     def _thin_or_small(self) -> Floats:
-        """Return what stands for cells in a row, the wall through their middles, or for a few cells, their outline."""
+        """Return the wall through the middle of a row of cells, or the outline of a few cells."""
         centre = self.steps.mean(axis=0)
         way = np.linalg.svd(self.steps - centre, full_matrices=False)[2][0]
         along = (self.steps - centre) @ way
@@ -244,10 +251,10 @@ class _Outline:
         return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
     def _curved(self) -> list[bool]:
-        """Tell which stretches are chords of something round: a circle fits them and half of their neighbours as well as lines.
+        """Tell which segments are chords of a round object: a circle through them fits as well as lines do.
 
-        A neighbour that turns the other way is none of it. A long wall between two jogs lies near a large circle, and nearer
-        its own line.
+        The circle also covers half of each neighbour, except a neighbour that turns the other way. A long
+        wall between two jogs is near a large circle, but nearer its own line.
         """
         ways = np.array([way for _, way in self.lines])
         before = np.roll(ways, 1, axis=0)
@@ -270,17 +277,17 @@ class _Outline:
         return out
 
     def _borders(self, first: int, last: int) -> Floats:
-        """Return the middles of the borders between two steps, (n, 2) [pixel]."""
+        """Return the midpoints of the borders between two steps, (n, 2) [pixel]."""
         return np.asarray(self._between(first, last)[1::2] / self.pixel)
 
     def _off_lines(self, cuts: Sequence[int]) -> float:
-        """Return the standard deviation [pixel] of borders about a straight line of their own between each two steps."""
+        """Return the standard deviation [pixel] of borders around separate straight lines between consecutive cuts."""
         parts = [self._borders(first, last) for first, last in pairwise(cuts)]
         squares = sum(float((_off_line(part) ** 2).sum()) for part in parts)
         return float(np.sqrt(squares / max(sum(map(len, parts)) - 2 * len(parts), 1)))
 
     def _round(self, first: int, last: int) -> Floats:
-        """Return corners (n, 2) of something round, between two steps."""
+        """Return the corners (n, 2) of a round object between two steps."""
         count = max(round((last - first) / (2 * CURVE_STEP)), 1)
         return self._smooth(np.linspace(first, last, count + 1)[1:-1].round().astype(np.intp))
 
@@ -298,9 +305,10 @@ class _Outline:
         return np.asarray(mean(0) + self._behind(way))
 
     def _jogs(self, k: int) -> Floats:
-        """Return two corners at each single step (n, 2) at which a straight stretch may as well jump.
+        """Return two corners at each single step (n, 2) at which a straight segment may have a jog.
 
-        A slanting wall steps at regular intervals; one or two steps between long runs may be jogs of the wall.
+        A slanting wall steps at regular intervals; one or two steps between long runs may be jogs of the
+        wall.
         """
         points = self._between(*self.ends[k])
         centre, way = self.lines[k]
@@ -311,7 +319,7 @@ class _Outline:
         along = ((points[at] + points[at + 1]) / 2 - centre) @ way / self.pixel
         ends = (points[[0, -1]] - centre) @ way / self.pixel
         place = along[np.diff(along, prepend=-np.inf) > 1]  # two half pixels make one step
-        place = place[(place > ends[0] + MIN_WALL) & (place < ends[1] - MIN_WALL)]  # at its ends is a corner
+        place = place[(place > ends[0] + MIN_WALL) & (place < ends[1] - MIN_WALL)]  # its ends are corners
         runs = np.diff(np.concatenate([ends[:1], place, ends[1:]]))
         inner = runs[1:-1]
         if (
@@ -325,7 +333,7 @@ class _Outline:
         return np.asarray(centre + pair * way)
 
     def _meeting(self, k: int) -> Floats:
-        """Return where the stretch before ends and this one begins (2, 2): the same, unless their lines meet elsewhere."""
+        """Return the end of the previous segment and the start of this one (2, 2): their intersection, if it is near."""
         (p, u), (q, v) = self.lines[k - 1], self.lines[k]
         ends = [self.kept[k], self.kept[k]]
         is_jog = abs(u @ v) > MEETS
@@ -340,7 +348,7 @@ class _Outline:
 
 
 def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:
-    """Tell on which side of each step (n, 2) of an outline the cells are: 1 left, -1 right, 0 no free space touches it."""
+    """Return the side of the cells at each step (n, 2) of an outline: 1 left, -1 right, 0 no adjacent free space."""
     ahead = np.roll(steps, -1, axis=0) - steps
     middles, aside = steps + ahead / 2, 0.5 * np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     left, right = (
@@ -350,7 +358,7 @@ def _side_of_cells(steps: Floats, free: shapely.Geometry) -> Floats:
 
 
 def _off_line(points: Floats) -> Floats:
-    """Return the distances (n,) of points (n, 2) from the line that fits them best."""
+    """Return the distances (n,) of points (n, 2) from their best line."""
     if not len(points):
         return np.zeros(0)
     apart = points - points.mean(axis=0)
@@ -359,7 +367,7 @@ def _off_line(points: Floats) -> Floats:
 
 
 def _circle(points: Floats) -> tuple[float, float]:
-    """Return the radius of the circle that fits points (n, 2) (Kasa 1976), and their standard deviation about it."""
+    """Return the radius of the circle fitted to points (n, 2) (Kasa 1976), and their standard deviation around it."""
     if len(points) < 4:
         return np.inf, np.inf
     middle = points.mean(axis=0)
@@ -377,7 +385,7 @@ def _dense(ring: Floats, pixel: float) -> Floats:
 
 
 def unknown_borders(arena: Arena) -> Floats:
-    """Return where free space ends without a wall, (n, 2, 2) [m]."""
+    """Return the borders (n, 2, 2) [m] of free space without a wall."""
     pixel = pixel_of(arena)
     walls = shapely.union_all(shapely.linestrings(arena.walls)).buffer(1e-4 * pixel, cap_style="flat")
     left = shapely.get_parts(arena.free.boundary.difference(walls))

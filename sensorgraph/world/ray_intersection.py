@@ -1,4 +1,11 @@
-"""Rays that each have their own origin: against every wall, or against those on their way; plainly for the tests."""
+"""Cast rays with individual origins: against all walls, or against the walls of the cells on their way.
+
+A ray o + r u meets the wall a + share d at
+
+    r = (a-o)×d / (u×d),  share = (a-o)×u / (u×d).
+
+It is a hit if 0 <= share <= 1 and r >= 0.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +16,28 @@ from sensorgraph.types import Floats, Ints
 from sensorgraph.world.wall_grid import grid_of, nearest_in_grid
 
 SAME_PLACE = 1e-6
-"""[m] between a corner and the end of a wall that ends there."""
+"""[m] Maximum distance between a corner and the end of a wall at that corner."""
 MAX_UNSORTED_WALLS = 100
-"""Up to here every ray meets every wall; beyond, those of the cells on its way ..."""
+"""Number of walls up to which every ray meets every wall; beyond, rays meet the walls of the cells on their
+way ..."""
 MAX_UNSORTED_PAIRS = 300_000
-"""... if there are more pairs of ray and wall than it takes to sort the walls into cells."""
+"""... if the number of ray-wall pairs exceeds this, so that sorting the walls into cells pays off."""
 
 
 @kernel
 def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Return how far each ray goes, and to which wall.
+    """Return the range and the wall of each ray.
 
     Parameters
     ----------
     walls : (n_walls, 2, 2) [m]
-    ox, oy : (n,) [m] origins
-    ux, uy : (n,) unit directions
+    ox, oy : (n,) [m] Origins.
+    ux, uy : (n,) Unit directions.
 
     Returns
     -------
-    (n,) [m], inf where no wall is met, and (n,) index of the wall, the first of several equally near; -1 none
+    Ranges (n,) [m], inf without a hit, and walls (n,), -1 without a hit. Of several equally near walls the
+    first counts.
     """
     ranges, wall = np.empty(len(ux)), np.empty(len(ux), np.intp)
     for k in range(len(ux)):
@@ -38,7 +47,7 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
             ax, ay = walls[at, 0, 0] - ox[k], walls[at, 0, 1] - oy[k]
             across = ux[k] * dy - uy[k] * dx
             share = (ax * uy[k] - ay * ux[k]) / across
-            if share >= 0.0 and share <= 1.0:  # not so where the ray is parallel: inf or nan
+            if share >= 0.0 and share <= 1.0:  # false for a parallel ray: inf or nan
                 r = (ax * dy - ay * dx) / across
                 if r >= 0.0 and r < ranges[k]:
                     ranges[k], wall[k] = r, at
@@ -46,7 +55,7 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
 
 
 def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Return what `nearest_walls` does."""
+    """Return the result of `nearest_walls`, computed by numpy without a kernel."""
     a = walls[:, 0]
     d = walls[:, 1] - a
     ax, ay = a[:, 0] - ox[:, None], a[:, 1] - oy[:, None]  # (n, n_walls)
@@ -63,18 +72,18 @@ def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: F
 def nearest_after_moves(
     walls: Floats, moved: Ints, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints
 ) -> tuple[Floats, Ints]:
-    """Return what `nearest_from_each` does, from a cast of the same rays before some walls have moved.
+    """Return the result of `nearest_from_each`, updated from an earlier cast before some walls moved.
 
     Parameters
     ----------
-    moved : (k,) indices of the walls that stood elsewhere
-    ranges, wall : like `ux`, [m] and index of the wall, as they were
+    moved : (k,) Indices of the moved walls.
+    ranges, wall : Like `ux`, [m] and index of the wall, from the earlier cast.
     """
     shape = ux.shape
     has_moved = np.zeros(len(walls) + 1, dtype=np.bool_)
     has_moved[moved] = True
     new, at = nearest_from_each(walls[moved], ox, oy, ux, uy)
-    at = np.append(moved, -1)[at]  # the last: -1, nothing
+    at = np.append(moved, -1)[at]  # the last one: -1, no hit
     nearer = (new < ranges) | ((new == ranges) & (at >= 0) & (at < wall))
     ranges, wall = np.where(nearer, new, ranges), np.where(nearer, at, wall)
     again = has_moved[wall] & ~nearer
@@ -87,10 +96,10 @@ def nearest_after_moves(
 
 
 def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
+    """Cast rays with individual origins; return ranges [m] and walls (-1: none), shaped like `ux`."""
     x, y = (
         np.broadcast_to(o, ux.shape).flatten() for o in (ox, oy)
-    )  # may be written to: one compiled version
+    )  # writable copies: a single compiled version
     if len(walls) > MAX_UNSORTED_WALLS and len(walls) * ux.size > MAX_UNSORTED_PAIRS:
         walls = np.ascontiguousarray(walls)
         ranges, wall = nearest_in_grid(walls, grid_of(walls.tobytes()), x, y, ux.ravel(), uy.ravel())

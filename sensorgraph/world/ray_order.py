@@ -1,7 +1,7 @@
-"""Which rays of two sensors point the same way: bearings are compared modulo 2 pi, whichever ray comes first.
+"""Match the rays of two sensors: bearings are compared modulo 2 pi, independent of the first ray.
 
-Drivers of lasers that look all around number their rays from 0 to 2 pi (LDS-01 of the TurtleBot3, RPLIDAR) or from -pi
-to pi. The rays keep the index that their log gives them; what is said of another numbering is brought to it.
+Drivers of lasers with a full turn number their rays from 0 to 2 pi (LDS-01 of the TurtleBot3, RPLIDAR) or
+from -pi to pi. Rays keep the index of their log; results with another numbering are reordered.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from planners.arena import wrap
 from sensorgraph.types import Floats, Ints
 
 SAME_BEARING = 1e-3
-"""[rad] between bearings that are one and the same."""
+"""[rad] Maximum difference between equal bearings."""
 
 
 def ray_order(bearings: Floats, wanted: Floats, *, tolerance: float = SAME_BEARING) -> Ints | None:
-    """Return which ray points where each of the wanted bearings does; None: they are the bearings of other sensors.
+    """Return the index of the ray at each wanted bearing; None if the bearings differ.
 
     Parameters
     ----------
-    bearings : (n_rays,) [rad], increasing
-    wanted : (n_rays,) [rad], increasing
-    tolerance : [rad] by which bearings may differ
+    bearings : (n_rays,) [rad] Increasing bearings.
+    wanted : (n_rays,) [rad] Increasing bearings.
+    tolerance : [rad] Maximum difference of equal bearings.
 
     Returns
     -------
-    index (n_rays,) into `bearings`, a cyclic shift
+    Index (n_rays,) into `bearings`, a cyclic shift.
     """
     n = len(bearings)
     if len(wanted) != n or n == 0:
@@ -42,15 +42,15 @@ def ray_order(bearings: Floats, wanted: Floats, *, tolerance: float = SAME_BEARI
 
 
 def is_full_turn(bearings: Floats) -> bool:
-    """Tell whether the last of the bearings (n_rays,) [rad] lies one step before the first."""
+    """Tell whether the last of the bearings (n_rays,) [rad] is one step before the first."""
     n = len(bearings)
     return n > 2 and bool((bearings[-1] - bearings[0]) * (n + 0.5) / (n - 1) > 2 * np.pi)
 
 
 def neighbouring_rays(sensor: RangeSensor) -> tuple[Ints, Ints]:
-    """Return the right and the left ray (n_pairs,) of each pair of neighbours; of a full turn the last and the first are one.
+    """Return the right and left ray (n_pairs,) of each pair of neighbours, including last and first of a full turn.
 
-    Rays of two sensors that are read as one are no neighbours.
+    Rays of different sensors in a composite sensor are not neighbours.
     """
     right = np.arange(sensor.n_rays - 1, dtype=np.intp)
     left = right + 1
@@ -65,7 +65,7 @@ def neighbouring_rays(sensor: RangeSensor) -> tuple[Ints, Ints]:
 def with_rays_like(
     sensor: RangeSensor, wanted: Floats, *, tolerance: float = SAME_BEARING
 ) -> RangeSensor | None:
-    """Return a sensor whose rays are numbered as the wanted bearings (n_rays,) [rad] are; None: it is another sensor."""
+    """Return the sensor with its rays in the order of the wanted bearings (n_rays,) [rad]; None if they differ."""
     order = ray_order(sensor.bearings, wanted, tolerance=tolerance)
     if order is None:
         return None
@@ -84,17 +84,17 @@ def with_rays_like(
 def ray_order_line(
     bearings: Floats, other: Floats, other_name: str, *, tolerance: float = SAME_BEARING
 ) -> str:
-    """Say that two sensors number the same rays differently; empty where they do not."""
+    """Return a line that reports a different numbering of the same rays; empty if the numbering is the same."""
     order = ray_order(bearings, other, tolerance=tolerance)
     if order is None or order[0] == 0:
         return ""
     return (
         f"ray 0 points to {np.degrees(bearings[0]):.4g}°, that of {other_name} to {np.degrees(other[0]):.4g}°: "
-        "the same rays modulo 360°, each keeps the index of its log"
+        "the same rays modulo 360°; each log keeps its ray numbers"
     )
 
 
 def bearings_text(bearings: Floats, other: Floats) -> str:
-    """Say where rays (n_rays,) point, and where they were expected to: (n_other,) [rad]."""
+    """Return a text with the bearings (n_rays,) and the expected ones (n_other,) [rad]."""
     (a, b), (c, d) = (np.degrees(some[[0, -1]]) for some in (bearings, other))
     return f"{len(bearings)} rays from {a:.4g}° to {b:.4g}°, expected {len(other)} from {c:.4g}° to {d:.4g}°"

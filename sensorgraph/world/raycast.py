@@ -1,8 +1,8 @@
-"""Ray casting: exact ranges, incidence and wall index of every ray of every scan.
+"""Ray casting: exact range, incidence and wall of every ray of every scan.
 
-`cast` goes wall by wall: it asks which rays fall between the bearings of the wall's two ends and intersects
-only those (cost: walls + hits, not walls x rays). `cast_rays` is the plain form, every ray against every wall,
-for rays that share no origin (a sensor that sweeps while the robot moves).
+`cast` works wall by wall: it finds the rays between the bearings of the two ends of a wall and intersects
+only those. Its cost is walls + hits, instead of walls x rays. `cast_rays` intersects every ray with every
+wall, for rays without a common origin, as of a sensor that sweeps during motion.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from sensorgraph.types import Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.wall_clusters import SECTORS, ClusterView, SectorReach, WallClusters
 
-POSES_PER_BATCH = 48  # poses at a time: the working set stays in the cache
-MAX_UNCLUSTERED_WALLS = 160  # up to here every pose meets every wall
-CLUSTER_STAGES = (8, 32)  # clusters met, nearest first; after each stage the hidden ones are left out
-BEARING_PAD = 1e-12  # [rad] a wall's window of bearings is widened by this, so that no ray slips through a shared corner
-GRAZING_ANGLE = 1e-3  # [rad] below this angle between ray and wall the hit is held inside the wall's ends
+POSES_PER_BATCH = 48  # poses per batch: the working set stays in the cache
+MAX_UNCLUSTERED_WALLS = 160  # number of walls up to which every wall is intersected from every pose
+CLUSTER_STAGES = (8, 32)  # clusters intersected, nearest first; after each stage hidden ones are dropped
+BEARING_PAD = 1e-12  # [rad] widens the bearings of a wall, so that no ray passes through a shared corner
+GRAZING_ANGLE = 1e-3  # [rad] angle between ray and wall below which the hit is limited to the wall's ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hits:
-    """What an ideal sensor would measure."""
+    """Ideal readings."""
 
     ranges: Floats
-    """(n_scans, n_rays) [m]; +inf nothing within range_max, -inf nearer than range_min (REP-117)."""
+    """(n_scans, n_rays) [m]; +inf without a hit within range_max, -inf nearer than range_min (REP-117)."""
     incidence: Floats
-    """(n_scans, n_rays) [rad] between ray and wall normal, 0 = head-on; nan where no wall is in range."""
+    """(n_scans, n_rays) [rad] Angle between ray and wall normal, 0 = head-on; nan without a wall in range."""
     wall: Ints
-    """(n_scans, n_rays) index of the wall in `Arena.walls`; -1 where no wall is in range."""
+    """(n_scans, n_rays) Index of the wall in `Arena.walls`; -1 without a wall in range."""
 
 
 def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Move base_link poses (..., 3) to the laser mounted at `mount` (3,): T_map_base @ T_base_laser."""
+    """Return the laser poses for base_link poses (..., 3) and a mount (3,): T_map_base @ T_base_laser."""
     c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
     x = poses[..., 0] + c * mount[0] - s * mount[1]
     y = poses[..., 1] + s * mount[0] + c * mount[1]
@@ -48,7 +48,7 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
 
 
 def ray_starts(lasers: Floats, sensor: RangeSensor) -> Floats:
-    """Move laser poses (..., n_rays, 3) in map to where each ray of several sensors starts."""
+    """Return the origin of each ray of a composite sensor, for laser poses (..., n_rays, 3) in map."""
     starts = np.column_stack([sensor.origins, np.zeros(sensor.n_rays)])
     return compose(lasers, starts)
 
@@ -75,17 +75,17 @@ def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
 
 
 def cast_laser(walls: Floats, lasers: Floats, bearings: Floats, farthest: float) -> tuple[Floats, Ints]:
-    """Cast from laser poses at bare walls, without an arena or a sensor's limits.
+    """Cast from laser poses against walls, without an arena and without the limits of a sensor.
 
     Parameters
     ----------
     walls : (n_walls, 2, 2) [m, map]
-    lasers : (n_scans, 3) [m, m, rad] laser in map
-    bearings : (n_rays,) [rad], increasing over less than a full turn
+    lasers : (n_scans, 3) [m, m, rad] Laser in map.
+    bearings : (n_rays,) [rad] Increasing, over less than a full turn.
 
     Returns
     -------
-    ranges (n_scans, n_rays) [m], inf beyond `farthest`, and the index of the wall, -1 for none
+    Ranges (n_scans, n_rays) [m], inf beyond `farthest`, and the index of the wall, -1 without a hit.
     """
     if len(walls) == 0:
         shape = (len(lasers), len(bearings))
@@ -103,12 +103,12 @@ def directions(phi: Floats, bearings: Floats) -> tuple[Floats, Floats]:
 
 
 def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSensor) -> Hits:
-    """Cast rays that each have their own origin, every ray against every wall.
+    """Cast rays with individual origins, every ray against every wall.
 
     Parameters
     ----------
-    origins : (n_scans, n_rays, 2) [m] in map
-    headings : (n_scans, n_rays) [rad] of the rays in map
+    origins : (n_scans, n_rays, 2) [m] In map.
+    headings : (n_scans, n_rays) [rad] Directions of the rays in map.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSens
 def _apply_limits(
     along: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sensor: RangeSensor
 ) -> tuple[Floats, Floats, Ints]:
-    """Apply the sensor's range limits and add the incidence; return ranges, incidence, wall."""
+    """Apply the range limits of the sensor and compute the incidence; return ranges, incidence and wall."""
     out = ~(ranges <= sensor.range_max)
     wall = np.where(out, -1, wall)
     cosine = np.abs(ux * along[1][wall] - uy * along[0][wall])
@@ -135,7 +135,7 @@ def _apply_limits(
 
 
 class _CastBatch:
-    """A batch of scans in the making: laser poses, directions of the rays, what they have met so far."""
+    """A batch of scans during a cast: laser poses, directions of the rays, and the nearest hits so far."""
 
     def __init__(self, poses: Floats, bearings: Floats) -> None:
         self.poses = poses  # (n_poses, 3)
@@ -146,10 +146,10 @@ class _CastBatch:
 
 
 class _Caster:
-    """The angular-interval method: for each pose and wall, the run of rays between the wall's two ends.
+    """Angular-interval method: for each pose and wall, the run of rays between the two ends of the wall.
 
-    With many walls, those near a pose go first; of the others only the clusters that could still shorten
-    some ray are looked at (see `wall_clusters`).
+    With many walls, those near a pose come first; of the others, only clusters that can still shorten a ray
+    are intersected (see `wall_clusters`).
     """
 
     def __init__(self, walls: _Walls, sensor: RangeSensor) -> None:
@@ -162,7 +162,7 @@ class _Caster:
         sector = ((bearings - bearings[0]) * (SECTORS / (2 * np.pi))).astype(np.intp)
         self.sectors = np.unique(
             np.minimum(sector, SECTORS - 1), return_index=True
-        )  # and the first ray of each
+        )  # and the first ray of each sector
         step = np.diff(bearings)
         even = (
             len(step) > 0
@@ -186,7 +186,7 @@ class _Caster:
         return Hits(ranges=ranges, incidence=incidence, wall=wall)
 
     def _dense(self, scans: _CastBatch) -> None:
-        """Meet every wall with every pose; walls share their vertices."""
+        """Intersect every wall from every pose; walls share their vertices."""
         poses, n_walls = scans.poses, len(self.along[0])
         x = self.vertices[0] - poses[:, :1]  # (n_poses, n_vertices)
         y = self.vertices[1] - poses[:, 1:2]
@@ -197,10 +197,10 @@ class _Caster:
         self._meet(scans, pose, k, (ax, ay), angle[:, i].ravel(), angle[:, j].ravel())
 
     def _staged(self, scans: _CastBatch, clusters: WallClusters) -> None:
-        """Meet each pose with the clusters nearest to it, then with those that are not hidden behind these."""
+        """Intersect the clusters nearest to each pose, then those that are not hidden behind them."""
         view = ClusterView(clusters, scans.poses, self.bearings)
         n_poses, n_clusters = len(scans.poses), len(clusters.radius)
-        left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # still to be met
+        left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # not yet intersected
         stages = [n for n in CLUSTER_STAGES if n < n_clusters]
         borders = np.partition(view.distance, stages, axis=1)[:, stages] if stages else np.empty((n_poses, 0))
         reach: SectorReach | None = None
@@ -213,7 +213,7 @@ class _Caster:
                 left &= ~view.hidden(reach)
 
     def _sparse(self, scans: _CastBatch, pose: Ints, walls: Ints, reach: SectorReach | None) -> None:
-        """Meet some walls with some poses: pairs (pose, wall); `reach`: what the rays have met so far."""
+        """Intersect pairs (pose, wall); `reach` is the range of the rays so far."""
         px, py, turn = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
         i, j = self.ends[0][walls], self.ends[1][walls]
         ax, ay = self.vertices[0][i] - px, self.vertices[1][i] - py
@@ -229,7 +229,7 @@ class _Caster:
 
     @staticmethod
     def _angle(x: Floats, y: Floats, turn: Floats) -> Floats:
-        """Return the bearing of points counted counter-clockwise from ray 0, in [0, 2 pi]."""
+        """Return the bearing of points, counted counter-clockwise from ray 0, in [0, 2 pi]."""
         angle = np.arctan2(y, x)
         angle -= turn
         angle += np.where(angle < 0, 2 * np.pi, 0.0)  # numpy's mod is ten times slower
@@ -244,9 +244,10 @@ class _Caster:
         angle_i: Floats,
         angle_j: Floats,
     ) -> None:
-        """Intersect each wall of each pair with the rays between its ends.
+        """Intersect the wall of each pair with the rays between its ends.
 
-        `end` is the wall's first end as seen from the pose; the angles of both ends are counted from ray 0.
+        `end` is the first end of the wall relative to the pose; the angles of both ends are counted from ray
+        0.
         """
         side = (
             end[0] * self.along[1][walls] - end[1] * self.along[0][walls]
@@ -268,8 +269,8 @@ class _Caster:
         _keep_nearest(scans.ranges.reshape(-1), scans.wall.reshape(-1), at, r, k)
 
     def _runs(self, right: Floats, left: Floats, base: Ints) -> tuple[Ints, Ints]:
-        """List every ray between the right and left end of each wall: (index of the pair, base of the pair + ray)."""
-        wraps = left < right - 2 * BEARING_PAD  # the wall straddles the direction of ray 0: two runs
+        """Return (index of the pair, base of the pair + ray) for every ray between the right and left end of each wall."""
+        wraps = left < right - 2 * BEARING_PAD  # the wall spans the direction of ray 0: two runs
         first, last = self._window(right, np.where(wraps, 2 * np.pi + BEARING_PAD, left))
         pair, at = _expand_runs(first, last, base)
         where = np.flatnonzero(wraps)
@@ -292,7 +293,7 @@ class _Caster:
 
 
 class _Walls:
-    """What casting needs of an arena's walls, prepared once."""
+    """Prepared walls of an arena."""
 
     def __init__(self, walls: Floats) -> None:
         points, ends = np.unique(walls[..., 0] + 1j * walls[..., 1], return_inverse=True)
@@ -314,12 +315,12 @@ def _prepared_walls(arena: Arena) -> _Walls:
 
 @lru_cache(maxsize=8)
 def _prepared_copy(walls: bytes) -> _Walls:
-    """Return walls that are the same in many casts, though not the same array: those of a scene."""
+    """Return the prepared walls for equal walls in many casts, though not the same array, as those of a scene."""
     return _Walls(np.frombuffer(walls).reshape(-1, 2, 2))
 
 
 def _keep_nearest(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:
-    """Take the least r per ray, and its wall; of walls equally far the first."""
+    """Keep the minimum r per ray, and its wall; of equally near walls the first."""
     before = ranges.copy()
     np.minimum.at(ranges, at, r)
     nearest = np.flatnonzero(r == ranges[at])[::-1]  # backwards: of equals the first is written last
@@ -329,7 +330,7 @@ def _keep_nearest(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> N
 
 
 def _expand_runs(first: Ints, last: Ints, base: Ints) -> tuple[Ints, Ints]:
-    """List (index, base[index] + ray) for every ray of the runs first..last."""
+    """Return (index, base[index] + ray) for every ray of the runs first..last."""
     count = last - first + 1
     some = np.flatnonzero(count > 0)
     count = count[some]
@@ -347,7 +348,7 @@ def _unit_tangents(walls: Floats) -> Floats:
 
 
 def _intersect_grazing(ax: Floats, ay: Floats, dx: Floats, dy: Floats, ux: Floats, uy: Floats) -> Floats:
-    """Intersect nearly parallel rays and walls, the hit held between the wall's ends (a, a + d)."""
+    """Intersect nearly parallel rays and walls, with the hit limited to the wall between its ends (a, a + d)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip((ax * uy - ay * ux) / (ux * dy - uy * dx), 0.0, 1.0)
     near = np.hypot(ax, ay) <= np.hypot(ax + dx, ay + dy)

@@ -1,4 +1,4 @@
-"""Robot: everything that robot.yaml says, read and checked."""
+"""Robot: the contents of robot.yaml, parsed and checked."""
 
 from __future__ import annotations
 
@@ -22,67 +22,69 @@ from sensorgraph.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class PoseReference:
-    """The external pose reference, e.g. an overhead camera."""
+    """External pose reference, such as an overhead camera."""
 
     rate: float = 30.0
     """[Hz]"""
     sigma_xy: float = 0.002
-    """[m] white noise of x and of y."""
+    """[m] White noise of x and of y."""
     sigma_yaw: float = 0.0015
-    """[rad] white noise of phi."""
+    """[rad] White noise of phi."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wheels:
-    """A differential pair of wheels and what its odometry does."""
+    """A differential pair of wheels, and the noise of its odometry."""
 
     radius: float = 0.10
     """[m]"""
     base: float = 0.40
-    """[m] between the wheels."""
+    """[m] Distance between the wheels."""
     sigma_v: float = 0.004
-    """[m/s] white noise of the measured speed."""
+    """[m/s] White noise of the measured speed."""
     sigma_omega: float = 0.006
-    """[rad/s] white noise of the measured turn rate."""
+    """[rad/s] White noise of the measured turn rate."""
     rate: float = 20.0
-    """[Hz] of odometry and of commands."""
+    """[Hz] Rate of odometry and of commands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Actuators:
-    """First-order motors behind a dead time."""
+    """First-order motors with dead time."""
 
     tau: float = 0.10
-    """[s] time constant of v and omega after a step of the command."""
+    """[s] Time constant of v and omega after a step of the command."""
     delay: float = 0.0
-    """[s] between a command and its first effect. From half of `control_period` on, it may hold the mean wait for a tick."""
+    """[s] Time between a command and its first effect. A delay of at least half of `control_period` may
+    include the mean wait for a control tick."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """What a careful set-up holds, as standard deviations; less than 2.5 times that is nuisance, not an effect."""
+    """Standard deviations of a careful setup; smaller deviations than 2.5 times these are nuisances, not effects."""
 
     map: float = 0.0045
-    """[m] vertices of the map."""
+    """[m] Vertices of the map."""
     mount_xy: float = 0.0018
-    """[m] laser in base_link."""
+    """[m] Laser in base_link."""
     mount_yaw: float = 0.0006
     """[rad]"""
     pose_xy: float = 0.0022
-    """[m] reference pose."""
+    """[m] Reference pose."""
     pose_yaw: float = 0.0015
     """[rad]"""
     stamp: float = 0.0035
-    """[s] clocks."""
+    """[s] Clocks."""
     control_period: float = 0.05
-    """[s] of the base's control loop: a command waits for the next tick, so its delay is uniform over one period."""
+    """[s] Period of the base's control loop. A command waits for the next tick, so that its delay is uniform
+    over one period."""
     transport_jitter: float = 0.005
-    """[s] standard deviation of a command's time from its stamp to the base."""
+    """[s] Standard deviation of the transport time of a command from its stamp to the base."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot(Vehicle):
-    """All of robot.yaml: the vehicle that planners drive, its range sensor, and the noise of its parts."""
+    """All of robot.yaml: the vehicle of the planners, its range sensor, and the noise of its parts."""
 
     sensor: RangeSensor
     pose: PoseReference = field(default_factory=PoseReference)
@@ -90,11 +92,11 @@ class Robot(Vehicle):
     actuators: Actuators = field(default_factory=Actuators)
     tolerances: Tolerances = field(default_factory=Tolerances)
     stated: frozenset[str] = frozenset()
-    """Keys of sections that the file states, as `tolerances.map`; the others are what is usual."""
+    """Keys of sections that the file contains, such as `tolerances.map`; all others have their defaults."""
     mounts: Mapping[str, Floats] = field(default_factory=dict)
-    """Name of each of several sensors, its topic or frame in logs -> (3,) [m, m, rad] in base_link."""
+    """Name of each of several sensors (its topic or frame in logs) -> (3,) [m, m, rad] in base_link."""
     text: str = ""
-    """The file as it came, kept for the record."""
+    """Text of the file, kept for the record."""
 
 
 SENSOR_DEFAULTS: dict[str, Any] = {
@@ -121,10 +123,10 @@ SECTIONS: dict[str, dict[str, Any]] = {
     "tolerances": asdict(Tolerances()),
 }
 RING: dict[str, Any] = {"name": "", "ring": 16, "radius": 0.2, "first": 0.0, "cone": 0.0}
-"""Sensors around the robot that look outwards: how many, how far [m] from its centre, where the first looks [rad].
-The k-th is called `name` with k behind it."""
+"""Sensors on a ring around the robot that look outwards: number, radius [m], and bearing of the first [rad].
+The k-th is called `name` followed by k."""
 MOUNTED: dict[str, Any] = {"name": "", "mount": [0.0, 0.0, 0.0], "cone": 0.0, "n_rays": 1, "fov": 3.14159265}
-"""A sensor at its place in base_link, named as its topic or frame in logs; with more than one ray, a laser."""
+"""A sensor with its mount in base_link, named like its topic or frame in logs; with several rays, a laser."""
 TOP: dict[str, Any] = {f.name: f.default for f in fields(Vehicle) if f.name != "limits"}
 MOST = {"n_rays": 100_000, "ring": 1000, "rate": 10_000.0}
 POSITIVE = {
@@ -146,21 +148,22 @@ SIGNED = {"first_ray_delay"}
 
 
 ANGLES = ("fov", "cone", "first", "_yaw")
-"""Ends of the keys whose values [rad] may be written in degrees: `270 deg`; so may the yaw of a `mount`."""
+"""Suffixes of the keys whose values [rad] may be written in degrees, as `270 deg`; so may the yaw of a
+`mount`."""
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
 
 
 def default_robot() -> Robot:
-    """Return the robot that an empty file describes."""
+    """Return the robot of an empty file."""
     return parse_robot("")
 
 
 def load_robot(path: Path | str | None = None) -> Robot:
-    """Read a robot.yaml; without a path, the one of the shipped robot.
+    """Read a robot.yaml; without a path, that of the shipped robot.
 
     Raises
     ------
-    SensorgraphError : what is wrong with the file, in one line; OSError where it cannot be opened
+    SensorgraphError : The file is invalid; the message is one line. OSError if it cannot be opened.
     """
     if path is None:
         return parse_robot((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
@@ -170,16 +173,17 @@ def load_robot(path: Path | str | None = None) -> Robot:
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
-        raise SensorgraphError(f"{path} is not a text file; expected a robot.yaml") from exc
+        raise SensorgraphError(f"{path} is not a text file, expected a robot.yaml") from exc
     return parse_robot(text, name=str(path))
 
 
 def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
-    """Parse the text of a robot.yaml; missing keys take their defaults.
+    """Parse the text of a robot.yaml; missing keys have their defaults.
 
     Raises
     ------
-    SensorgraphError : not YAML, an unknown key, or a value that cannot be; `name` stands in the message
+    SensorgraphError : The text is not YAML, a key is unknown, or a value is invalid. The message contains
+        `name`.
     """
     try:
         data = parse_yaml(text)
@@ -188,13 +192,13 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise SensorgraphError(
-            f"{name}: holds a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
+            f"{name}: contains a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
         )
     if {"features", "image"} & set(data):
         raise SensorgraphError(
-            f"{name}: holds an arena (keys {', '.join(map(str, [*data][:4]))}), expected a robot.yaml; are arena and robot swapped?"
+            f"{name}: contains an arena (keys {', '.join(map(str, [*data][:4]))}), expected a robot.yaml; are arena and robot swapped?"
         )
-    _refuse_unknown(name, "", data, [*TOP, *SECTIONS, "sensors"])
+    _reject_unknown(name, "", data, [*TOP, *SECTIONS, "sensors"])
     values = {key: _section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
     top = {key: _value(name, key, data.get(key, default), default) for key, default in TOP.items()}
     if top["drive"] not in DRIVES:
@@ -208,8 +212,8 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
         ]
         if extra:
             raise SensorgraphError(
-                f"{name}: `sensor.{extra[0]}` does not go with `sensors`, which says it for each; `sensor` keeps what "
-                "they share: range_min, range_max, sigma, resolution, rate, height"
+                f"{name}: `sensor.{extra[0]}` does not go with `sensors`, where each sensor has its own; `sensor` has only "
+                "the shared keys: range_min, range_max, sigma, resolution, rate, height"
             )
     try:
         return Robot(
@@ -229,9 +233,9 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
 
 
 def bearings(n_rays: int, fov: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return (n_rays,) [rad] evenly over `fov`, symmetric about straight ahead.
+    """Return (n_rays,) [rad] bearings, evenly spaced over `fov` and symmetric about straight ahead.
 
-    Both ends are rays, except for a full turn, where the last ray stops one step before the first.
+    Rays include both ends. In a full turn the last ray is one step before the first.
     """
     if fov > 2 * np.pi - 1e-6:
         return -np.pi + 2 * np.pi * np.arange(n_rays) / n_rays
@@ -249,15 +253,15 @@ class SensorPlace:
     cone: float
     """[rad]"""
     name: str
-    """Its topic or frame in logs; empty: not said."""
+    """Its topic or frame in logs; empty if not given."""
 
 
 def parse_sensors(name: str, entries: Any) -> list[SensorPlace]:
-    """Read `sensors:`, a list of mounts and rings.
+    """Parse `sensors:`, a list of mounts and rings.
 
     Raises
     ------
-    SensorgraphError : what is wrong with it, in one line; `name` stands in the message
+    SensorgraphError : The list is invalid; the message is one line and contains `name`.
     """
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise SensorgraphError(
@@ -289,7 +293,7 @@ def parse_sensors(name: str, entries: Any) -> list[SensorPlace]:
 
 
 def _sensor(values: Mapping[str, Any], sensors: list[SensorPlace] | None = None) -> RangeSensor:
-    """Return the sensor, or several as one in base_link."""
+    """Return the sensor, or several sensors as one in base_link."""
     if sensors is not None:
         shared = {key: value for key, value in values.items() if key not in ("n_rays", "fov", "mount")}
         phi = np.concatenate([wrap(part.bearings + part.mount[2]) for part in sensors])
@@ -312,11 +316,11 @@ def _sensor(values: Mapping[str, Any], sensors: list[SensorPlace] | None = None)
 def _check_fov(key: str, fov: float) -> None:
     if fov > 2 * np.pi + 1e-6:
         raise ValueError(
-            f"{key} is {fov} rad, expected at most 2 pi; degrees are not meant, unless written `{fov:g} deg`"
+            f"{key} is {fov} rad, expected at most 2 pi; write an angle in degrees as `{fov:g} deg`"
         )
 
 
-def _refuse_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[str]) -> None:
+def _reject_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[str]) -> None:
     for key in data:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
@@ -327,12 +331,12 @@ def _section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dic
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise SensorgraphError(f"{name}: `{key}` is {data!r}, expected keys {', '.join(defaults)}")
-    _refuse_unknown(name, f"{key}.", data, list(defaults))
+    _reject_unknown(name, f"{key}.", data, list(defaults))
     return {k: _value(name, f"{key}.{k}", data.get(k, default), default) for k, default in defaults.items()}
 
 
 def _value(name: str, key: str, value: Any, default: Any) -> Any:
-    """Check one value against the type of its default; numbers are finite and, where it matters, positive."""
+    """Check a value against the type of its default; numbers are finite and within their limits."""
     if isinstance(default, str):
         if not isinstance(value, str):
             raise SensorgraphError(f"{name}: `{key}` is {value!r}, expected a word such as {default!r}")
@@ -354,8 +358,8 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
         raise SensorgraphError(
             f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number{unit} such as {default}"
         )
-    least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
-    if (value < 0 and key.split(".")[-1] not in SIGNED) or (value == 0 and least == "above 0"):
+    least = "a value above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
+    if (value < 0 and key.split(".")[-1] not in SIGNED) or (value == 0 and least == "a value above 0"):
         raise SensorgraphError(f"{name}: `{key}` is {value}, expected {least}")
     most = MOST.get(key.split(".")[-1], np.inf)
     if value > most:
@@ -364,7 +368,7 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
 
 
 def _number(value: Any, *, is_angle: bool = False) -> Any:
-    """Turn `1e-3`, which YAML takes for a word, into a number, and an angle with its unit into radians; leave all else."""
+    """Convert `1e-3`, which YAML reads as text, to a number, and an angle with its unit to radians."""
     if not isinstance(value, str):
         return value
     text = value.strip()

@@ -1,8 +1,9 @@
-"""Scene: what the simulator knows of a run, and the rays that it shoots.
+"""Scene: the state of a run in the simulator, and the rays cast in it.
 
-A scene goes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each effect of
-`sensorgraph.effects` changes one of them, so any subset composes. `Beams` are the result; `draw_readings` samples readings
-from them (the simulator), and `sensorgraph.diagnose` asks how likely measured readings are (the same physics).
+A scene passes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each
+effect of `sensorgraph.effects` changes one of them, so that any subset can be combined. The result is
+`Beams`. `draw_readings` samples readings from them for simulation. `sensorgraph.diagnose` evaluates the
+likelihood of measured readings with the same physics.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_s
 from sensorgraph.world.sensor_parts import check_parts, part_names, part_of, sensor_of_rays
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
-MAX_DISTANCE = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
-CONE_STEP = np.radians(1.05)  # [rad] between the rays that fill a cone, at most
-RIGHT_ANGLE = 1.5707963  # [rad] an effect that begins at this incidence begins nowhere
-DISC_WALL = -2  # `wall` of a hit on a disc; a mover's is one less
+MAX_DISTANCE = 1e4  # [m] of a cast; the limits of the sensor apply later, to the reading
+CONE_STEP = np.radians(1.05)  # [rad] maximum step between the rays that fill a cone
+RIGHT_ANGLE = 1.5707963  # [rad] an effect that starts at this incidence never acts
+DISC_WALL = -2  # `wall` of a hit on a disc; that of a mover is one less
 
 
 class Transform(Protocol):
-    """One physical effect with its parameters, ready to be applied (see `sensorgraph.effects`)."""
+    """A physical effect with its parameters, ready to be applied (see `sensorgraph.effects`)."""
 
     @property
     def stage(self) -> str:
@@ -42,7 +43,7 @@ class Transform(Protocol):
 
     @property
     def key(self) -> tuple[object, ...]:
-        """In this order those of one stage act, so that it does not matter in which order they are given."""
+        """Sort key within a stage, so that the result is independent of the order in which effects are given."""
         ...
 
     def __call__(self, scene: Scene, /) -> None:
@@ -51,12 +52,12 @@ class Transform(Protocol):
 
 
 Caster = Callable[[Floats, Floats, Floats, Floats], Floats]
-"""Origins and unit directions (n_scans, n_rays) of rays, x and y [m, map] -> their ranges [m]; inf where nothing is."""
+"""Origins and unit directions (n_scans, n_rays) of rays, x and y [m, map] -> ranges [m]; inf without a hit."""
 
 
 @dataclass(eq=False)
 class Scene:
-    """Walls, sensor, and when and where each scan is taken; effects change it stage by stage."""
+    """Walls, sensor, and times and poses of the scans; effects change it stage by stage."""
 
     arena: Arena
     sensor: RangeSensor
@@ -65,39 +66,41 @@ class Scene:
     motion: Callable[[Floats], Floats]
     """Times (...) [s] -> poses (..., 3) of base_link in map."""
     span: float
-    """[s] length of the whole run; drifts are told relative to it."""
+    """[s] Length of the whole run; drifts are relative to it."""
     begin: float = 0.0
-    """[s] when the run starts."""
+    """[s] Start of the run."""
     casts: CastMemory | None = None
-    """Casts are kept here and taken from here, where given."""
+    """Cache of casts; None: no cache."""
     seed: int | None = None
-    """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
+    """Seed of objects that move at random (people); None: they are only a probability of a short reading."""
     caster: Caster | None = None
-    """Given: how far rays go is asked of it, another simulator; the walls only say what they meet there."""
+    """Another simulator that returns the ranges of rays; the walls then only identify what was hit. None: the
+    walls are cast."""
     wanted: Bools | None = None
-    """(n_scans, n_rays) Given: the others of the sensor's own thin rays meet nothing, and are not cast; cones and fans are whole."""
+    """(n_scans, n_rays) Thin rays of the sensor to be cast; the others have no hit. Cones and other fans are
+    always complete. None: all rays."""
     walls: Floats = field(init=False)
     """(n_walls, 2, 2) [m]"""
     discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """(n_discs, 3) [m] x, y, radius of round obstacles."""
+    """(n_discs, 3) [m] x, y and radius of round obstacles."""
     movers: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    """(n_scans, n_movers, 3) [m] round obstacles that move."""
+    """(n_scans, n_movers, 3) [m] Round obstacles that move."""
     mount: Floats = field(init=False)
-    """(3,) [m, m, rad] laser in base_link."""
+    """(3,) [m, m, rad] Laser in base_link."""
     bearings: Floats = field(init=False)
     """(n_rays,) [rad]"""
     delay: Floats = field(init=False)
-    """(n_rays,) [s] when each ray is taken, after the scan's stamp."""
+    """(n_rays,) [s] Time of each ray after the stamp of the scan."""
     dip: tuple[float, float] = (0.0, 0.0)
-    """[rad, rad] by which the plane of the laser dips, and the bearing at which it dips most."""
+    """[rad, rad] Tilt of the laser plane, and the bearing of its steepest descent."""
     surfaces: list[Callable[[Scene, Beams], None]] = field(default_factory=list)
-    """What walls do to rays that hit them."""
+    """Effects of walls on the rays that hit them."""
     outliers: float = 0.0
     """Share of readings that are uniform over (0, range_max)."""
     shorts: float = 0.0
     """Share of readings that stop before the expected range."""
     lattice: float = 0.0
-    """[m] returns are multiples of this; 0: as the sensor's resolution."""
+    """[m] Returns are multiples of this; 0: of the sensor's resolution."""
     beams: Beams = field(init=False)
 
     def __post_init__(self) -> None:
@@ -107,16 +110,18 @@ class Scene:
         self.delay = self.sensor.ray_delays
 
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
-        """Cast every ray or cone, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act.
+        """Cast every ray or cone, rotated by `offset` [rad], at walls, discs and movers, and apply the surfaces.
 
-        Other `bearings` than the sensor's are those of one laser at the mount.
+        Parameters
+        ----------
+        bearings : Bearings of a single laser at the mount; None: the sensor's.
         """
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
         is_cone = self.sensor.cones.any()
         if self.casts is None or (
             is_cone and self.surfaces
-        ):  # surfaces act on each ray of a cone, not on its nearest
+        ):  # surfaces act on each ray of a cone, not only on the nearest
             return self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
         surfaces, self.surfaces = self.surfaces, []
         key = self._key_of_rays(offset) + b"".join(p.tobytes() for p in (self.walls, self.discs, self.movers))
@@ -131,12 +136,12 @@ class Scene:
         return beams
 
     def _key_of_rays(self, offset: float | Floats) -> bytes:
-        """Return what the sensor's rays hang on, scans and motion being the same."""
+        """Return the bytes that determine the sensor's rays, for given scans and motion."""
         parts = (self.mount, self.delay, np.array(self.dip), np.asarray(offset, np.float64))
         return b"|".join(part.tobytes() for part in parts) + b"|"
 
     def _shoot_rays(self, offset: float | Floats, bearings: Floats) -> Beams:
-        """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
+        """Cast thin rays with these bearings (n,), rotated by `offset` [rad] or (n,)."""
         if self.casts is None or bearings is not self.bearings:
             rays = self._rays(offset, bearings)
             ranges, wall = self._hit(rays, self.wanted if bearings is self.bearings else None)
@@ -145,13 +150,13 @@ class Scene:
             rays = self.casts.rays(key, lambda: self._rays(offset, bearings))
             hits = self.casts.hits(key, rays, self.walls, lambda: self._hit(rays))
             ranges, wall = hits.ranges, hits.wall
-        ranges = self._recast(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
-        return self._met(
+        ranges = self._cast_externally(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
+        return self._stop_at_round_obstacles(
             _beams(self.walls, rays.ox, rays.oy, rays.ux, rays.uy, ranges, wall, self.sensor.sigma)
         )
 
     def _rays(self, offset: float | Floats, bearings: Floats) -> RayPaths:
-        """Return where rays of these bearings (n,) begin and go."""
+        """Return origins and directions of rays with these bearings (n,)."""
         bearings = self.levelled(bearings + offset)
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
         spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
@@ -176,7 +181,7 @@ class Scene:
         )
 
     def _hit(self, rays: RayPaths, some: Bools | None = None) -> tuple[Floats, Ints]:
-        """Return how far the rays go, and to which wall; of `some` of them (n_scans, n_rays), if given."""
+        """Return range and wall of the rays; only of `some` of them (n_scans, n_rays), if given."""
         if some is not None:
             ranges, wall = np.full(some.shape, np.inf), np.full(some.shape, -1, dtype=np.intp)
             x, y = (np.broadcast_to(o, some.shape)[some] for o in (rays.ox, rays.oy))
@@ -187,7 +192,7 @@ class Scene:
         return nearest_from_each(self.walls, rays.ox, rays.oy, rays.ux, rays.uy)
 
     def levelled(self, bearings: Floats) -> Floats:
-        """Return the bearings [rad] under which rays of a laser that dips are seen from above."""
+        """Return the bearings [rad] in the horizontal plane of rays of a tilted laser."""
         beta, deepest = self.dip
         if beta == 0.0:
             return bearings
@@ -195,10 +200,12 @@ class Scene:
         spread = np.arctan2(aside, along) - np.arctan2(aside, np.cos(bearings - deepest))
         return np.asarray(bearings + spread)
 
-    def _slant(self) -> None:
-        """Make readings of horizontal distances, and stop rays at the floor."""
+    def _apply_tilt(self) -> None:
+        """Convert horizontal distances to readings of a tilted laser, and stop rays at the floor."""
         beams, (beta, deepest) = self.beams, self.dip
-        sine = np.sin(beta) * np.cos(self.bearings - deepest)  # (n_rays,) of the angle below the horizontal
+        sine = np.sin(beta) * np.cos(
+            self.bearings - deepest
+        )  # (n_rays,) sine of the angle below the horizontal
         with np.errstate(divide="ignore"):
             floor = np.where(sine > 0, self.sensor.height / np.maximum(sine, 1e-12), np.inf)
         stretch = 1 / np.sqrt(1 - sine**2)
@@ -207,14 +214,14 @@ class Scene:
         beams.slope = np.where(down, 0.0, stretch) * beams.slope
         beams.bent()[down] = False
 
-    def _recast(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
-        """Return the ranges of the caster, where there is one."""
+    def _cast_externally(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
+        """Return the ranges of the external caster, if there is one."""
         if self.caster is None:
             return ranges
         return self.caster(*(np.broadcast_to(part, ux.shape) for part in (ox, oy, ux, uy)))
 
-    def _met(self, beams: Beams) -> Beams:
-        """Stop rays that walls have stopped at discs and movers, too, and let the surfaces act."""
+    def _stop_at_round_obstacles(self, beams: Beams) -> Beams:
+        """Stop rays at discs and movers in front of walls, and apply the surfaces."""
         for centres, index in ((self.discs[None], DISC_WALL), (self.movers, DISC_WALL - 1)):
             if centres.shape[1]:
                 _meet_discs(beams, centres, index)
@@ -223,7 +230,7 @@ class Scene:
         return beams
 
     def _shoot_cones(self, offset: float) -> Beams:
-        """Cast rays that fill the cone of each ray; what is measured is the nearest surface in it."""
+        """Cast rays that fill the cone of each ray; the reading is the nearest surface in the cone."""
         cones, n_scans = self.sensor.cones, len(self.stamps)
         n = 2 * int(np.ceil(cones.max() / CONE_STEP / 2)) + 1
         lasers = laser_poses(self.motion(self.stamps[:, None] + self.delay), self.mount)
@@ -234,8 +241,10 @@ class Scene:
         ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
         ux, uy = np.cos(phi), np.sin(phi)
         ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
-        ranges = self._recast(ranges, ox, oy, ux, uy)
-        filled = self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+        ranges = self._cast_externally(ranges, ox, oy, ux, uy)
+        filled = self._stop_at_round_obstacles(
+            _beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma)
+        )
         nearest = filled.ranges.reshape(n_scans, n, -1).argmin(axis=1)
         at = nearest * len(cones) + np.arange(len(cones))
         out: dict[str, Any] = {}
@@ -248,11 +257,12 @@ class Scene:
     def run(self, effects: Iterable[Transform] = ()) -> Beams:
         """Apply effects stage by stage, cast, and return the beams.
 
-        Effects whose place is one of several sensors act on its rays alone.
+        Effects located at one of several sensors act on its rays alone.
 
         Raises
         ------
-        SensorgraphError : an effect is of a sensor that there is not, or cannot be of one sensor alone
+        SensorgraphError : An effect is located at a sensor that does not exist, or cannot apply to one sensor
+            alone.
         """
         ordered = sorted(effects, key=lambda effect: (STAGES.index(effect.stage), effect.key))
         owner = sensor_of_rays(self.sensor)
@@ -261,20 +271,22 @@ class Scene:
         parts = {
             k: self._part(np.flatnonzero(owner == k))
             for k, name in enumerate(names)
-            if _sits_at(ordered, name)
+            if _is_located_at(ordered, name)
         }
-        self._apply([effect for effect in ordered if not _sits_at([effect], *names)])
+        self._apply([effect for effect in ordered if not _is_located_at([effect], *names)])
         for k, part in parts.items():
-            part._apply([effect for effect in ordered if not _sits_at([effect], *names[:k], *names[k + 1 :])])
+            part._apply(
+                [effect for effect in ordered if not _is_located_at([effect], *names[:k], *names[k + 1 :])]
+            )
             if (part.outliers, part.shorts, part.lattice) != (self.outliers, self.shorts, self.lattice):
                 raise SensorgraphError(
-                    f"an effect on all readings is said to be of {names[k]} alone; leave its location out"
+                    f"an effect on all readings is located at {names[k]} alone; remove its location"
                 )
             self.beams = _with_rays(self.beams, part.beams, np.flatnonzero(owner == k))
         return self.beams
 
     def _apply(self, ordered: Sequence[Transform]) -> None:
-        """Apply effects in this order, and cast in between."""
+        """Apply effects in this order, with the cast between the stages surface and optics."""
         cast_after = STAGES.index("optics")
         for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
             effect(self)
@@ -282,12 +294,12 @@ class Scene:
         for effect in (e for e in ordered if STAGES.index(e.stage) == cast_after):
             effect(self)
         if self.dip[0]:
-            self._slant()
+            self._apply_tilt()
         for effect in (e for e in ordered if STAGES.index(e.stage) > cast_after):
             effect(self)
 
     def _part(self, rays: Ints) -> Scene:
-        """Return the scene of one of several sensors, by its rays."""
+        """Return the scene of one of several sensors, given its rays."""
         return Scene(
             arena=self.arena,
             sensor=part_of(self.sensor, rays),
@@ -300,16 +312,16 @@ class Scene:
         )
 
 
-def _sits_at(effects: Iterable[Transform], *places: str) -> bool:
+def _is_located_at(effects: Iterable[Transform], *places: str) -> bool:
     return any(getattr(effect, "place", "") in places for effect in effects)
 
 
 def _with_rays(beams: Beams, part: Beams, rays: Ints) -> Beams:
-    """Return beams of which some rays are those of a part."""
+    """Return beams in which some rays are replaced by those of a part."""
     out: dict[str, Any] = {}
     for name in (f.name for f in fields(Beams)):
         whole, some = (
-            _IF_NONE.get(name) if v is None else v for v in (getattr(beams, name), getattr(part, name))
+            _DEFAULTS.get(name) if v is None else v for v in (getattr(beams, name), getattr(part, name))
         )
         table = np.broadcast_to(np.asarray(whole), beams.ranges.shape).copy()
         table[:, rays] = some
@@ -317,16 +329,16 @@ def _with_rays(beams: Beams, part: Beams, rays: Ints) -> Beams:
     return Beams(**out)
 
 
-_IF_NONE = {"straight": True, "within": False}
-"""What a field of `Beams` says everywhere where it is None."""
+_DEFAULTS = {"straight": True, "within": False}
+"""Value of a field of `Beams` that is None."""
 
 
 def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:
-    """Sample readings (n_scans, n_rays) [m] from a scene that has run: noise, lattice, limits (REP-117).
+    """Sample readings (n_scans, n_rays) [m] from an evaluated scene: noise, lattice, limits (REP-117).
 
     Parameters
     ----------
-    loss : chance that any ray is lost, whatever it meets
+    loss : Probability that any ray is lost, independent of what it hits.
     """
     beams, sensor = scene.beams, scene.sensor
     shape = beams.reading.shape
@@ -345,7 +357,7 @@ def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) 
 
 
 def apply_range_limits(readings: Floats, sensor: RangeSensor, lattice: float = 0.0) -> Floats:
-    """Round returns to the sensor's resolution and to a lattice [m]; beyond the limits is +inf or -inf."""
+    """Round returns to the sensor's resolution and to a lattice [m]; values beyond the limits become +inf or -inf."""
     hit = np.isfinite(readings)
     for step in (lattice, sensor.resolution):
         if step > 0:
@@ -355,14 +367,14 @@ def apply_range_limits(readings: Floats, sensor: RangeSensor, lattice: float = 0
 
 
 def fade(margin: Floats, width: Floats | float) -> Floats:
-    """Return a chance that goes from 0 to 1 where `margin` passes 0, over a few `width`s (a normal's integral)."""
+    """Return a probability that rises from 0 to 1 where `margin` crosses 0, over a few `width`s (normal integral)."""
     return np.asarray(ndtr(np.asarray(margin) / width))
 
 
 def _beams(
     walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sigma: float
 ) -> Beams:
-    """Add the normals of what is hit."""
+    """Return beams with the normals of what is hit."""
     if len(walls):
         d = walls[:, 1] - walls[:, 0]
         d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
@@ -378,12 +390,12 @@ def _beams(
 
 
 def _meet_discs(beams: Beams, discs: Floats, index: int) -> None:
-    """Stop rays at discs (n_scans or 1, n_discs, 3) that stand nearer than what they hit so far."""
+    """Stop rays at discs (n_scans or 1, n_discs, 3) that are nearer than what they hit so far."""
     for k in range(discs.shape[1]):
         cx, cy, radius = (discs[:, k, i][:, None] for i in range(3))  # (n_scans or 1, 1)
         ahead, aside = beams.towards(cx, cy)
         with np.errstate(invalid="ignore"):
-            r = ahead - np.sqrt(radius**2 - aside**2)  # nan beside the disc
+            r = ahead - np.sqrt(radius**2 - aside**2)  # nan for a ray that misses the disc
         met = (r > 0) & (r < beams.ranges)
         if not met.any():
             continue

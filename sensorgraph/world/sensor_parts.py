@@ -1,4 +1,4 @@
-"""Which of several sensors, read as one, a ray belongs to; and each of them as a sensor of its own."""
+"""Composite sensors: the sensor of each ray, and each part as a separate sensor."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Ints
 
 PART = "sensor"
-"""What each of several sensors is called, with its number behind it."""
+"""Name of a part, followed by its number."""
 
 
 def sensor_of_rays(sensor: RangeSensor) -> Ints:
-    """Return the number of the sensor (n_rays,) that each ray is of, counted in the order of their first rays.
+    """Return the number of the sensor (n_rays,) of each ray, in the order of their first rays.
 
-    Rays that start in one place are of one sensor.
+    Rays with the same origin belong to one sensor.
     """
     if not sensor.is_composite:
         return np.zeros(sensor.n_rays, dtype=np.intp)
@@ -28,27 +28,27 @@ def sensor_of_rays(sensor: RangeSensor) -> Ints:
 
 
 def part_names(sensor: RangeSensor) -> list[str]:
-    """Return what each of several sensors is called as the place of an effect; none where there is one sensor."""
+    """Return the names of the parts as locations of effects; empty for a single sensor."""
     if not sensor.is_composite:
         return []
     return [f"{PART} {k}" for k in range(int(sensor_of_rays(sensor).max()) + 1)]
 
 
 def check_parts(places: Sequence[str], names: Sequence[str]) -> None:
-    """Refuse a place that reads like one of several sensors, and is none of these.
+    """Reject a location that names a part that does not exist.
 
     Raises
     ------
-    SensorgraphError : there is no such sensor
+    SensorgraphError : There is no such sensor.
     """
     for place in places:
         if place.partition(" ")[0] == PART and place not in names:
             known = f"{names[0]} to {names[-1]}" if names else "one sensor, so leave the location out"
-            raise SensorgraphError(f"an effect is of `{place}`, the robot has {known}")
+            raise SensorgraphError(f"an effect applies to `{place}`, but the robot has {known}")
 
 
 def part_of(sensor: RangeSensor, rays: Ints) -> RangeSensor:
-    """Return one of several sensors, by its rays (n,), mounted where these start."""
+    """Return one part, given its rays (n,), mounted at their origin."""
     some = sensor.take(rays)
     mount = compose(sensor.mount, np.append(sensor.origins[rays[0]], 0.0))
     return replace(some, mount=mount, origins=np.zeros((0, 2)))

@@ -1,6 +1,6 @@
-"""Record what the embedded robot perceives: Driven -> Run, with the noise that robot.yaml states.
+"""Record what the simulated robot perceives: ExecutedDrive -> Run, with the noise of robot.yaml.
 
-Scans come from a `Scene`, with effects or without; so what is simulated is what `diagnose` knows.
+Scans come from a `Scene`, with or without effects, so that simulation and `diagnose` share one model.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import Scene, Transform, draw_readings
 
 EPOCH_NS = 1_704_067_200_000_000_000
-"""[ns] 2024-01-01T00:00:00Z, when every simulated run starts: the same seed gives the same bytes."""
-SCANS_PER_STEP = 1000  # scans cast between two ticks of the progress
+"""[ns] 2024-01-01T00:00:00Z, start of every simulated run: the same seed gives the same bytes."""
+SCANS_PER_STEP = 1000  # scans between two progress updates
 
 
 def scan_stamps(driven: ExecutedDrive, sensor: RangeSensor) -> Floats:
-    """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last scan ends in the run."""
+    """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last scan ends within the drive."""
     return np.arange(
         0.0,
         driven.stamps[-1] - sensor.scan_duration - max(sensor.first_ray_delay, 0.0) + 1e-9,
@@ -50,11 +50,11 @@ def simulate(
 
     Parameters
     ----------
-    effects : of the scan channel, what the sensor and the room have beyond robot.yaml and the map
-    seed : of people who walk about; noise comes from `rng`
-    perceive : (number of the first scan, poses (n, 3), or (n, n_rays, 3) of the rays of a sweep) -> readings (n, n_rays)
-        [m], in place of the arena
-    drivetrain : what the odometry is measured with; as in robot.yaml if not given
+    effects : Effects on the scan channel: deviations of sensor and room from robot.yaml and map.
+    seed : Seed of walking people; noise comes from `rng`.
+    perceive : (number of the first scan, poses) -> readings (n, n_rays) [m], instead of the arena. Poses are
+        (n, 3), or (n, n_rays, 3) for the rays of a sweep.
+    drivetrain : Drivetrain that measures the odometry; None: as in robot.yaml.
     """
     sensor = robot.sensor
     stamps = scan_stamps(driven, sensor)
@@ -97,14 +97,15 @@ def simulate(
 def occupancy_map(
     arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000, margin: float | None = None
 ) -> OccupancyMap:
-    """Rasterise an arena for /map: free 0, crossed by a wall 100, elsewhere unknown -1.
+    """Rasterise an arena for /map: free 0, wall 100, elsewhere unknown -1.
 
-    Walls that lie whole cells from the outermost ones are in the middle of theirs, where a reader takes them to be. The resolution [m] is made coarser where the grid would have more than `most` cells.
+    Walls that lie whole cells from the outermost ones are in the middle of their cells, where a reader
+    assumes them. The resolution [m] becomes coarser if the grid would exceed `most` cells.
 
     Parameters
     ----------
-    margin : [m] around the walls at which the map ends; None: all free space is in it. Where nothing stops the rays, that
-        of a graph goes as far as the laser reaches.
+    margin : [m] Margin around the walls at which the map ends; None: all free space is included. In a
+        sensorgraph the free space extends to the range of the laser where nothing stops the rays.
     """
     x0, y0, x1, y1 = arena.bounds
     if margin is not None and len(arena.walls):

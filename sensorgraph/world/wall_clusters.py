@@ -1,4 +1,4 @@
-"""Walls in clusters under bounding circles, so that a ray caster can leave out what is hidden behind nearer walls."""
+"""Walls in clusters with bounding circles, so that a ray caster can skip walls hidden behind nearer ones."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import numpy as np
 from sensorgraph.types import Bools, Floats, Ints
 
 WALLS_PER_CLUSTER = 10  # neighbouring walls under one bounding circle
-SECTORS = 64  # of the full turn (a power of two), in which it is noted how far the rays reach
+SECTORS = 64  # sectors of the full turn (a power of two) with the maximum range of their rays
 LEVELS = 5  # runs of 1, 2, 4, 8 and 16 sectors
 LEVEL_OF = np.minimum(np.frexp(np.maximum(np.arange(SECTORS + 1), 1).astype(np.float64))[1] - 1, LEVELS - 1)
 
 
 class WallClusters:
-    """Walls in groups of neighbours, each under a bounding circle."""
+    """Groups of neighbouring walls, each with a bounding circle."""
 
     def __init__(self, walls: Floats) -> None:
         length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
-        is_long = length > 8 * np.median(length)  # a long wall would blow up its neighbours' circle
+        is_long = length > 8 * np.median(length)  # a long wall would enlarge the circle of its neighbours
         order = morton_order(walls.mean(axis=1))
         short, long = order[~is_long[order]], order[is_long[order]]
         n_short = -(-len(short) // WALLS_PER_CLUSTER)
@@ -32,7 +32,7 @@ class WallClusters:
         self.radius = np.hypot(*(upper - lower).T) / 2 + 1e-9  # (n_clusters,) [m]
 
     def pairs(self, chosen: Bools) -> tuple[Ints, Ints]:
-        """List (pose, wall) for the chosen clusters (n_poses, n_clusters)."""
+        """Return (pose, wall) for the chosen clusters (n_poses, n_clusters)."""
         pose, cluster = np.nonzero(chosen)
         member = self.members[cluster]
         is_wall = member >= 0
@@ -40,14 +40,14 @@ class WallClusters:
 
 
 class ClusterView:
-    """Clusters as seen from a batch of poses: how far, and in which sectors of the full turn."""
+    """Distance and sectors of the clusters, seen from a batch of poses."""
 
     def __init__(self, clusters: WallClusters, poses: Floats, bearings: Floats) -> None:
         x, y = clusters.centre[:, 0] - poses[:, :1], clusters.centre[:, 1] - poses[:, 1:2]
         far = np.sqrt(x * x + y * y)
         self.distance: Floats = (
             far - clusters.radius
-        )  # (n_poses, n_clusters) [m] least; negative inside the circle
+        )  # (n_poses, n_clusters) [m] minimum distance; negative inside the circle
         per_radian = SECTORS / (2 * np.pi)
         middle = (np.arctan2(y, x) - (poses[:, 2:] + bearings[0])) * per_radian
         half = np.arcsin(np.minimum(clusters.radius / np.maximum(far, 1e-12), 1.0)) * per_radian + 1e-6
@@ -57,26 +57,26 @@ class ClusterView:
         self.row = np.arange(len(poses))[:, None]
 
     def hidden(self, reach: SectorReach) -> Bools:
-        """Tell which clusters lie beyond every ray that looks their way, (n_poses, n_clusters)."""
+        """Tell which clusters are beyond every ray in their sectors, (n_poses, n_clusters)."""
         return np.asarray(
             (self.distance > 0) & (self.distance > reach(self.row, self.first, self.last) + 1e-9)
         )
 
 
 class SectorReach:
-    """How far the rays of a batch reach, by sector of the full turn counted from ray 0; -inf: no ray there."""
+    """Maximum range of the rays of a batch, by sector of the full turn counted from ray 0; -inf without a ray."""
 
     def __init__(self, ranges: Floats, sectors: Ints, starts: Ints) -> None:
         reach = np.full((len(ranges), SECTORS), -np.inf)
         reach[:, sectors] = np.maximum.reduceat(ranges, starts, axis=1)
         table = [reach]
-        for level in range(LEVELS - 1):  # maximum over 1, 2, 4, ... sectors, round the circle
+        for level in range(LEVELS - 1):  # maximum over 1, 2, 4, ... sectors, modulo a full turn
             table.append(np.maximum(table[-1], np.roll(table[-1], -(1 << level), axis=1)))
         self.table = np.stack(table).reshape(-1)
         self.stride = reach.size
 
     def __call__(self, row: Ints, first: Ints, last: Ints) -> Floats:
-        """Return the farthest reach over sectors first..last (round the circle); +inf for more than a quarter turn."""
+        """Return the maximum reach over sectors first..last, modulo a full turn; +inf for more than a quarter turn."""
         count = last - first + 1
         level = LEVEL_OF[np.minimum(count, SECTORS)]
         start = level * self.stride + row * SECTORS
@@ -86,7 +86,7 @@ class SectorReach:
         return np.where(count <= 2 * width, farthest, np.inf)
 
     def between(self, row: Ints, low: Floats, high: Floats) -> Floats:
-        """Return the farthest reach between two angles counted from ray 0."""
+        """Return the maximum reach between two angles counted from ray 0."""
         per_radian = SECTORS / (2 * np.pi)
         first = (low * per_radian - 1e-6).astype(np.intp)
         return self(row, first, (high * per_radian + 1e-6).astype(np.intp))

@@ -1,4 +1,4 @@
-"""How far a point is from the nearest wall, fast enough to ask at every step of a drive."""
+"""Distance from a point to the nearest wall, fast enough for every step of a drive."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from planners.clearance import Barriers
 
 NODE_SPACING = 0.04  # [m] of the table, or coarser
 MAX_NODES = 1_000_000
-MAX_DISTANCE = 2.0  # [m] farther is all the same to a robot
+MAX_DISTANCE = 2.0  # [m] larger distances are irrelevant to a robot
 
 
 class WallDistance:
-    """Distance to the nearest wall, interpolated in a table of exact values; 0 outside the arena's bounds.
+    """Distance to the nearest wall, interpolated in a table of exact values; 0 outside the bounds of the arena.
 
-    Between the nodes the bilinear value is off by less than the cell (the distance is 1-Lipschitz), and exact
-    along a straight wall, where it matters. Distances above 2 m are said to be 2 m.
+    Between the nodes the error of the bilinear value is below one cell, since the distance is 1-Lipschitz.
+    Along a straight wall the value is exact. Distances above 2 m are returned as 2 m.
     """
 
     def __init__(self, arena: Arena) -> None:
@@ -32,7 +32,7 @@ class WallDistance:
     def __call__(self, x: float, y: float) -> float:
         """Return the distance [m] of (x, y) [m, map]."""
         u, v = (x - self.x0) / self.cell, (y - self.y0) / self.cell
-        if not (0 <= u < self.nx - 1 and 0 <= v < self.ny - 1):  # nor is any that is not finite
+        if not (0 <= u < self.nx - 1 and 0 <= v < self.ny - 1):  # also false for non-finite values
             return 0.0
         i, j = int(u), int(v)
         a, b = u - i, v - j

@@ -1,7 +1,7 @@
-"""Walls sorted into the cells of a grid, along which rays of any origin march: for buildings with thousands of walls.
+"""Walls sorted into the cells of a grid that rays traverse, for buildings with thousands of walls.
 
-A ray meets the walls of the cells that it crosses, nearest first, and stops in the cell where it hits one (Amanatides
-and Woo 1987, a fast voxel traversal algorithm).
+A ray meets the walls of the cells that it crosses, nearest first, and stops in the first cell with a hit
+(Amanatides and Woo 1987, a fast voxel traversal algorithm).
 """
 
 from __future__ import annotations
@@ -16,28 +16,26 @@ from sensorgraph.types import Floats, Ints
 
 CELLS_PER_WALL = 2.0
 MAX_CELLS = 1_000_000
-PAD = (
-    1e-6  # [m] a wall is in every cell that it comes so near, so that no ray slips through between two cells
-)
-FAR = 1e6  # [m] no wall that a grid is made for is farther from the origin of the map
+PAD = 1e-6  # [m] a wall belongs to all cells within this distance, so that no ray passes between two cells
+FAR = 1e6  # [m] maximum distance of a wall from the origin of the map
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallGrid:
-    """Which walls each cell of a grid holds."""
+    """The walls in each cell of a grid."""
 
     starts: Ints
-    """(nx * ny + 1,) where the walls of each cell begin in `members`; cells with the same x follow each other."""
+    """(nx * ny + 1,) Start of the walls of each cell in `members`; y varies fastest."""
     members: Ints
     """Indices of walls."""
     frame: Floats
     """(3,) [m] x and y of the lower left corner, side of a cell."""
     shape: tuple[int, int]
-    """Count of cells along x and y."""
+    """Number of cells along x and y."""
 
     @staticmethod
     def of(walls: Floats) -> WallGrid:
-        """Sort walls (n_walls, 2, 2) [m] into cells. Walls without length, or far away, are met by no ray: left out."""
+        """Sort walls (n_walls, 2, 2) [m] into cells; walls without length or far away are omitted."""
         is_wall = (walls[:, 0] != walls[:, 1]).any(axis=1) & (np.abs(walls) < FAR).all(axis=(1, 2))
         kept = np.flatnonzero(is_wall)
         if len(kept) == 0:
@@ -51,19 +49,19 @@ class WallGrid:
         nx, ny = (int(n) for n in size // cell + 1)
         frame = np.array([*low, cell])
         wall, place = _cells_of(walls, kept, frame, nx, ny)
-        order = np.argsort(place, kind="stable")  # in each cell the walls stay in their order
+        order = np.argsort(place, kind="stable")  # stable: walls keep their order in each cell
         starts = np.searchsorted(place[order], np.arange(nx * ny + 1))
         return WallGrid(starts=starts, members=wall[order], frame=frame, shape=(nx, ny))
 
 
 @lru_cache(maxsize=8)
 def grid_of(walls: bytes) -> WallGrid:
-    """Return the grid of walls that are the same in many casts, though not the same array: those of a scene."""
+    """Return the grid of walls that are equal in many casts, though not the same array, as those of a scene."""
     return WallGrid.of(np.frombuffer(walls).reshape(-1, 2, 2))
 
 
 def _cells_of(walls: Floats, kept: Ints, frame: Floats, nx: int, ny: int) -> tuple[Ints, Ints]:
-    """List (wall, cell) for every cell that a wall touches: column by column, from its lowest y there to its highest."""
+    """Return (wall, cell) for every cell that a wall touches, column by column."""
     x0, y0, cell = frame
     a, b = walls[kept, 0], walls[kept, 1]
     left, right = np.minimum(a[:, 0], b[:, 0]) - PAD, np.maximum(a[:, 0], b[:, 0]) + PAD
@@ -87,7 +85,7 @@ def _cells_of(walls: Floats, kept: Ints, frame: Floats, nx: int, ny: int) -> tup
 
 
 def _expanded(first: Ints, last: Ints) -> tuple[Ints, Ints]:
-    """List (index, k) for every k from first[index] to last[index]."""
+    """Return (index, k) for every k from first[index] to last[index]."""
     count = last - first + 1
     ends = np.cumsum(count)
     index = np.repeat(np.arange(len(count)), count)
@@ -97,17 +95,17 @@ def _expanded(first: Ints, last: Ints) -> tuple[Ints, Ints]:
 def nearest_in_grid(
     walls: Floats, grid: WallGrid, ox: Floats, oy: Floats, ux: Floats, uy: Floats
 ) -> tuple[Floats, Ints]:
-    """Return what `nearest_walls` does, for walls in a grid.
+    """Return the result of `nearest_walls`, for walls in a grid.
 
     Parameters
     ----------
     walls : (n_walls, 2, 2) [m]
-    ox, oy : (n,) [m] origins
-    ux, uy : (n,) unit directions
+    ox, oy : (n,) [m] Origins.
+    ux, uy : (n,) Unit directions.
     """
     nx, ny = grid.shape
     cell = grid.frame[2]
-    begin, end = np.zeros(len(ux)), np.full(len(ux), np.inf)  # [m] of each ray within the grid
+    begin, end = np.zeros(len(ux)), np.full(len(ux), np.inf)  # [m] where each ray enters and leaves the grid
     for at, along, size in ((ox - grid.frame[0], ux, nx * cell), (oy - grid.frame[1], uy, ny * cell)):
         with np.errstate(divide="ignore", invalid="ignore"):
             near, far = -at / along, (size - at) / along
@@ -123,13 +121,13 @@ def nearest_in_grid(
 def _march(
     walls: Floats, starts: Ints, members: Ints, frame: Floats, ny: int, rays: Floats
 ) -> tuple[Floats, Ints]:
-    """Meet rays with the walls of the cells on their way.
+    """Intersect rays with the walls of the cells on their way.
 
     Parameters
     ----------
-    starts, members, frame : of the WallGrid
-    ny : cells along y
-    rays : (6, n) [m] origin, unit direction, and from where to where the ray is in the grid
+    starts, members, frame : Arrays of the WallGrid.
+    ny : Number of cells along y.
+    rays : (6, n) [m] Origin, unit direction, and the distances at which the ray enters and leaves the grid.
     """
     nx, cell, n = (len(starts) - 1) // ny, frame[2], rays.shape[1]
     ranges, wall = np.empty(n), np.empty(n, np.intp)
@@ -148,7 +146,7 @@ def _march(
                 across = u * dy - v * dx
                 share = (ax * v - ay * u) / across
                 r = (ax * dy - ay * dx) / across
-                is_met = 0.0 <= share <= 1.0 and r >= 0.0  # not so where the ray is parallel: inf or nan
+                is_met = 0.0 <= share <= 1.0 and r >= 0.0  # false for a parallel ray: inf or nan
                 if is_met and (r < ranges[k] or (r == ranges[k] and at < wall[k])):
                     ranges[k], wall[k] = r, at
             next_x = ((i + ahead) * cell - x) / u if u != 0.0 else np.inf
