@@ -130,11 +130,14 @@ def test_a_disc_is_seen_where_it_stands_and_stops_the_robot(graph: Sensorgraph, 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"factors": {"colour": (0.0, 1.0)}}, "there is no factor 'colour', expected noise, "),
-        ({"factors": {"noise": (0.1, 0.0)}}, "noise from 0.1 to 0 m: expected a range that rises, from 0 on"),
-        ({"factors": {}}, "no factor is varied"),
+        ({"factors": {"colour": (0.0, 1.0)}}, "factor is 'colour', expected one of noise, "),
+        (
+            {"factors": {"noise": (0.1, 0.0)}},
+            "noise from 0.1 to 0 m: expected an increasing range of at least 0",
+        ),
+        ({"factors": {}}, "no factor varies"),
         ({"rows": 20}, "rows: n is 20, with 7 factors; expected a power of 2"),
-        ({"rows": 4096}, "4096 rows make 36,864 drives, more than 20,000"),
+        ({"rows": 4096}, "4096 rows need 36,864 drives, expected at most 20,000"),
         ({"duration": 0.0}, "duration is 0 s, expected 1 to 3600"),
         ({"start": (9.0, 9.0, 0.0)}, "start 9, 9, 0 is not in free space"),
     ],
@@ -149,7 +152,7 @@ def test_what_makes_no_sense_is_one_line(
 
 def test_a_controller_with_memory_is_refused(graph: Sensorgraph, robot: Robot) -> None:
     lagged = controller(robot, "L0_30(k-1)", theta=(0.1,))
-    with pytest.raises(SensorgraphError, match="expected a turn rate of what is perceived now"):
+    with pytest.raises(SensorgraphError, match="expected a turn rate as a function of the current readings"):
         influence(graph, lagged, robot, (1.5, 1.1, 0.0))
 
 

@@ -1,1 +1,1 @@
-"""Identify one signal of a run from others, and quantify behaviour."""
+"""Identify one signal of a run from others, measure behaviour, and design controllers."""

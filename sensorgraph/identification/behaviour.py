@@ -1,8 +1,11 @@
-"""Quantities of behaviour: what a drive is, in numbers that two drives can be compared by.
+"""Measure the behaviour of a drive in numbers, so that drives can be compared.
 
-After Nehmzow, Scientific Methods in Mobile Robotics (Springer 2006), chapters 4 to 6; the Lyapunov exponent by
-Rosenstein, Collins and De Luca, A practical method for calculating largest Lyapunov exponents from small data
-sets, Physica D 65 (1993); the correlation dimension by Grassberger and Procaccia, Physica D 9 (1983).
+    Lyapunov exponent: d_j(t) ~ C_j exp(lambda t), the slope of the mean log distance of neighbours over t.
+    Correlation dimension: C(r) ~ r^D, the slope of the log correlation sum over log r.
+
+Quantities: Nehmzow, Scientific Methods in Mobile Robotics (Springer 2006), chapters 4 to 6. Lyapunov exponent:
+Rosenstein, Collins and De Luca, A practical method for calculating largest Lyapunov exponents from small data sets,
+Physica D 65 (1993). Correlation dimension: Grassberger and Procaccia, Physica D 9 (1983).
 """
 
 from __future__ import annotations
@@ -20,39 +23,39 @@ from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
-COVERAGE_CELL = 0.25  # [m] of the coverage
+COVERAGE_CELL = 0.25  # [m] side of a coverage cell
 SAMPLE_STEP = 0.5  # [s] between samples of the embedded track
-EMBEDDING_DIMENSION = 4  # coordinates of the embedding, each DELAY apart
+EMBEDDING_DIMENSION = 4  # delays of the embedding, EMBEDDING_DELAY apart
 EMBEDDING_DELAY = 2.0  # [s]
-THEILER_WINDOW = 20.0  # [s] neighbours nearer in time are of the same visit
-DIVERGENCE_HORIZON = 8.0  # [s] over which neighbours' distance is followed
+THEILER_WINDOW = 20.0  # [s] neighbours closer in time belong to the same visit
+DIVERGENCE_HORIZON = 8.0  # [s] over which the distance of neighbours is followed
 N_REFERENCES = 1000  # points whose neighbours are counted for the dimension
-MIN_SAMPLES = 200  # samples that an exponent needs
+MIN_SAMPLES = 200  # minimum number of samples for an exponent
 
 
 @dataclass(frozen=True, kw_only=True)
 class Behaviour:
-    """One drive in numbers."""
+    """Quantities of one drive."""
 
     duration_s: float
     path_m: float
-    """Length of the way of base_link, forward and backward, by means over 0.5 s: noise of the poses is no way."""
+    """Length of the path of base_link, forward and backward, from means over 0.5 s, which suppress pose noise."""
     speed_m_s: float
-    """Mean: path over duration."""
+    """Mean speed: path over duration."""
     turn_rate_rad_s: float
-    """Mean of |heading change| per second, by means over 0.5 s."""
+    """Mean of |heading change| per second, from means over 0.5 s."""
     clearance_mean_m: float
     """Mean over scans of the nearest return."""
     clearance_min_m: float
-    """Nearest return of all."""
+    """Nearest return of all scans."""
     covered_m2: float
-    """Area of the 0.25 m cells that base_link was in."""
+    """Area of the 0.25 m cells that base_link visited."""
     coverage: float | None
-    """The same as a share of the arena's free area; None without an arena."""
+    """`covered_m2` over the free area of the arena; None without an arena."""
     lyapunov_1_s: float | None
-    """Largest Lyapunov exponent of the track (x, y): how fast near tracks part; None where there is too little."""
+    """Largest Lyapunov exponent of the track (x, y), the divergence rate of neighbouring tracks; None if too short."""
     dimension: float | None
-    """Correlation dimension of the embedded track; None where there is too little."""
+    """Correlation dimension of the embedded track; None if the track is too short."""
     dimension_low: float | None
     dimension_high: float | None
     """95 % interval of the dimension."""
@@ -64,21 +67,21 @@ LABELS: Mapping[str, tuple[str, float, str]] = {
     "speed_m_s": ("mean speed", 1, "m/s"),
     "turn_rate_rad_s": ("mean turn rate", 1, "rad/s"),
     "clearance_mean_m": ("nearest return, mean", 1, "m"),
-    "clearance_min_m": ("nearest return, least", 1, "m"),
+    "clearance_min_m": ("nearest return, minimum", 1, "m"),
     "covered_m2": ("floor visited", 1, "m²"),
     "coverage": ("share of the floor", 100, "%"),
     "lyapunov_1_s": ("Lyapunov exponent", 1, "1/s"),
     "dimension": ("correlation dimension", 1, ""),
-    "dimension_low": ("– at least", 1, ""),
-    "dimension_high": ("– at most", 1, ""),
+    "dimension_low": ("– lower limit (95 %)", 1, ""),
+    "dimension_high": ("– upper limit (95 %)", 1, ""),
 }
 
 
 def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
-    """Measure a run by its reference poses and its scans."""
+    """Measure a run from its reference poses and its scans."""
     pairing = pair(run)
     if int(pairing.paired.sum()) < 2:
-        raise SensorgraphError(f"{pairing}; a behaviour needs two poses or more")
+        raise SensorgraphError(f"{pairing}; expected two or more poses")
     stamps, poses = run.stamps[pairing.paired], pairing.poses[pairing.paired]
     duration = float(stamps[-1] - stamps[0])
     calm = _means(stamps, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
@@ -106,7 +109,7 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
 
 
 def _means(stamps: Floats, poses: Floats) -> Floats:
-    """Return the mean of poses (n, 3) in every STEP that has any."""
+    """Return the mean of poses (n, 3) in each SAMPLE_STEP that has poses."""
     _, place = np.unique(np.floor((stamps - stamps[0]) / SAMPLE_STEP).astype(np.int64), return_inverse=True)
     count = np.bincount(place)
     return np.stack([np.bincount(place, weights=column) / count for column in poses.T], axis=1)
@@ -115,8 +118,8 @@ def _means(stamps: Floats, poses: Floats) -> Floats:
 def lyapunov(stamps: Floats, track: Floats) -> float | None:
     """Estimate the largest Lyapunov exponent [1/s] of a track (n, 2) [m] at stamps (n,) [s].
 
-    The track is embedded by delays; each point's nearest neighbour of another visit is followed for `DIVERGENCE_HORIZON`,
-    and the exponent is the slope of the mean log distance.
+    The track is embedded by delays. For each point, the distance to its nearest neighbour of another visit is followed
+    over `DIVERGENCE_HORIZON`. The exponent is the slope of the mean log distance over time (Rosenstein 1993).
     """
     t, xy = _evenly(stamps, track)
     lag, ahead = round(EMBEDDING_DELAY / SAMPLE_STEP), round(DIVERGENCE_HORIZON / SAMPLE_STEP)
@@ -142,7 +145,7 @@ def lyapunov(stamps: Floats, track: Floats) -> float | None:
 def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float | None, float | None]:
     """Return the correlation dimension of a track (n, 2) [m] at stamps (n,) [s], and its 95 % interval.
 
-    The track is embedded as for the exponent; pairs within `THEILER_WINDOW` of each other in time do not count.
+    The track is embedded as for the exponent. Pairs closer in time than `THEILER_WINDOW` do not count.
     """
     _, xy = _evenly(stamps, track)
     try:
@@ -150,19 +153,19 @@ def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float 
             xy, dimension=EMBEDDING_DIMENSION, lag=round(EMBEDDING_DELAY / SAMPLE_STEP), theiler=round(THEILER_WINDOW / SAMPLE_STEP),
             n_reference=N_REFERENCES, rng=np.random.default_rng(0),
         )  # fmt: skip
-    except IdentError:  # too short, or hardly moving
+    except IdentError:  # too short, or almost at rest
         return None, None, None
     return found.value, *found.interval
 
 
 def _evenly(stamps: Floats, track: Floats) -> tuple[Floats, Floats]:
-    """Return stamps every STEP (m,) and the track (m, 2) at them."""
+    """Return evenly spaced stamps (m,) and the track (m, 2) interpolated at them."""
     t = np.arange(stamps[0], stamps[-1], SAMPLE_STEP)
     return t, np.stack([np.interp(t, stamps, column) for column in track.T], axis=1)
 
 
 def table(drives: Mapping[str, Behaviour]) -> list[str]:
-    """Return a markdown table, one column for each drive."""
+    """Return a Markdown table with one column per drive."""
     lines = ["| | " + " | ".join(drives) + " |", "|---|" + "---:|" * len(drives)]
     for field in fields(Behaviour):
         label, scale, unit = LABELS[field.name]

@@ -1,7 +1,13 @@
-"""Design a controller in an identified world: find the polynomial, predict its closed loop, drive it, compare.
+"""Design a controller in an identified world: search the polynomial, predict its closed loop, drive it, compare.
 
-The polynomial is searched by the cross-entropy method (Rubinstein 1999) on common random numbers; the closed loop is
-predicted by drives of the embedded robot in the graph, from starts nearby and with fresh noise.
+The coefficients theta are searched by the cross-entropy method (Rubinstein 1999) with common random numbers:
+
+    Sample: theta_k ~ N(mean, spread²) for k = 1 ... population.
+    Update: mean   <- smoothing mean(elite) + (1 - smoothing) mean, where the elite has the lowest cost.
+    Update: spread <- smoothing std(elite)  + (1 - smoothing) spread.
+    Cost: distance_error / distance_unit² + (4 max(turn_change / smoothness - 1, 0))² + touching_cost touching.
+
+The closed loop is predicted by drives of the simulated robot in the graph, from nearby starts and with new noise.
 """
 
 from __future__ import annotations
@@ -39,34 +45,34 @@ from sensorgraph.world.wall_distance import WallDistance
 
 OUTPUT = "cmd_omega"
 DEFAULT_INPUTS = ("L0-30", "L30-60", "L75-105")
-"""To the right, ahead on the right, ahead."""
+"""Mean ranges to the right, ahead on the right, and ahead."""
 
 OUTER_SHARE = 0.25
-"""Of the places at the distance asked for, those nearest the arena's bounds, among which the starts are."""
+"""Share of the places at the requested distance that are candidates for a start: those nearest to the bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignSettings:
-    """The search and the prediction; set by how well designs in the shipped square met what was asked."""
+    """Settings of search and prediction, tuned on designs in the shipped square."""
 
     population: int = 24
     elite: int = 6
     rounds: int = 20
     spread: float = 1.0
-    """[rad/s for each m] standard deviation of the first coefficients."""
+    """[rad/s per m] Standard deviation of the coefficients in the first round."""
     smoothing: float = 0.7
-    """Share of the elite's mean and spread that the next round takes."""
+    """Weight of the elite's mean and spread in the next round."""
     search_duration: float = 30.0
-    """[s] of a drive in the search, at most."""
+    """[s] Maximum duration of a drive in the search."""
     n_starts: int = 2
     distance_unit: float = 0.1
-    """[m] of wall distance that costs as much as a quarter of the smoothness too much."""
+    """[m] RMS error of the wall distance of cost 1; an excess of the smoothness by 25 % has the same cost."""
     touching_cost: float = 100.0
-    """Of touching a wall all the time."""
+    """Cost of permanent contact with a wall."""
     n_predicted: int = 8
-    """Drives that the prediction rests on."""
+    """Number of drives from which the behaviour is predicted."""
     start_spread: tuple[float, float] = (0.02, 0.05)
-    """[m, rad] standard deviation of the starts of these drives: how well a robot is put down."""
+    """[m, rad] Standard deviations of the start poses of these drives, typical of a robot placed by hand."""
 
 
 DESIGN = DesignSettings()
@@ -74,27 +80,27 @@ DESIGN = DesignSettings()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerDesign:
-    """A controller, and what it will do."""
+    """A designed controller and its predicted behaviour."""
 
     task: DesignTask
     model: Narmax
-    """Of the turn rate."""
+    """Model of the turn rate."""
     facts: dict[str, Any]
-    """What a MODEL.json says beside the model: the speed that is held, the period, the inputs."""
+    """Other entries of MODEL.json: the constant speed, the period, the inputs."""
     start: Floats
-    """(3,) [m, m, rad] where the drives begin."""
+    """(3,) [m, m, rad] Start pose of the drives."""
     prediction: dict[str, Interval]
     tracks: list[ExecutedDrive] = field(repr=False)
     """The predicted drives."""
     walls: Arena
-    """Of the graph."""
+    """Walls of the graph."""
 
     def save(self, path: Path) -> None:
-        """Write the controller as a MODEL.json, which `record --controller` drives.
+        """Write the controller as a MODEL.json for `record --controller`.
 
         Raises
         ------
-        OSError : the file cannot be written
+        OSError : The file cannot be written.
         """
         with atomic_file(path) as part:
             part.write_text(json.dumps(self.model.to_dict() | self.facts, indent=1) + "\n")
@@ -128,22 +134,23 @@ def design(
 
     Parameters
     ----------
-    graph : of faces, whose walls stop the robot and whose readings it perceives
-    inputs : signals such as `L0-30`, mean returns of the rays between two angles counted from the robot's right
-    degree : of the polynomial
+    graph : Graph of faces; its walls stop the robot and its predictions are the readings.
+    inputs : Signals such as `L0-30`, the mean range of the rays between two angles from the robot's right.
+    degree : Degree of the polynomial.
 
     Raises
     ------
-    SensorgraphError : the robot cannot do what is asked, the graph is not of faces, or no place is that far from a wall
+    SensorgraphError
+        The task exceeds the limits of the robot, the graph has no faces, or no place has this distance from a wall.
     """
     task.check(robot)
     if not isinstance(graph.model, Faces):
         raise SensorgraphError(
-            f"the graph is of {graph.model.name}; build one of faces, whose walls stop the robot"
+            f"the graph has the model {graph.model.name}, expected faces, whose walls stop the robot; build one of faces"
         )
     if not 1 <= degree <= 4 or not inputs:
         raise SensorgraphError(
-            f"degree {degree} of {len(inputs)} inputs: expected 1 to 4, and an input or more"
+            f"degree is {degree} with {len(inputs)} inputs; expected a degree of 1 to 4 and at least one input"
         )
     walls = arena_of(graph)
     clearance = WallDistance(walls)
@@ -172,7 +179,7 @@ def design(
 def drive_design(
     found: ControllerDesign, arena: Arena, robot: Robot, *, seed: int = 0
 ) -> tuple[ExecutedDrive, DriveQuantities]:
-    """Drive a designed controller with the embedded robot in an arena, and measure it by the arena's walls."""
+    """Drive a designed controller with the simulated robot in an arena, and measure the drive."""
     world = ArenaWorld(arena, robot, seed + 1000)
     clearance = WallDistance(arena)
     steer = PolynomialController(found.model, found.facts, robot, name="the design")
@@ -182,11 +189,11 @@ def drive_design(
 
 
 def start_poses(walls: WallDistance, arena: Arena, robot: Robot, distance: float, n: int) -> Floats:
-    """Return poses (n, 3) at a distance [m] from the nearest wall, which is on the right, spread along the outer walls.
+    """Return poses (n, 3) at a distance [m] from the nearest wall on the right, spread along the outer walls.
 
     Raises
     ------
-    SensorgraphError : no place is that far from a wall
+    SensorgraphError : No place has this distance from a wall.
     """
     table = np.array(walls.table)
     gx, gy = np.gradient(table, walls.cell)
@@ -197,14 +204,14 @@ def start_poses(walls: WallDistance, arena: Arena, robot: Robot, distance: float
     i, j, x, y = i[inside], j[inside], x[inside], y[inside]
     if len(i) == 0:
         raise SensorgraphError(
-            f"no place is {distance:g} m from its nearest wall; the farthest is {table.max():.2f} m: ask for less"
+            f"no place is {distance:g} m from its nearest wall, the maximum is {table.max():.2f} m; reduce the wall distance"
         )
     x0, y0, x1, y1 = arena.bounds
     rim = np.min([x - x0, x1 - x, y - y0, y1 - y], axis=0)
     outer = rim <= np.quantile(rim, OUTER_SHARE)
     i, j, x, y = i[outer], j[outer], x[outer], y[outer]
     chosen = [len(i) // 2]
-    while len(chosen) < min(n, len(i)):  # the farthest from those chosen
+    while len(chosen) < min(n, len(i)):  # add the place farthest from those chosen
         gap = np.min([np.hypot(x - x[c], y - y[c]) for c in chosen], axis=0)
         chosen.append(int(gap.argmax()))
     phi = np.arctan2(-gx[i, j], gy[i, j])
@@ -221,11 +228,11 @@ def _searched(
     seed: int,
     progress: Progress | None,
 ) -> Floats:
-    """Return the coefficients (n_terms,) [rad/s] of least cost."""
+    """Return the coefficients (n_terms,) [rad/s] of lowest cost."""
     rng = np.random.default_rng([seed, 7])
     mean = np.zeros(len(terms))
     linear = [len(term) == 1 and term[0].power == 1 for term in terms]
-    mean[linear] = -settings.spread  # a wall that is near: turn left
+    mean[linear] = -settings.spread  # turn left if a wall is near
     spread = np.full(len(terms), settings.spread)
     best, least = mean, np.inf
     for round_ in range(settings.rounds):
@@ -250,7 +257,7 @@ def _searched(
 
 
 def _controller(terms: Terms, theta: Floats, scale: Scale) -> Narmax:
-    """Return the polynomial as a model that `record --controller` reads: designed, so without standard errors."""
+    """Return the polynomial as a model for `record --controller`; it was not fitted and has no standard errors."""
     n = len(terms)
     model = Narmax(
         output=OUTPUT, terms=terms, theta=theta, covariance=np.zeros((n, n)), err=np.zeros(n), sigma=0.0,

@@ -1,4 +1,4 @@
-"""What is asked of a controller, and what a drive came to: wall distance, speed, smoothness, contacts, laps."""
+"""The task of a controller, and the measured quantities of a drive: wall distance, speed, smoothness, contacts, laps."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from sensorgraph.world.drive import STANDSTILL, Clearance, ExecutedDrive
 from sensorgraph.world.robot import Robot
 
 WALL_SIGMA = 0.002
-"""[m] what the walls of a graph, and tables of the distance to them, are off by beside the noise of the drives."""
+"""[m] Standard deviation of the walls of a graph and of distance tables, in addition to the noise of the drives."""
 SAMPLE_STEP = 0.1
-"""[s] between the samples of a drive that are measured."""
+"""[s] Time step between the measured samples of a drive."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignTask:
-    """The behaviour asked for."""
+    """The requested behaviour."""
 
     wall_distance: float
-    """[m] from the centre of the robot to the nearest wall; the wall is on its right."""
+    """[m] Distance from the centre of the robot to the nearest wall, which is on its right."""
     speed: float
-    """[m/s]"""
+    """[m/s] Driving speed."""
     smoothness: float = 1.0
-    """[rad/s^2] largest root mean square of the change of the commanded turn rate."""
+    """[rad/s^2] Maximum root mean square change of the commanded turn rate."""
     duration: float = 90.0
-    """[s] of a drive that is predicted."""
+    """[s] Duration of a predicted drive."""
 
     def check(self, robot: Robot) -> None:
-        """Refuse what the robot cannot do.
+        """Refuse a task that exceeds the limits of the robot.
 
         Raises
         ------
-        SensorgraphError : a number is out of the robot's range
+        SensorgraphError : A value is outside the range of the robot.
         """
         limits = (
             ("wall distance", self.wall_distance, robot.footprint_radius, 2.0, "m"),
@@ -54,24 +54,25 @@ class DesignTask:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveQuantities:
-    """One drive in numbers."""
+    """Quantities of one drive."""
 
     wall_distance_m: float
-    """Mean."""
+    """Mean over time."""
     wall_distance_5_m: float
     """5 % quantile over time."""
     wall_distance_95_m: float
+    """95 % quantile over time."""
     speed_m_s: float
     turn_change_rad_s2: float
-    """Root mean square of the change of the commanded turn rate."""
+    """Root mean square change of the commanded turn rate."""
     contacts: float
     lap_s: float
-    """[s] of one turn around the middle of the floor; nan where the drive did not come round."""
+    """[s] Duration of one turn around the centre of the floor; nan if the drive did not complete one."""
 
 
 def quantities(drive: ExecutedDrive, clearance: Clearance, middle: Floats, period: float) -> DriveQuantities:
-    """Measure a drive against walls; `middle` (2,) [m] is what laps go around, `period` [s] that of the scans."""
-    end = float(drive.stamps[-1]) - STANDSTILL  # then it is told to stand
+    """Measure a drive; `middle` (2,) [m] is the centre of the laps, `period` [s] the period of the scans."""
+    end = float(drive.stamps[-1]) - STANDSTILL  # after that, the command is to stand
     t = np.arange(0.0, end, SAMPLE_STEP)
     poses = drive.at(t)
     distance = np.array([clearance(x, y) for x, y in poses[:, :2]])
@@ -94,7 +95,7 @@ def quantities(drive: ExecutedDrive, clearance: Clearance, middle: Floats, perio
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """What a quantity will be in the next drive."""
+    """Prediction of a quantity of the next drive."""
 
     mean: float
     low: float
@@ -102,14 +103,14 @@ class Interval:
     """95 % prediction interval over drives (Student's t)."""
 
     def holds(self, value: float) -> bool:
-        """Tell whether a value lies within; one that is not known lies in what is not known."""
+        """Return whether the interval contains a value; an unknown interval contains only an unknown value."""
         if np.isnan(self.mean) or np.isnan(value):
             return bool(np.isnan(self.mean) and np.isnan(value))
         return self.low - 1e-9 <= value <= self.high + 1e-9
 
 
 def predicted(drives: Sequence[DriveQuantities]) -> dict[str, Interval]:
-    """Return the prediction interval of every quantity from drives of the same kind."""
+    """Return the prediction interval mean ± t_(n-1, 0.975) sigma sqrt(1 + 1/n) of each quantity from n drives."""
     out = {}
     for field in fields(DriveQuantities):
         values = np.array([getattr(drive, field.name) for drive in drives])

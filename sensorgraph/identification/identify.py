@@ -1,4 +1,4 @@
-"""Identify one signal from others: split, fit, score on what the fit has not seen, and say it all in one report."""
+"""Identify one signal from others: split the records, fit a model, score it on held-out records, report."""
 
 from __future__ import annotations
 
@@ -24,33 +24,35 @@ Split = Literal["half", "block", "none"]
 SPLITS: tuple[str, ...] = get_args(Split)
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 N_BLOCKS = 10
-"""Pieces that a record is cut into by `block`; every second one is held out."""
+"""Number of pieces into which `block` cuts a record; every second piece is held out."""
 MAX_TERMS = 3000
+"""Maximum number of candidate terms."""
 MIN_SCORED_SAMPLES = 3
-"""Samples that a score needs."""
+"""Minimum number of samples for a score."""
 ROWS_PER_NOISE_LAG = 10
+"""Minimum number of samples per noise lag."""
 TESTED_LAGS = (20, 10, 5, 2)
-"""[samples] of the residual tests: the most that the data allow."""
+"""[samples] Maximum lags of the residual tests; the largest that the data allow is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentificationSpec:
-    """What is to be explained, by what, and in which form."""
+    """The output, the inputs, and the structure of the model."""
 
     output: str
     inputs: Sequence[str]
     lags: int = 2
-    """[samples] inputs are read at k, k-1, ..., k-lags."""
+    """[samples] Inputs are used at k, k-1, ..., k-lags."""
     output_lags: int = 0
-    """[samples] past outputs k-1, ..., k-output_lags."""
+    """[samples] Past outputs are used at k-1, ..., k-output_lags."""
     degree: int = 2
     noise_lags: int | Literal["auto"] = 0
-    """[samples] past noise e(k-1), ..., e(k-noise_lags); `auto`: as many as the residual asks for."""
+    """[samples] Past noise is used at k-1, ..., k-noise_lags; `auto` chooses the number from the residual."""
     split: Split = "half"
     criterion: Criterion | None = None
     n_terms: int | None = None
     auto: bool = False
-    """Lags, degree, terms and limits are chosen by free runs over stretches left out; what is given here is not used."""
+    """Choose lags, degree, terms and limits by free runs over held-out intervals; the values given here are ignored."""
 
     def __post_init__(self) -> None:
         try:
@@ -65,44 +67,44 @@ class IdentificationSpec:
             raise SensorgraphError("criterion n_terms needs `n_terms` N")
         if self.auto and (self.noise_lags or self.criterion or self.n_terms):
             raise SensorgraphError(
-                "auto chooses the terms and has no noise terms; leave noise_lags, criterion and n_terms out"
+                "auto chooses the terms and has no noise terms; leave out noise_lags, criterion and n_terms"
             )
         if not self.inputs and not self.output_lags and not self.auto:
             raise SensorgraphError(
-                "nothing to explain the output by; give `inputs`, or `output_lags` above 0"
+                "the output has no explanatory signal; give `inputs`, or `output_lags` above 0"
             )
         if "record" in (self.output, *self.inputs):
-            raise SensorgraphError("record separates records and is no signal; name others")
+            raise SensorgraphError("column record separates records and is not a signal; give other signals")
         if self.output in self.inputs:
             raise SensorgraphError(
-                f"{self.output} cannot explain itself; its past is read with `output_lags` N"
+                f"{self.output} is output and input; to use its past, give `output_lags` N"
             )
         if len(set(self.inputs)) < len(self.inputs):
             raise SensorgraphError(f"an input is given twice: {', '.join(self.inputs)}")
 
     @property
     def terms(self) -> Terms:
-        """The dictionary: all products up to the degree."""
+        """Candidate terms: all products of the lagged signals up to the degree."""
         signals = lags(variable(self.output), 1, self.output_lags) if self.output_lags else []
         for name in self.inputs:
             signals += lags(variable(name), 0, self.lags)
         size = math.comb(len(signals) + self.degree, self.degree)
         if size > MAX_TERMS:
             raise SensorgraphError(
-                f"{len(signals)} lagged signals of degree {self.degree} make {size:,} candidate terms, more than "
+                f"{len(signals)} lagged signals of degree {self.degree} give {size:,} candidate terms, expected at most "
                 f"{MAX_TERMS:,}; lower `degree` or `lags`, or give fewer inputs"
             )
         return polynomial(signals, self.degree)
 
     @property
     def look_back(self) -> int:
-        """[samples]"""
+        """[samples] Largest lag."""
         return max(self.lags if self.inputs else 0, self.output_lags)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentifiedSignal:
-    """The model, and how it does on the records held out."""
+    """The model and its performance on the held-out records."""
 
     model: Narmax
     question: IdentificationSpec
@@ -112,23 +114,23 @@ class IdentifiedSignal:
     one_step: list[Floats]
     free_run: list[Floats]
     scores: dict[str, Score]
-    """`one_step`, `free_run`, `persistence` (the last measured value), `constant` (the mean of the training)."""
+    """`one_step`, `free_run`, `persistence` (the last measured value), `constant` (the mean of the training data)."""
     validation: list[dict[str, Any]]
     outside: Extrapolation
-    """What of the part that is scored lies where the model was not fitted."""
+    """Share and errors of the scored samples outside the range of the training data."""
     n_train: int
     unknown: dict[str, float]
-    """Signal -> share of its samples that are not known."""
+    """Signal -> share of unknown samples."""
 
     @property
     def varies(self) -> bool:
-        """Whether what was measured varies at all in the part that is scored."""
+        """Whether the measured output varies in the scored records."""
         values = np.concatenate(self.measured)
         values = values[np.isfinite(values)]
         return bool(len(values)) and float(np.ptp(values)) > 0
 
     def report(self) -> dict[str, Any]:
-        """Return the model file: the model itself, the question, and the scores."""
+        """Return the content of the model file: the model, the specification, and the scores."""
         q = self.question
         return {
             **self.model.to_dict(),
@@ -153,7 +155,7 @@ class IdentifiedSignal:
 
 
 def identify(data: SignalData, question: IdentificationSpec) -> IdentifiedSignal:
-    """Fit a model on one part of the records and score it on the other."""
+    """Fit a model to one part of the records and score it on the other part."""
     output = variable(question.output)
     unknown = _shares(data)
     train, test = split_records(data.records, question.split)
@@ -184,7 +186,7 @@ def identify(data: SignalData, question: IdentificationSpec) -> IdentifiedSignal
 def _fitted(
     train: list[Record], output: str, question: IdentificationSpec
 ) -> tuple[Narmax, IdentificationSpec]:
-    """Return the model, and the question with the lags and the degree that were chosen."""
+    """Return the model, and the specification with the chosen lags and degree."""
     if question.auto:
         found = auto_fit(train, output, [variable(name) for name in question.inputs])
         order, degree = found.chosen.order, found.chosen.degree
@@ -195,7 +197,7 @@ def _fitted(
 
 
 def _validated(model: Narmax, test: list[Record], question: IdentificationSpec) -> list[dict[str, Any]]:
-    """Return the residual tests on what was held out; none where it is too short for any lag."""
+    """Return the residual tests on the held-out records; empty if these are too short for every lag."""
     inputs = [variable(name) for name in question.inputs]
     for max_lag in TESTED_LAGS:
         try:
@@ -210,10 +212,11 @@ def _validated(model: Narmax, test: list[Record], question: IdentificationSpec) 
 
 
 def split_records(records: Sequence[Record], split: str) -> tuple[list[Record], list[Record]]:
-    """Return what to train on and what to score on; no lag crosses from one into the other.
+    """Return training and test records; no lag crosses from one into the other.
 
-    `half`: the first half of every record trains, the second is scored. `block`: a record is cut in ten pieces,
-    every second of which is held out. `none`: everything trains, and the same is scored.
+    - `half`: The first half of each record is for training, the second half for scores.
+    - `block`: Each record is cut into ten pieces, and every second piece is held out.
+    - `none`: All records are used for training and for scores.
     """
     if split == "none":
         return list(records), list(records)
@@ -231,14 +234,14 @@ def split_records(records: Sequence[Record], split: str) -> tuple[list[Record], 
 
 
 def _shares(data: SignalData) -> dict[str, float]:
-    """Return signal -> share of unknown samples, and refuse what is not known at all."""
+    """Return signal -> share of unknown samples; refuse a signal without a known sample."""
     out = {}
     for key, name in data.names.items():
         values = np.concatenate([r.signals[key] for r in data.records])
         out[name] = float(np.mean(~np.isfinite(values)))
         if out[name] == 1.0:
             raise SensorgraphError(
-                f"{name} has no known sample; leave it out, or look at the file with `inspect`"
+                f"{name} has no known sample; leave it out, or check the file with `sensorgraph inspect`"
             )
     return out
 
@@ -256,31 +259,31 @@ def _check(
     ]
     if min(longest) < need:
         raise SensorgraphError(
-            f"the longest stretch to train on has {longest[0]} samples, to test on {longest[1]}; lags of "
-            f"{question.look_back} need {need} each; lower the lags, or give longer records"
+            f"the longest interval without a gap has {longest[0]} samples for training and {longest[1]} for testing; "
+            f"lags of {question.look_back} need {need} each; lower the lags, or give longer records"
         )
     known = np.concatenate([r.signals[output] for r in train])
     known = known[np.isfinite(known)]
     if not len(known) or float(np.ptp(known)) <= 1e-12 * max(float(np.abs(known).max()), 1e-300):
         raise SensorgraphError(
-            f"{question.output} is constant in the training part; there is nothing to explain"
+            f"{question.output} is constant in the training data; expected a signal that varies"
         )
     usable = _rows(train, question)
     if usable < len(question.terms):
         holes = ", ".join(f"{name} {share:.0%} unknown" for name, share in unknown.items() if share)
         raise SensorgraphError(
-            f"{usable} whole samples cannot train a dictionary of {len(question.terms)} terms"
+            f"{usable} complete samples are too few for {len(question.terms)} candidate terms"
             f"{f' ({holes})' if holes else ''}; lower `degree` or `lags`, or give more data"
         )
     if question.noise_lags != "auto" and question.noise_lags > usable // ROWS_PER_NOISE_LAG:
         raise SensorgraphError(
-            f"{usable} whole samples cannot tell {question.noise_lags} noise lags; give "
-            f"{usable // ROWS_PER_NOISE_LAG} at most, or auto"
+            f"{usable} complete samples are too few for {question.noise_lags} noise lags; give at most "
+            f"{usable // ROWS_PER_NOISE_LAG}, or auto"
         )
 
 
 def _rows(records: list[Record], question: IdentificationSpec) -> int:
-    """Count samples at which every signal of the dictionary is known."""
+    """Count the samples at which all lagged signals are known."""
     past = [(variable(question.output), 0)] + [
         (variable(question.output), lag) for lag in range(1, question.output_lags + 1)
     ]
@@ -294,7 +297,7 @@ def _rows(records: list[Record], question: IdentificationSpec) -> int:
 
 
 def _previous_value(record: Record, output: str) -> Floats:
-    """Return the value before each sample (n,); nan at the start of a stretch."""
+    """Return the value before each sample (n,); nan after a gap."""
     out = np.full(len(record), np.nan)
     for piece in record.segments():
         out[piece.start + 1 : piece.stop] = record.signals[output][piece.start : piece.stop - 1]
@@ -302,16 +305,16 @@ def _previous_value(record: Record, output: str) -> Floats:
 
 
 def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
-    """Score predictions of several records, where both are known."""
+    """Score predictions of several records at the samples where measurement and prediction are known."""
     x, y = np.concatenate(list(measured)), np.concatenate(list(predicted))
     n = int((np.isfinite(x) & np.isfinite(y)).sum())
-    if n < MIN_SCORED_SAMPLES:  # a free run that left for infinity, records too short for a prediction
+    if n < MIN_SCORED_SAMPLES:  # the free run diverged, or the records are too short for a prediction
         nan = math.nan
         return Score(n=n, rmse=nan, rrse=nan, r=nan, r_low=nan, r_high=nan, p_value=nan, n_effective=nan)
-    with np.errstate(over="ignore", invalid="ignore"):  # on its way to infinity
+    with np.errstate(over="ignore", invalid="ignore"):  # the free run may diverge
         return score_series(x, y)
 
 
 def finite_numbers(s: Score | Extrapolation) -> dict[str, float | None]:
-    """Return scores as plain data; what is not defined is None."""
+    """Return scores as plain data; an undefined score is None."""
     return {k: v if math.isfinite(v) else None for k, v in vars(s).items()}

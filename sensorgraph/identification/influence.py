@@ -1,8 +1,10 @@
-"""What robot, sensor and environment have to do with behaviour: one controller, factors varied in the identified world.
+"""Estimate the influence of robot, sensor and environment on the behaviour of one controller in the identified world.
 
-Behaviour comes of robot, task and environment together (Nehmzow, Scientific Methods in Mobile Robotics, 2006). Here the
-task is held: the same polynomial drives on the same noise, and Sobol shares say which factor makes a quantity of its
-behaviour vary, alone (first order) and in all (total).
+    First-order Sobol index of factor x_i on quantity Y: S_i = Var(E[Y | x_i]) / Var(Y).
+    Total Sobol index, with all interactions: ST_i = 1 - Var(E[Y | x_(not i)]) / Var(Y).
+
+Behaviour depends on robot, task and environment together (Nehmzow, Scientific Methods in Mobile Robotics, 2006). Here
+the task is constant: the same polynomial drives with the same noise while factors vary.
 """
 
 from __future__ import annotations
@@ -28,23 +30,23 @@ from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
 
 OBSTACLE_AT = 0.4
-"""Share of the undisturbed drive at which it passes the place where the obstacle may stand out from the wall."""
+"""Share of the nominal drive at which it passes the obstacle, which protrudes from the nearest wall."""
 MAX_DRIVES = 20_000
 MAX_WIDTH = 1.0
-"""Of the interval of a total share; a wider one says that a few drives make most of the variance."""
+"""Maximum width of the interval of a total index; if wider, a few drives dominate the variance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFactor:
-    """One thing that may be otherwise, uniform between two values."""
+    """A factor that varies uniformly between two values."""
 
     part: Literal["robot", "sensor", "environment"]
     low: float
     high: float
     rest: float
-    """Value that changes nothing."""
+    """Nominal value, which has no influence."""
     least: float
-    """Smallest value that makes sense."""
+    """Smallest valid value."""
     unit: str
     meaning: str
 
@@ -72,7 +74,7 @@ FACTORS: dict[str, VariedFactor] = {
         part="environment", low=0.0, high=0.2, rest=0.0, least=0.0, unit="m", meaning="out from the wall"
     ),
 }
-"""Name -> factor, with the range that is varied if nothing else is said."""
+"""Name -> factor with its default range."""
 QUANTITIES: dict[str, tuple[str, str]] = {
     "wall_distance_m": ("wall distance, mean", "m"),
     "wall_distance_sd_m": ("wall distance, s.d.", "m"),
@@ -85,28 +87,28 @@ QUANTITIES: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Influence:
-    """Which factor makes which quantity of behaviour vary."""
+    """Sobol indices of each factor for each quantity of behaviour."""
 
     factors: Mapping[str, tuple[float, float]]
-    """VariedFactor -> the range that it was varied in."""
+    """Name of a factor -> its range."""
     shares: SampledSobol
-    """Of (factors, `QUANTITIES`)."""
+    """Sobol indices of (factors, `QUANTITIES`)."""
     undisturbed: Mapping[str, float]
-    """Quantity -> value where no factor is off its rest."""
+    """Quantity -> value of the nominal drive."""
     n_drives: int
     duration: float
-    """[s] of a drive."""
+    """[s] Duration of a drive."""
     start: Floats
-    """(3,) [m, m, rad]"""
+    """(3,) [m, m, rad] Start pose of all drives."""
     tracks: Floats = field(repr=False)
-    """(n_scans, n, 3) of some of the drives."""
+    """(n_scans, n, 3) [m, m, rad] Poses of some of the drives."""
     track: Floats = field(repr=False)
-    """(n_scans, 3) of the undisturbed drive."""
+    """(n_scans, 3) [m, m, rad] Poses of the nominal drive."""
     walls: Arena
-    """Of the graph."""
+    """Walls of the graph."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the shares as plain data; what is not defined is None."""
+        """Return the indices as plain data; an undefined value is None."""
 
         def plain(value: float) -> float | None:
             return None if np.isnan(value) else float(value)
@@ -150,20 +152,20 @@ def influence(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Influence:
-    """Drive one controller `rows` * (factors + 2) times in an identified world, and share out the variance.
+    """Drive one controller `rows` * (factors + 2) times in an identified world, and estimate Sobol indices.
 
     Parameters
     ----------
-    graph : of faces
-    controller : polynomial of the turn rate in what is perceived now
-    start : (3,) [m, m, rad] of base_link
-    factors : name -> (least, largest) value; default: all of `FACTORS`, each in its own range
-    rows : a power of 2
-    duration : [s] of a drive
+    graph : Graph of faces.
+    controller : Polynomial of the turn rate in the current readings.
+    start : (3,) [m, m, rad] Start pose of base_link.
+    factors : Name -> (lowest, highest) value. None: all `FACTORS` in their default ranges.
+    rows : Rows of the sample, a power of 2.
+    duration : [s] Duration of a drive.
 
     Raises
     ------
-    SensorgraphError : a factor or number is out of range, the graph is not of faces, or the controller has lags
+    SensorgraphError : A factor or number is out of range, the graph has no faces, or the controller has lags.
     """
     spans = {name: (f.low, f.high) for name, f in FACTORS.items()} if factors is None else dict(factors)
     _check(graph, controller, spans, rows, duration)
@@ -192,8 +194,8 @@ def influence(
             controller.model, controller.held, place, varied, obstacle, middle, duration, progress
         )
 
-    alone = driven({}, 1, None)
-    obstacle = _beside(alone.tracks[:, 0], clearance) if "obstacle" in spans else None
+    nominal = driven({}, 1, None)
+    obstacle = _wall_obstacle(nominal.tracks[:, 0], clearance) if "obstacle" in spans else None
     points = saltelli_points(rows, len(spans), np.random.default_rng([seed, 10]))
     flat = points.reshape(-1, len(spans))
     values = {name: low + (high - low) * flat[:, i] for i, (name, (low, high)) in enumerate(spans.items())}
@@ -201,9 +203,9 @@ def influence(
     found = np.stack([drives.quantities[name] for name in QUANTITIES], axis=-1)
     shares = sampled_sobol(found.reshape(rows, len(spans) + 2, -1), np.random.default_rng([seed, 11]))
     return Influence(
-        factors=spans, shares=shares, undisturbed={k: float(v[0]) for k, v in alone.quantities.items()},
+        factors=spans, shares=shares, undisturbed={k: float(v[0]) for k, v in nominal.quantities.items()},
         n_drives=len(flat), duration=duration, start=place, tracks=drives.tracks[:, :: len(spans) + 2],
-        track=alone.tracks[:, 0], walls=walls,
+        track=nominal.tracks[:, 0], walls=walls,
     )  # fmt: skip
 
 
@@ -215,35 +217,39 @@ def _check(
     duration: float,
 ) -> None:
     if not isinstance(graph.model, Faces):
-        raise SensorgraphError(f"a graph of {graph.model.name}: expected one of faces, as `build` makes")
+        raise SensorgraphError(
+            f"the graph has the model {graph.model.name}, expected faces; build it with `sensorgraph build`"
+        )
     model = controller.model
     lagged = model.terms.max_lag or model.output in model.terms.variables or len(model.noise_terms)
     if not controller.is_turn or lagged or controller.every != 1 or not controller.rays:
         raise SensorgraphError(
-            f"{controller.name}: expected a turn rate of what is perceived now, at every scan, as `design` writes"
+            f"{controller.name}: expected a turn rate as a function of the current readings, without lags, as `design` writes"
         )
     if not spans:
-        raise SensorgraphError("no factor is varied; give one or more")
+        raise SensorgraphError("no factor varies; give at least one")
     for name, (low, high) in spans.items():
         if name not in FACTORS:
-            raise SensorgraphError(f"there is no factor {name!r}, expected {', '.join(FACTORS)}")
+            raise SensorgraphError(f"factor is {name!r}, expected one of {', '.join(FACTORS)}")
         if not FACTORS[name].least <= low < high < np.inf:
             unit = f" {FACTORS[name].unit}".rstrip()
             raise SensorgraphError(
-                f"{name} from {low:g} to {high:g}{unit}: expected a range that rises, from {FACTORS[name].least:g} on"
+                f"{name} from {low:g} to {high:g}{unit}: expected an increasing range of at least {FACTORS[name].least:g}"
             )
     if not 1.0 <= duration <= 3600.0:
-        raise SensorgraphError(f"duration is {duration:g} s, expected 1 to 3600")
+        raise SensorgraphError(f"duration is {duration:g} s, expected 1 to 3600 s")
     try:
         points = saltelli_points(rows, len(spans), np.random.default_rng(0))
     except IdentError as exc:
         raise SensorgraphError(f"rows: {exc}") from exc
     if (n := points.shape[0] * points.shape[1]) > MAX_DRIVES:
-        raise SensorgraphError(f"{rows} rows make {n:,} drives, more than {MAX_DRIVES:,}; give fewer")
+        raise SensorgraphError(
+            f"{rows} rows need {n:,} drives, expected at most {MAX_DRIVES:,}; give fewer rows"
+        )
 
 
-def _beside(track: Floats, clearance: WallDistance) -> WallObstacle:
-    """Return the wall that the drive passes: the point of it nearest to the pose there, and the way into the room."""
+def _wall_obstacle(track: Floats, clearance: WallDistance) -> WallObstacle:
+    """Return the place of the obstacle: the wall point nearest to the pose at OBSTACLE_AT, and the normal into the room."""
     x, y, _ = track[int(OBSTACLE_AT * len(track))]
     h = clearance.cell
     slope = np.array(
@@ -255,16 +261,16 @@ def _beside(track: Floats, clearance: WallDistance) -> WallObstacle:
 
 
 def is_determined(found: Influence, quantity: int) -> bool:
-    """Tell whether the drives say how the variance of a quantity, by its place in `QUANTITIES`, is shared."""
+    """Return whether the drives determine the indices of a quantity, given by its index in `QUANTITIES`."""
     widths = np.ptp(found.shares.total_interval[:, quantity], axis=-1)
     return bool(np.isfinite(widths).any() and np.nanmax(widths) <= MAX_WIDTH)
 
 
 def table(found: Influence) -> list[str]:
-    """Return a markdown table: for every quantity and factor the shares alone and in all, with 95 % intervals."""
+    """Return a Markdown table: first-order and total index of each factor for each quantity, with 95 % intervals."""
     s, names = found.shares, list(found.factors)
     lines = [
-        "| share of the variance: alone / in all | " + " | ".join(names) + " |",
+        "| Sobol index: first order / total | " + " | ".join(names) + " |",
         "|---|" + "---|" * len(names),
     ]
     for j, (label, unit) in enumerate(QUANTITIES.values()):
@@ -279,7 +285,7 @@ def table(found: Influence) -> list[str]:
             lines.append(f"| {label}: {value} |" + " – |" * len(names))
             continue
         if not is_determined(found, j):
-            lines.append(f"| {head}; a few drives make most of it: give more rows |" + " – |" * len(names))
+            lines.append(f"| {head}; dominated by a few drives: give more rows |" + " – |" * len(names))
             continue
         cells = [
             f"{s.first[i, j]:.2f} ({s.first_interval[i, j, 0]:.2f} to {s.first_interval[i, j, 1]:.2f}) / "

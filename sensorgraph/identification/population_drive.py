@@ -1,4 +1,9 @@
-"""Many polynomial controllers driven at once in an identified world, all on the same noise."""
+"""Drive many polynomial controllers at once in an identified world, all with the same noise.
+
+Controller: turn = sum_j theta_j term_j(inputs - centres), limited to ± limits.omega.
+Motors: v <- v + clip((speed - v) (1 - exp(-dt / tau)), ± a dt).
+Motors: omega <- omega + clip((turn - omega) (1 - exp(-dt / tau)), ± alpha dt).
+"""
 
 from __future__ import annotations
 
@@ -14,21 +19,24 @@ from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
 
 MOTION_STEP = 0.02
-"""[s] of the motion between scans."""
-BESIDE = 0.2
-"""[m] to the right of the robot, where the wall must be as much nearer: it is followed, not circled before."""
+"""[s] Time step of the motion between scans."""
+RIGHT_OFFSET = 0.2
+"""[m] Offset of a second point to the right of the robot, whose wall distance is requested smaller by this offset.
+
+It makes the robot follow the wall instead of circling in front of it.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PopulationDrive:
-    """What the drives came to, one value for each controller and start."""
+    """Quantities of the drives, one value per controller and start."""
 
     distance_error: Floats
-    """(n_controllers, n_starts) [m^2] mean square of wall distance - asked, of the robot and of a point to its right."""
+    """(n_controllers, n_starts) [m^2] Mean square error of the wall distance at the robot plus that at its right."""
     turn_change: Floats
-    """(n_controllers, n_starts) [rad/s^2] root mean square."""
+    """(n_controllers, n_starts) [rad/s^2] Root mean square change of the turn rate."""
     touching: Floats
-    """(n_controllers, n_starts) share of the time."""
+    """(n_controllers, n_starts) Share of time in contact with a wall."""
 
 
 class ClosedLoopPopulation:
@@ -43,7 +51,7 @@ class ClosedLoopPopulation:
         seed: int,
         mount: Floats,
     ) -> None:
-        """Take inputs as variable -> rays of the graph; `mount` (3,) brings poses of base_link to those of the graph."""
+        """Take inputs as variable -> rays of the graph; `mount` (3,) transforms poses of base_link to the graph's frame."""
         self.model, self.robot, self.inputs, self.seed, self.mount = model, robot, inputs, seed, mount
         self.rays = np.unique(np.concatenate(list(inputs.values())))
         self.columns = {name: np.searchsorted(self.rays, rays) for name, rays in inputs.items()}
@@ -51,7 +59,7 @@ class ClosedLoopPopulation:
         self.walls, self.table = walls, np.array(walls.table)
 
     def perceived(self, poses: Floats, scan: int, n_starts: int) -> Floats:
-        """Draw the inputs (n, n_inputs) [m] at poses (n, 3) in one scan; nan where none returned."""
+        """Draw the inputs (n, n_inputs) [m] at poses (n, 3) in one scan; nan where no ray returned."""
         rng = np.random.default_rng([self.seed, 6, scan])
         shape = (n_starts, len(self.rays))
         uniform, normal = rng.random(shape), rng.normal(size=shape)
@@ -66,7 +74,7 @@ class ClosedLoopPopulation:
         return out
 
     def drawn(self, poses: Floats, uniform: Floats, normal: Floats, scan: int) -> Floats:
-        """Draw readings (n, n_rays) [m] at poses (n, 3) of base_link by numbers of the same shape."""
+        """Draw readings (n, n_rays) [m] at poses (n, 3) of base_link from random numbers (n, n_rays)."""
         return self.model.draw(self._there(poses), uniform, normal, self.rays)
 
     def _there(self, poses: Floats) -> Floats:
@@ -89,13 +97,14 @@ class ClosedLoopPopulation:
         self, terms: Terms, theta: Floats, centres: Floats, starts: Floats, *, speed: float, wall_distance: float,
         duration: float,
     ) -> PopulationDrive:  # fmt: skip
-        """Drive every controller from every start.
+        """Drive each controller from each start.
 
         Parameters
         ----------
-        terms : of the inputs less their `centres` (n_inputs,) [m]
+        terms : Terms of the inputs minus their `centres`.
         theta : (n_controllers, n_terms) [rad/s]
-        starts : (n_starts, 3)
+        centres : (n_inputs,) [m]
+        starts : (n_starts, 3) [m, m, rad]
         """
         robot, n_starts = self.robot, len(starts)
         poses = np.tile(starts, (len(theta), 1)).astype(np.float64)
@@ -122,9 +131,9 @@ class ClosedLoopPopulation:
                 v, omega = self._motors(v, omega, speed, waiting[0])
                 poses, held = self._moved(poses, v, omega)
                 touch += held / steps
-            right = poses[:, :2] + BESIDE * np.column_stack([np.sin(poses[:, 2]), -np.cos(poses[:, 2])])
+            right = poses[:, :2] + RIGHT_OFFSET * np.column_stack([np.sin(poses[:, 2]), -np.cos(poses[:, 2])])
             square += (self.clearance(poses[:, :2]) - wall_distance) ** 2
-            square += (self.clearance(right) - (wall_distance - BESIDE)) ** 2
+            square += (self.clearance(right) - (wall_distance - RIGHT_OFFSET)) ** 2
         shape = (len(theta), n_starts)
         return PopulationDrive(
             distance_error=(square / n_scans).reshape(shape),
@@ -133,7 +142,7 @@ class ClosedLoopPopulation:
         )
 
     def _motors(self, v: Floats, omega: Floats, speed: float, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the twists one step later: first order, with limited acceleration."""
+        """Return the twists one step later: first-order lag with limited acceleration."""
         limits, tau = self.robot.limits, self.robot.actuators.tau
         share = 1.0 - math.exp(-MOTION_STEP / tau) if tau > 0 else 1.0
         dv, domega = limits.a * MOTION_STEP, limits.alpha * MOTION_STEP
@@ -143,7 +152,7 @@ class ClosedLoopPopulation:
         )
 
     def _moved(self, poses: Floats, v: Floats, omega: Floats) -> tuple[Floats, Bools]:
-        """Return the poses one step later, and which bodies a wall holds."""
+        """Return the poses one step later, and which robots are stopped by a wall."""
         turn = omega * MOTION_STEP
         middle = poses[:, 2] + turn / 2
         xy = poses[:, :2] + (v * MOTION_STEP)[:, None] * np.column_stack([np.cos(middle), np.sin(middle)])

@@ -1,7 +1,7 @@
-"""Signals by name: out of a run, or out of the columns of a CSV file; as records for identification.
+"""Read signals by name from a run or from the columns of a CSV file, as records for identification.
 
-`L67` is the ray nearest to 67°, counted counter-clockwise from the robot's right (0° right, 90° ahead, 180° left),
-`L45-90` the mean over the rays between. Nehmzow's papers number the rays of a laser that looks ahead like this.
+`L67` is the ray nearest to 67°, counter-clockwise from the robot's right (0° right, 90° ahead, 180° left). `L45-90` is
+the mean over the rays from 45° to 90°. Nehmzow's papers number the rays of a forward-looking laser in this way.
 """
 
 from __future__ import annotations
@@ -30,58 +30,54 @@ ODOMETRY = ("v", "omega")
 COMMANDS = ("cmd_v", "cmd_omega")
 RAY_PATTERN = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
 RESERVED_NAMES = ("cos", "sin", "e")
-"""Words of the terms: functions, and the noise."""
+"""Names with a meaning in terms: functions, and the noise."""
 STEP_TOLERANCE, MAX_UNEVEN_SHARE = 0.2, 0.1
-"""Steps of time that differ from the median by more than this share, and the share of steps that may."""
+"""Relative deviation of a time step from the median above which it is uneven, and the allowed share of uneven steps."""
 MAX_COMMAND_AGE = 0.5
-"""[s] a command older than this when the log of commands has ended is not known."""
+"""[s] Time after the last command of the log for which this command stays known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SignalData:
-    """Records of signals, under names that a term can hold."""
+    """Records of signals under names that are valid in terms."""
 
     records: list[Record]
     names: Mapping[str, str]
-    """Variable of the terms -> name of the signal as the user wrote it: `L45_90` -> `L45-90`."""
+    """Variable in the terms -> name given by the user: `L45_90` -> `L45-90`."""
     period: float | None
-    """[s] between samples; None where the file does not say."""
+    """[s] Time between samples; None if the file does not give it."""
     held: Mapping[str, float] = field(default_factory=dict)
-    """What else was commanded, by its median: the speed that goes with a turn rate."""
+    """Median of the other command, for example the speed that belongs to a turn rate."""
     notes: Sequence[str] = ()
-    """What the user should know, one line each."""
+    """Notes for the user, one line each."""
     log_notes: Sequence[str] = ()
-    """What was taken for granted when the log was read."""
+    """Notes on assumed and repaired data of the log."""
 
 
 def variable(name: str) -> str:
-    """Return the name that stands for a signal in terms: letters, digits and _."""
+    """Return the name of a signal in terms, of letters, digits and _."""
     plain = re.sub(r"\W", "_", name.strip())
     return f"s_{plain}" if not plain or plain[0].isdigit() or plain in RESERVED_NAMES else plain
 
 
 def variables(names: Iterable[str]) -> dict[str, str]:
-    """Return variable -> name; two names that come out the same are an error."""
+    """Return variable -> name; refuse two names with the same variable."""
     out: dict[str, str] = {}
     for name in names:
         key = variable(name)
         if out.setdefault(key, name) != name:
-            raise SensorgraphError(
-                f"signals {out[key]!r} and {name!r} would both be called {key}; rename one of them"
-            )
+            raise SensorgraphError(f"signals {out[key]!r} and {name!r} both become {key}; rename one of them")
     return out
 
 
 def rays_of(sensor: RangeSensor, name: str) -> Ints:
-    """Return the indices of the rays that a signal such as `L67` or `L45-90` stands for."""
+    """Return the indices of the rays of a signal such as `L67` or `L45-90`."""
     found = RAY_PATTERN.fullmatch(name)
     assert found is not None
     degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
     low, high = float(found[1]), float(found[2] or found[1])
     if high < low:
-        raise SensorgraphError(
-            f"{name} ends before it begins; write the smaller angle first, L{high:g}-{low:g}"
-        )
+        raise SensorgraphError(f"{name} has its larger angle first; write L{high:g}-{low:g}")
     step = float(np.median(np.diff(degrees))) if len(degrees) > 1 else 1.0
     if found[2] is None:
         nearest = int(np.abs(degrees - low).argmin())
@@ -90,31 +86,31 @@ def rays_of(sensor: RangeSensor, name: str) -> Ints:
         chosen = np.flatnonzero((degrees >= low - 1e-6) & (degrees <= high + 1e-6)).astype(np.intp)
     if not len(chosen):
         raise SensorgraphError(
-            f"no ray for {name}: the sensor looks from {degrees.min():.0f}° to {degrees.max():.0f}°, counted "
-            "counter-clockwise from the robot's right; choose an angle in between"
+            f"no ray for {name}: the sensor looks from {degrees.min():.0f}° to {degrees.max():.0f}°, "
+            "counter-clockwise from the robot's right; choose an angle in this interval"
         )
     return chosen
 
 
 def perceived(readings: Floats, rays: Ints) -> Floats:
-    """Return the mean return (n_scans,) [m] over some rays of scans (n_scans, n_rays); nan where none has one."""
+    """Return the mean range (n_scans,) [m] over some rays of scans (n_scans, n_rays); nan without a return."""
     some = np.where(np.isfinite(readings[:, rays]), readings[:, rays], np.nan)
     count = np.isfinite(some).sum(axis=1)
     return np.where(count > 0, np.nansum(some, axis=1) / np.maximum(count, 1), np.nan)
 
 
 def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalData:
-    """Take signals out of a run at the stamps of its scans, one in `every`.
+    """Return signals of a run at the stamps of its scans, every `every`-th of them.
 
-    Poses and odometry are interpolated; a command is the last one given, also after the scan's own stamp by less
-    than one period: that is the command which answers the scan.
+    Poses and odometry are interpolated. The command of a scan is the last one before its stamp plus half a command
+    period, so that the reaction to this scan counts.
     """
     known = _offered(run)
     for name in names:
         if name not in known and not RAY_PATTERN.fullmatch(name):
             raise SensorgraphError(_unknown(name, [*known, "L67", "L45-90"]))
     stamps = run.stamps[::every]
-    new = np.diff(stamps, prepend=-np.inf) > 0  # two scans of one stamp: the first counts
+    new = np.diff(stamps, prepend=-np.inf) > 0  # of scans with equal stamps, use the first
     values = {name: _signal(run, name, every)[new] for name in names}
     stamps = stamps[new]
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else None
@@ -152,9 +148,9 @@ def _signal(run: Run, name: str, every: int) -> Floats:
 
 
 def _command(run: Run, column: int, stamps: Floats) -> Floats:
-    """Return the command in force just after each stamp (n,)."""
-    answer = 0.5 * float(np.median(np.diff(run.cmd_stamps))) if len(run.cmd_stamps) > 1 else 0.0
-    last = np.searchsorted(run.cmd_stamps, stamps + answer, side="right") - 1
+    """Return the command valid just after each stamp (n,)."""
+    reaction = 0.5 * float(np.median(np.diff(run.cmd_stamps))) if len(run.cmd_stamps) > 1 else 0.0
+    last = np.searchsorted(run.cmd_stamps, stamps + reaction, side="right") - 1
     out: Floats = run.commands[np.maximum(last, 0), column].astype(np.float64)
     out[(last < 0) | (stamps > run.cmd_stamps[-1] + MAX_COMMAND_AGE)] = np.nan
     return out
@@ -163,18 +159,18 @@ def _command(run: Run, column: int, stamps: Floats) -> Floats:
 def _unknown(name: str, offered: Sequence[str]) -> str:
     near = difflib.get_close_matches(name, offered, n=1, cutoff=0.4)
     hint = f"did you mean {near[0]}?" if near else "choose one of them"
-    return f"no signal {name!r}; there are {', '.join(offered)}; {hint}"
+    return f"no signal {name!r}, expected one of {', '.join(offered)}; {hint}"
 
 
 def is_table(path: Path) -> bool:
-    """Tell whether a file is a CSV of signals rather than a run."""
+    """Return whether a file is a CSV of signals and not a run."""
     if path.is_dir() or not re.search(r"\.(csv|tsv|txt)(\.gz)?$", path.name.lower()):
         return False
     return not table.matches(path, first_bytes(path))
 
 
 def signals_of_table(path: Path, names: Sequence[str], *, every: int = 1) -> SignalData:
-    """Take columns by name out of a CSV file; a column `record` separates records, `t` [s] finds gaps."""
+    """Return columns of a CSV file by name; a column `record` separates records, a column `t` [s] shows gaps."""
     header, rows = _rows(path)
     for name in names:
         if name not in header:
@@ -192,24 +188,24 @@ def signals_of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Sig
         if stamps is not None and not np.isfinite(stamps).all():
             line = rows[int(mine[int(np.argmin(np.isfinite(stamps)))])][0]
             raise SensorgraphError(
-                f"{path}: line {line}: column t holds no number; fill it, or leave the row out"
+                f"{path}: line {line}: column t is not a number; fill it, or leave out the row"
             )
         if stamps is not None and not (np.diff(stamps) > 0).all():
             line = rows[int(mine[int(np.argmin(np.diff(stamps, append=np.inf) > 0))])][0]
             raise SensorgraphError(
-                f"{path}: line {line}: column t does not increase; sort the rows, or name a column `record`"
+                f"{path}: line {line}: column t does not increase; sort the rows, or separate records by a column `record`"
             )
         if stamps is not None and len(stamps) > 1:
             periods.append(float(np.median(np.diff(stamps))))
         records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
     return SignalData(
         records=records, names=names_of, period=float(np.median(periods)) if periods else None,
-        notes=_spacing(records) if "t" in values else ["no column t: samples are taken as evenly spaced"],
+        notes=_spacing(records) if "t" in values else ["no column t: samples are assumed to be evenly spaced"],
     )  # fmt: skip
 
 
 def _spacing(records: Sequence[Record]) -> list[str]:
-    """Say where records break, and whether their samples are evenly spaced in between: lags count samples."""
+    """Return notes on gaps in the records and on unevenly spaced samples, because lags count samples."""
     gaps = sum(len(record.segments()) - 1 for record in records)
     notes = [f"{gaps} gaps in t; no lag crosses one"] if gaps > 1 else []
     notes += ["1 gap in t; no lag crosses it"] if gaps == 1 else []
@@ -218,13 +214,13 @@ def _spacing(records: Sequence[Record]) -> list[str]:
         low, high = np.quantile(steps, [0.05, 0.95])
         notes.append(
             f"samples are unevenly spaced ({low:.2g} to {high:.2g} of the median step): lags count samples, not "
-            "seconds; resample to even steps first"
+            "seconds; resample to an even step"
         )
     return notes
 
 
 def _steps(record: Record) -> Floats:
-    """Return the steps of time (n,) between samples without a gap, in median steps."""
+    """Return the time steps (n,) between samples without a gap, relative to the median step."""
     if record.stamps is None or len(record) < 2:
         return np.empty(0)
     steps = np.concatenate([np.diff(record.stamps[piece]) for piece in record.segments()])
@@ -232,7 +228,7 @@ def _steps(record: Record) -> Floats:
 
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header, and (line number, cells) of each row."""
+    """Return the header, and the line number and cells of each row."""
     try:
         lines = read_lines(path)
     except LogError as exc:
@@ -241,25 +237,29 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         (i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")
     ]
     if not numbered:
-        raise SensorgraphError(f"{path} holds no line; expected a header with the names of the columns")
+        raise SensorgraphError(f"{path} is empty; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
     if all(_is_number(cell) for cell in header):
         raise SensorgraphError(
-            f"{path}: the first line holds numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
+            f"{path}: the first line has numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
         )
     if len(header) == 1 and (sign := re.search(r"[;\t|]", header[0])):
         raise SensorgraphError(
-            f"{path}: the header has one column, {header[0]!r}; put commas for {sign[0]!r}"
+            f"{path}: the header has one column, {header[0]!r}; replace {sign[0]!r} by commas"
         )
     if twice := sorted({h for h in header if header.count(h) > 1}):
-        raise SensorgraphError(f"{path}: column {', '.join(twice)} is there twice; give each its own name")
+        raise SensorgraphError(
+            f"{path}: column {', '.join(twice)} occurs twice; give each column a unique name"
+        )
     rows = []
     for (number, _), cells in zip(numbered[1:], csv.reader(line for _, line in numbered[1:]), strict=False):
         if len(cells) != len(header):
-            raise SensorgraphError(f"{path}: line {number} has {len(cells)} cells, the header {len(header)}")
+            raise SensorgraphError(
+                f"{path}: line {number} has {len(cells)} cells, expected {len(header)} as in the header"
+            )
         rows.append((number, cells))
     if not rows:
-        raise SensorgraphError(f"{path} has a header but no rows; expected one for each sample")
+        raise SensorgraphError(f"{path} has a header but no rows; expected one row for each sample")
     return header, rows
 
 
@@ -279,7 +279,7 @@ def _numbers(path: Path, rows: Sequence[tuple[int, list[str]]], column: int, nam
             out[i] = float(text) if text else np.nan
         except ValueError:
             raise SensorgraphError(
-                f"{path}: line {number}: {name} is {text!r}, expected a number (an empty cell: not known)"
+                f"{path}: line {number}: {name} is {text!r}, expected a number, or an empty cell if unknown"
             ) from None
     out[~np.isfinite(out)] = np.nan
     return out

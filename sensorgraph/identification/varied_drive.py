@@ -1,4 +1,4 @@
-"""One controller driven many times at once in an identified world, each time with another robot, sensor or obstacle."""
+"""Drive one controller many times at once in an identified world, each time with another robot, sensor or obstacle."""
 
 from __future__ import annotations
 
@@ -12,69 +12,69 @@ from sensorgraph.identification.population_drive import MOTION_STEP, ClosedLoopP
 from sensorgraph.types import Floats, Progress
 
 OBSTACLE_RADIUS = 0.15
-"""[m] of the disc that stands out from a wall."""
+"""[m] Radius of the disc that protrudes from a wall."""
 MIN_TURNED = 2.0 * np.pi
-"""[rad] around the middle of the floor that a lap takes."""
+"""[rad] Minimum turn around the centre of the floor for a lap time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Varied:
-    """What differs between drives, one value (n,) each."""
+    """Values (n,) of the factors, one per drive."""
 
     noise: Floats
-    """[m] standard deviation added to that of the graph."""
+    """[m] Standard deviation of noise in addition to that of the graph."""
     scale: Floats
-    """Reading over distance."""
+    """Ratio of reading to distance."""
     yaw: Floats
-    """[rad] of the laser, added to that of the robot."""
+    """[rad] Yaw of the laser in addition to that of the robot."""
     wheels: Floats
-    """Turn rate over what was commanded: the base assumed over the true one."""
+    """Ratio of turn rate to command, equal to the assumed wheel base over the true one."""
     tau: Floats
-    """[s] of the motors."""
+    """[s] Time constant of the motors."""
     delay: Floats
-    """[s] from a command to its first effect."""
+    """[s] Time from a command to its first effect."""
     obstacle: Floats
-    """[m] that a disc stands out from the wall."""
+    """[m] Length by which a disc protrudes from the wall."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallObstacle:
-    """Where a disc may stand."""
+    """Place of the disc at a wall."""
 
     wall: Floats
-    """(2,) [m] point of the wall."""
+    """(2,) [m] Point of the wall."""
     outward: Floats
-    """(2,) unit vector from there into the room."""
+    """(2,) Unit vector from the wall into the room."""
 
     def centres(self, out: Floats) -> Floats:
-        """Return the centre (n, 2) of a disc that stands out so far [m]."""
+        """Return the centres (n, 2) [m] of discs that protrude by `out` (n,) [m]."""
         return np.asarray(self.wall + (out - OBSTACLE_RADIUS)[:, None] * self.outward)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VariedDrives:
-    """What the drives came to."""
+    """Quantities and tracks of the drives."""
 
     quantities: Mapping[str, Floats]
-    """Quantity of behaviour -> (n,)."""
+    """Quantity of behaviour -> values (n,)."""
     tracks: Floats
-    """(n_scans, n, 3) [m, m, rad] poses."""
+    """(n_scans, n, 3) [m, m, rad] Poses."""
 
 
 class VariedPopulation(ClosedLoopPopulation):
-    """A world for many robots that are not quite the same."""
+    """A world for many robots with different factors."""
 
     def drive_varied(
         self, controller: Narmax, speed: float, start: Floats, varied: Varied, obstacle: WallObstacle | None,
         middle: Floats, duration: float, progress: Progress | None = None,
     ) -> VariedDrives:  # fmt: skip
-        """Drive the controller once for each value of what varies.
+        """Drive the controller once for each value of the factors.
 
         Parameters
         ----------
-        controller : static polynomial of the inputs' names, turn rate [rad/s]
-        start : (3,)
-        middle : (2,) [m] what laps go around
+        controller : Static polynomial of the inputs that returns the turn rate [rad/s].
+        start : (3,) [m, m, rad] Start pose of all drives.
+        middle : (2,) [m] Centre of the laps.
         """
         robot, n = self.robot, len(varied.noise)
         self.varied, self.discs = varied, None if obstacle is None else obstacle.centres(varied.obstacle)
@@ -82,7 +82,7 @@ class VariedPopulation(ClosedLoopPopulation):
         command, v, omega = np.zeros(n), np.zeros(n), np.zeros(n)
         steps = max(1, round(1.0 / robot.sensor.rate / MOTION_STEP))
         late = np.round(varied.delay / MOTION_STEP).astype(int)
-        waiting = np.zeros((int(late.max()) + 1, n))  # row 0 is now
+        waiting = np.zeros((int(late.max()) + 1, n))  # row k: the command k steps ago
         held = np.zeros(n, dtype=np.bool_)
         tracks, turns, contacts = [], np.zeros(n), np.zeros(n)
         n_scans = int(duration * robot.sensor.rate)
@@ -113,7 +113,7 @@ class VariedPopulation(ClosedLoopPopulation):
         return VariedDrives(quantities=found, tracks=whole)
 
     def _steered(self, controller: Narmax, poses: Floats, scan: int, before: Floats) -> Floats:
-        """Return the turn rates (n,) commanded; the last ones where an input is not known."""
+        """Return the commanded turn rates (n,); where an input is unknown, repeat the last command."""
         seen = self.perceived(poses, scan, 1)
         known = np.isfinite(seen).all(axis=1)
         columns = {f"{name}(k)": np.nan_to_num(seen[:, j]) for j, name in enumerate(self.inputs)}
@@ -127,7 +127,7 @@ class VariedPopulation(ClosedLoopPopulation):
         return there
 
     def drawn(self, poses: Floats, uniform: Floats, normal: Floats, scan: int) -> Floats:
-        """Draw readings (n, n_rays): of the graph, of the disc where it is nearer, with the sensor's own faults."""
+        """Draw readings (n, n_rays) of the graph and of the disc, with the scale and the noise of the sensor."""
         out = super().drawn(poses, uniform, normal, scan)
         if self.discs is not None:
             out = np.minimum(out, self._disc_ranges(poses))
@@ -135,7 +135,7 @@ class VariedPopulation(ClosedLoopPopulation):
         return np.maximum(out * self.varied.scale[:, None] + self.varied.noise[:, None] * extra, 0.0)
 
     def _disc_ranges(self, poses: Floats) -> Floats:
-        """Return how far (n, n_rays) [m] the disc is along each ray; inf where it is missed."""
+        """Return the distance (n, n_rays) [m] of the disc along each ray; inf if the ray misses it."""
         x, y, yaw = self.robot.sensor.mount
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         laser = poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
@@ -157,7 +157,7 @@ class VariedPopulation(ClosedLoopPopulation):
         )
 
     def _driven(self, v: Floats, omega: Floats, speed: float, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the twists one step later: first order, limited acceleration, and the wheel base."""
+        """Return the twists one step later: first-order lag, limited acceleration, ratio of the wheel base."""
         limits, tau = self.robot.limits, np.maximum(self.varied.tau, 1e-9)
         share = 1.0 - np.exp(-MOTION_STEP / tau)
         dv, domega = limits.a * MOTION_STEP, limits.alpha * MOTION_STEP

@@ -67,7 +67,9 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
         )
     residuals = None if run is None else predicted_ends(graph, run)
     if residuals is not None and len(residuals[0]) == 0:
-        raise SensorgraphError("no ray of the run agrees with the graph; give a run of the same place")
+        raise SensorgraphError(
+            "no ray of the run agrees with the graph, so there is nothing to draw; give a run of the same place"
+        )
     (x0, y0), (x1, y1) = _limits(model)
     width = 12.0
     tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)
