@@ -94,7 +94,7 @@ def at(path: str, value: object) -> Callable[[Any], None]:
     ("model", "member", "change", "said"),
     [
         ("polynomial", "order.npy", to(99), "order is"),
-        ("polynomial", "order.npy", to(0, ...), "order names a term of a ray twice"),
+        ("polynomial", "order.npy", to(0, ...), "order holds a term of a ray twice"),
         ("polynomial", "theta.npy", to(np.nan, ...), "theta holds nan"),
         ("polynomial", "theta.npy", to(np.inf, ...), "theta holds inf"),
         ("polynomial", "theta.npy", lambda a: a.astype(complex), "theta holds complex128"),

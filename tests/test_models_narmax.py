@@ -219,7 +219,7 @@ def test_evaluate_scores_one_step_and_free_run_beside_persistence(graph: Sensorg
     [
         ({"harmonics": 2}, "harmonics is not known to the model narmax; expected lags, degree"),
         ({"lags": 90}, "lags is 90, expected 0 to 20"),
-        ({"degree": 7, "lags": 5}, "candidates, expected 4000 at most; take fewer lags"),
+        ({"degree": 7, "lags": 5}, "candidates, expected at most 4000; specify fewer lags"),
     ],
 )
 def test_options_that_make_no_model_are_named(run: Run, options: dict[str, int], said: str) -> None:

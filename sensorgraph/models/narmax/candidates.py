@@ -1,8 +1,8 @@
-"""Candidates of the model `narmax`: which terms a ray may have, and their columns.
+"""Candidate terms of the model `narmax` for each ray, and their columns in the regression.
 
-All rays share the terms of poses and twist. A ray also has its own and its neighbours' lagged readings, alone and,
-at lag 1, times the twist: a reading changes by what the robot does between two scans. A turn moves the view from ray
-to ray, so that neighbours reach as far as the robot usually turns from scan to scan.
+All rays share the terms of poses and twist. In addition, each ray uses lagged readings of itself and of its
+neighbours, alone and, at lag 1, times the twist: a reading changes with the motion between two scans. A turn shifts the view
+from ray to ray, so neighbours reach as far as the robot usually turns between scans.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from sensorgraph.types import Bools, Floats, Ints
 
 TWIST = ("v(k)", "omega(k)")
 FACTORS = (*TWIST, "omega(k)^2")
-"""What readings at lag 1 are multiplied by."""
+"""Factors of readings at lag 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NarmaxForm:
-    """What terms the rays choose from."""
+    """Form of the equations: the set of candidate terms."""
 
     lags: int
-    """[scans]"""
+    """[scans] Largest lag."""
     degree: int
     neighbours: int
-    """On each side."""
+    """Number of neighbouring rays on each side."""
     spacing: int
-    """[rays] from one neighbour to the next."""
+    """[rays] Distance between neighbours."""
     noise_lags: int
     n_terms: int
-    """Most terms of a ray."""
+    """Maximum number of terms of a ray."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -45,7 +45,7 @@ class NarmaxForm:
 
     @cached_property
     def shared(self) -> Terms:
-        """Monomials of lagged poses and the twist; those with sin^2 are left out, since cos^2 + sin^2 = 1."""
+        """Monomials of lagged poses and the twist; those with sin^2 are omitted, since cos^2 + sin^2 = 1."""
         names = ["x", "y", "cos_phi", "sin_phi"]
         signals = [f"{n}(k-{lag})" if lag else f"{n}(k)" for lag in range(self.lags + 1) for n in names]
         every = polynomial([*signals, *TWIST], self.degree)
@@ -58,13 +58,13 @@ class NarmaxForm:
 
     @cached_property
     def static(self) -> Ints:
-        """Those of `shared` that a pose alone gives: neither lags nor twist."""
+        """Indices of the terms of `shared` that depend on the current pose only: no lags, no twist."""
         alone = [all(f.lag == 0 and f.variable not in ("v", "omega") for f in term) for term in self.shared]
         return np.flatnonzero(alone)
 
     @cached_property
     def readings(self) -> list[tuple[int, int, str]]:
-        """(neighbour, lag, factor) of each reading term; neighbour -1 is the ray to the right, factor is of the twist."""
+        """(neighbour, lag, factor) of each reading term; neighbour -1 is the next ray to the right, factor is of `FACTORS`."""
         offsets = [self.spacing * o for o in range(-self.neighbours, self.neighbours + 1)]
         offsets.sort(key=lambda o: (abs(o), o))
         plain = [(o, lag, "") for o in offsets for lag in range(1, self.lags + 1)]
@@ -72,21 +72,21 @@ class NarmaxForm:
 
     @property
     def reach(self) -> int:
-        """[rays] to the farthest neighbour."""
+        """[rays] Distance to the farthest neighbour."""
         return self.neighbours * self.spacing
 
     @property
     def n_shared(self) -> int:
-        """Bound of the count of shared terms, known before they are listed."""
+        """Upper bound of the number of shared terms, known before they are listed."""
         return comb(4 * (self.lags + 1) + len(TWIST) + self.degree, self.degree)
 
     @property
     def n_candidates(self) -> int:
-        """Of one ray that has all its neighbours."""
+        """Number of candidates of a ray that has all its neighbours."""
         return len(self.shared) + len(self.readings)
 
     def names(self, ray: int) -> list[str]:
-        """Name all candidates of one ray; readings are called after their ray, `r67(k-1)`."""
+        """Return the names of all candidates of one ray; readings are named after their ray, `r67(k-1)`."""
         own = [
             f"r{max(ray + offset, 0)}(k-{lag})" + (f"*{factor}" if factor else "")
             for offset, lag, factor in self.readings
@@ -96,22 +96,22 @@ class NarmaxForm:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingScale:
-    """How readings are scaled inside the fit: (r - centre) / width."""
+    """Scale of readings in the fit: (r - centre) / width."""
 
     centre: float
-    """[m]"""
+    """[m] Mean of the returns."""
     width: float
-    """[m]"""
+    """[m] Standard deviation of the returns."""
 
     @classmethod
     def of(cls, ranges: Floats) -> ReadingScale:
-        """Take mean and spread of all returns."""
+        """Return the scale of ranges, from the mean and the standard deviation of all returns."""
         known = ranges[np.isfinite(ranges)]
         return cls(centre=float(known.mean()), width=max(float(known.std()), 1e-3))
 
 
 class ReadingColumns:
-    """Columns of reading terms at some rows, each made when it is asked for."""
+    """Columns of reading terms at some rows, computed on demand."""
 
     def __init__(
         self, form: NarmaxForm, scale: ReadingScale, readings: Floats, motion: ScanSequence, rows: Ints
@@ -120,10 +120,10 @@ class ReadingColumns:
         v, omega = motion.twists[rows].T
         self.factors = dict(zip(FACTORS, (v, omega, omega**2), strict=True))
         self.scaled = (readings - scale.centre) / scale.width
-        """(n, n_rays) held readings; nan before the first of a stretch."""
+        """(n, n_rays) scaled readings, the last one held; nan before the first of a stretch."""
 
     def all_known(self) -> Bools:
-        """Tell at which rows all readings that a ray may use are known (n_rows, n_rays)."""
+        """Return whether all readings that a ray may use are known (n_rows, n_rays)."""
         own = np.ones((len(self.rows), self.scaled.shape[1]), dtype=np.bool_)
         for lag in range(1, self.form.lags + 1):
             own &= np.isfinite(self.scaled[self.rows - lag])
@@ -134,14 +134,14 @@ class ReadingColumns:
         return out
 
     def of_all(self, rows: slice, rays: slice) -> Floats:
-        """Return (n_rows, n_columns): each lag of these rays, then lag 1 times each factor; 0 where not known."""
+        """Return the columns (n_rows, n_columns): each lag of these rays, then lag 1 times each factor; 0 where unknown."""
         k = self.rows[rows]
         lagged = [np.nan_to_num(self.scaled[k - lag, rays]) for lag in range(1, self.form.lags + 1)]
         products = [lagged[0] * self.factors[name][rows, None] for name in FACTORS] if lagged else []
         return np.concatenate([*lagged, *products], axis=1) if lagged else np.zeros((len(k), 0))
 
     def places(self, ray: int, rays: slice) -> Ints:
-        """Return where the terms (n_readings,) of a ray stand among the columns of `of_all`; -1: it has no such term."""
+        """Return the column in `of_all` of each reading term (n_readings,) of a ray; -1: the ray has no such term."""
         width = rays.stop - rays.start
         block = {"": 0} | {name: self.form.lags + i for i, name in enumerate(FACTORS)}
         out = [
@@ -153,7 +153,7 @@ class ReadingColumns:
         return np.array(out, dtype=np.intp)
 
     def of_ray(self, ray: int, which: Ints, rows: Ints) -> Floats:
-        """Return the columns (n_rows, len(which)) of some reading terms of one ray, at rows given by place."""
+        """Return the columns (n_rows, len(which)) of some reading terms of one ray, at rows given by index."""
         out = np.empty((len(rows), len(which)))
         for j, term in enumerate(which.tolist()):
             offset, lag, factor = self.form.readings[term]
@@ -164,13 +164,13 @@ class ReadingColumns:
 
 
 def form_from(data: Mapping[str, Any]) -> NarmaxForm:
-    """Restore what `to_dict` gave.
+    """Recreate the form from the output of `to_dict`.
 
     Raises
     ------
-    ValueError : a number is not whole or below 0, or there is no spacing
+    ValueError : A number is not an integer or is negative, or the spacing is 0.
     """
     form = NarmaxForm(**data)
     if not all(type(n) is int and n >= 0 for n in form.to_dict().values()) or form.spacing < 1:
-        raise ValueError(f"the form is {form}, expected whole numbers from 0")
+        raise ValueError(f"the form is {form}, expected integers of 0 or more")
     return form

@@ -1,4 +1,4 @@
-"""A run drawn from the model `narmax`, scan by scan: its readings are the lags of what comes after them."""
+"""Draws of a run from the model `narmax`, scan by scan; drawn readings are the lags of later ones."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from sensorgraph.types import Floats
 
 
 class DrawnRun:
-    """What was drawn so far; the first scans, which have no history, are those of a pose alone."""
+    """State of a drawn run; the first scans, without history, are drawn from the start equation."""
 
     def __init__(self, model: RayNarmax, period: float) -> None:
         self.model, self.period = model, period
         self.poses: list[Floats] = []
         self.state: RunState | None = None
-        self.lost = np.zeros(model.n_rays, dtype=np.bool_)
+        self.missing = np.zeros(model.n_rays, dtype=np.bool_)
 
     def scan(self, pose: Floats, uniform: Floats, normal: Floats) -> Floats:
-        """Draw the next scan (n_rays,) [m], +inf: no return, at a pose (3,), from numbers (n_rays,) of each kind."""
+        """Draw the next scan (n_rays,) [m] at a pose (3,) from random numbers (n_rays,); +inf: no return."""
         model, lags = self.model, self.model.form.lags
         first = not self.poses
         self.poses = [*self.poses, pose][-(max(lags, 1) + 1) :]
@@ -38,6 +38,6 @@ class DrawnRun:
         error = model.sigma[ONE_STEP if has_history else START] * normal
         reading = np.clip(raw + error, *equations.limits)
         self.state.advance(reading, error if has_history else np.zeros(len(error)))
-        chance = model.no_return_chances(motion, None if first else self.lost)[-1]
-        self.lost = uniform < chance
-        return np.where(self.lost, np.inf, reading)
+        chance = model.no_return_chances(motion, None if first else self.missing)[-1]
+        self.missing = uniform < chance
+        return np.where(self.missing, np.inf, reading)

@@ -1,4 +1,4 @@
-"""The fit of the model `narmax`: from training scans to the arrays of the model."""
+"""Fit of the model `narmax`: from training scans to the arrays of the model."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from sensorgraph.types import Floats, Ints, Progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingRows:
-    """Training scans as rows of a regression: those whose lags lie in the same stretch."""
+    """Training scans as rows of a regression; a row's lags lie in its stretch."""
 
     motion: ScanSequence
     ranges: Floats
-    """(n, n_rays) [m]; nan where there is no return."""
+    """(n, n_rays) [m] measured ranges; nan without a return."""
     readings: Floats
-    """(n, n_rays) [m] the last return."""
+    """(n, n_rays) [m] last return of each ray."""
     rows: Ints
-    """Scans with a whole look back."""
+    """Indices of the scans with a full history."""
 
     @classmethod
     def of(cls, scans: TrainingScans, lags: int) -> TrainingRows:
-        """Take scans in their stretches.
+        """Divide scans into stretches and select the rows.
 
         Raises
         ------
-        SensorgraphError : no stretch is long enough, or no ray returned
+        SensorgraphError : No stretch is long enough, or no ray returned.
         """
         motion = sequence_of(scans)
         rows = np.flatnonzero(motion.position >= lags)
         if len(rows) < 2:
             raise SensorgraphError(
-                f"no stretch of {lags + 2} scans without a gap among {len(scans)} training scans; give a log with its "
-                "scans in a row, fewer `lags`, or split `block` for `every10`"
+                f"no stretch of {lags + 2} scans without a gap among {len(scans)} training scans; give a log with consecutive "
+                "scans, fewer `lags`, or split `block` instead of `every10`"
             )
         ranges = np.where(np.isfinite(scans.ranges), scans.ranges, np.nan)
         if not np.isfinite(ranges[rows]).any():
@@ -54,16 +54,16 @@ class TrainingRows:
 
     @property
     def dropped(self) -> int:
-        """Scans at the start of a stretch, which serve as lags only."""
+        """Number of scans at the start of a stretch, which serve as lags only."""
         return len(self.ranges) - len(self.rows)
 
 
 def sequence_of(scans: TrainingScans) -> ScanSequence:
-    """Return the stretches of training scans; no stretch crosses from one run to another.
+    """Return the stretches of training scans; no stretch extends over two runs.
 
     Raises
     ------
-    SensorgraphError : the scans carry no stamps
+    SensorgraphError : The scans have no stamps.
     """
     if scans.stamps is None or scans.sequence is None:
         raise SensorgraphError("lags need the stamps of the scans; build from runs, with `build`")
@@ -74,7 +74,7 @@ def sequence_of(scans: TrainingScans) -> ScanSequence:
 
 
 def ray_spacing(data: TrainingRows, bearings: Floats, neighbours: int) -> int:
-    """Return how many rays apart neighbours stand so that they reach as far as the robot turns between scans."""
+    """Return the distance between neighbours in rays, so that they reach as far as the robot turns between scans."""
     if len(bearings) < 2 or neighbours < 1:
         return 1
     row = data.rows
@@ -87,7 +87,7 @@ def ray_spacing(data: TrainingRows, bearings: Floats, neighbours: int) -> int:
 def fit_rays(
     data: TrainingRows, form: NarmaxForm, scale: Scale, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Search, estimate and test every ray; return the arrays of the model by name."""
+    """Search, estimate and test the terms of every ray; return the arrays of the model by name."""
     n_rays = data.ranges.shape[1]
     readings = ReadingScale.of(data.ranges)
     step = -(-len(data.rows) // NARMAX.max_search_rows)
@@ -148,7 +148,7 @@ def _store(
 
 
 class _Estimator:
-    """The columns of one ray's own terms over all its scans, and its coefficients."""
+    """Regression of one ray at a time: the columns of its terms over all its scans, and the coefficients."""
 
     def __init__(self, data: TrainingRows, form: NarmaxForm, scale: Scale, readings: ReadingScale) -> None:
         self.data, self.form, self.scale = data, form, scale
@@ -157,7 +157,7 @@ class _Estimator:
         self.all_known = self.columns.all_known()
 
     def known(self, ray: int) -> Ints:
-        """Return the rows, by place, at which a ray returned and all readings that it may use are known."""
+        """Return the rows, by index, at which a ray returned and all its candidate readings are known."""
         return np.flatnonzero(self.all_known[:, ray] & np.isfinite(self.data.ranges[self.data.rows, ray]))
 
     def lagged(self, ray: int, order: Ints, known: Ints) -> RayEstimate:
@@ -172,7 +172,7 @@ class _Estimator:
             columns,
             self.data.ranges[rows, ray],
             self.data.motion.twists[rows],
-            rows + self.data.motion.sequence[rows],  # a gap leaves a number out
+            rows + self.data.motion.sequence[rows],  # a gap skips a number
             self.form.noise_lags,
         )
 
@@ -188,12 +188,12 @@ class _Estimator:
 
 
 def fit_dropouts(ranges: Floats, phi: Floats, position: Ints) -> tuple[Floats, Floats]:
-    """Fit the chance of no return by least squares: a polynomial of the pose, and what a dropout before adds.
+    """Fit the probability of no return by least squares: P(k) = phi(k)·theta + memory missing(k-1).
 
     Parameters
     ----------
-    ranges : (n, n_rays) +inf: no return; nan: broken
-    phi : (n, m) terms of the pose, the constant first
+    ranges : (n, n_rays) Measured ranges; +inf: no return, nan: broken.
+    phi : (n, m) Terms of the pose, the constant first.
 
     Returns
     -------
@@ -202,17 +202,17 @@ def fit_dropouts(ranges: Floats, phi: Floats, position: Ints) -> tuple[Floats, F
     n_rays, m = ranges.shape[1], phi.shape[1]
     theta, memory = np.zeros((n_rays, m)), np.zeros(n_rays)
     broken = np.isnan(ranges)
-    lost = np.isposinf(ranges)
-    for ray in np.flatnonzero(lost.any(axis=0)).tolist():
+    missing = np.isposinf(ranges)
+    for ray in np.flatnonzero(missing.any(axis=0)).tolist():
         before = np.r_[True, broken[:-1, ray]]
         use = ~broken[:, ray] & ~before & (position > 0)
-        rows = np.column_stack([phi[use], np.r_[False, lost[:-1, ray]][use]])
+        rows = np.column_stack([phi[use], np.r_[False, missing[:-1, ray]][use]])
         if len(rows) <= NARMAX.rows_per_term:
-            theta[ray, 0] = lost[:, ray].mean()
+            theta[ray, 0] = missing[:, ray].mean()
             continue
-        y = lost[use, ray].astype(np.float64)
+        y = missing[use, ray].astype(np.float64)
         if len(rows) < NARMAX.rows_per_term * rows.shape[1]:
-            rows[:, 1:-1] = 0.0  # too few for the pose: the chance alone, and the memory
-        both = np.linalg.lstsq(rows, y, rcond=None)[0]
-        theta[ray], memory[ray] = both[:-1], np.clip(both[-1], 0.0, NARMAX.max_dropout_memory)
+            rows[:, 1:-1] = 0.0  # too few rows for terms of the pose
+        coefficients = np.linalg.lstsq(rows, y, rcond=None)[0]
+        theta[ray], memory[ray] = coefficients[:-1], np.clip(coefficients[-1], 0.0, NARMAX.max_dropout_memory)
     return theta, memory

@@ -1,7 +1,8 @@
-"""Model `narmax`: every ray as a polynomial of lagged poses, the twist, its own and its neighbours' lagged readings.
+"""Model `narmax`: r(k) = theta·phi(k) + sum_l c_l e(k-l) + e(k) for every ray.
 
-A scan that follows others is predicted from them: one step ahead of what was measured, or in free run. A pose alone
-has no history: there the start equation holds, the static polynomial of the same degree.
+The terms phi are monomials of lagged poses and the twist, and lagged readings of the ray and its neighbours. A scan is
+predicted from earlier scans: one step ahead of measured readings, or in free run from predicted ones. For a pose
+without history the start equation applies, a static polynomial of the same degree.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ _POSES_AT_A_TIME = 4096
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayNarmax(NarmaxParameters):
-    """The equations of all rays, and where they may be trusted."""
+    """The equations of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "narmax"
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Choose the terms of every ray and estimate them; options: lags, degree, neighbours, noise_lags, n_terms.
+        """Select and estimate the terms of every ray; options: lags, degree, neighbours, noise_lags, n_terms.
 
         Raises
         ------
-        SensorgraphError : an option is unknown or out of range, no stretch is as long as the lags, or no ray returned
+        SensorgraphError : An option is unknown or out of range, no stretch is long enough, or no ray returned.
         """
         form = form_of(options)
         if scans.ray_poses is not None:
             raise SensorgraphError(
-                "the model narmax takes all rays of a scan at one pose; this laser sweeps, or is several sensors as "
-                "one: choose model polynomial or faces"
+                "the model narmax needs the same pose for all rays of a scan; this laser sweeps, or several sensors are "
+                "combined: choose model polynomial or faces"
             )
         data = TrainingRows.of(scans, form.lags)
         form = replace(form, spacing=ray_spacing(data, scans.sensor.bearings, form.neighbours))
@@ -73,18 +74,18 @@ class RayNarmax(NarmaxParameters):
         return draft._with_residuals(scans)
 
     def _with_residuals(self, scans: TrainingScans) -> Self:
-        """Fill sigma and spread from the first training scans, corrected for the terms used."""
-        few = scans.part(slice(0, NARMAX.scored_scans))
-        motion = sequence_of(few)
+        """Estimate sigma and spread on the first training scans, corrected for the number of terms."""
+        scored = scans.part(slice(0, NARMAX.scored_scans))
+        motion = sequence_of(scored)
         equations = self.equations(motion)
         after = motion.position >= self.form.lags
-        predicted = [equations.start, recursion.run(equations, few.ranges), recursion.run(equations)]
+        predicted = [equations.start, recursion.run(equations, scored.ranges), recursion.run(equations)]
         used = [(self.start_order >= 0).sum(axis=1), *2 * [(self.order >= 0).sum(axis=1)]]
         sigma = np.full((3, self.n_rays), self.sensor.range_max - self.sensor.range_min)
         spread = sigma[..., None] * QUANTILES
         for kind in range(3):
             rows = slice(None) if kind == START else after
-            size = np.abs(few.ranges[rows] - predicted[kind][rows])
+            size = np.abs(scored.ranges[rows] - predicted[kind][rows])
             for ray in range(self.n_rays):
                 own = size[np.isfinite(size[:, ray]), ray]
                 free = len(own) - used[kind][ray] * len(own) / max(self.rows[ray], len(own), 1)
@@ -95,7 +96,7 @@ class RayNarmax(NarmaxParameters):
         return replace(self, sigma=sigma, spread=spread)
 
     def equations(self, motion: ScanSequence) -> recursion.Equations:
-        """Evaluate all that does not depend on readings at scans."""
+        """Evaluate everything that does not depend on readings, for a sequence of scans."""
         n = len(motion.poses)
         chosen, weights = self._driven_terms
         rows = np.flatnonzero(motion.position >= self.form.lags)
@@ -118,7 +119,7 @@ class RayNarmax(NarmaxParameters):
 
     @cached_property
     def _driven_terms(self) -> tuple[Terms, Floats]:
-        """Shared terms that any ray has, and their coefficients (n_terms, n_rays)."""
+        """Shared terms that any ray uses, and their coefficients (n_terms, n_rays)."""
         m = len(self.form.shared)
         weights = np.zeros((m, self.n_rays))
         ray, j = np.nonzero((self.order >= 0) & (self.order < m))
@@ -134,23 +135,25 @@ class RayNarmax(NarmaxParameters):
     def _gains(self) -> recursion.ReadingGains:
         return recursion.ReadingGains.of(self.form, self.order, self.theta)
 
-    def no_return_chances(self, motion: ScanSequence, lost: Floats | Bools | None) -> Floats:
-        """Return the chance of no return (n, n_rays) at scans in a row, of which those before (n_rays,) were lost or not.
+    def no_return_chances(self, motion: ScanSequence, missing: Floats | Bools | None) -> Floats:
+        """Return the probability of no return (n, n_rays) for consecutive scans.
 
-        lost : None: nothing is known of the scan before the first
+        Parameters
+        ----------
+        missing : (n_rays,) Whether the preceding scan had no return. None: unknown.
         """
         base = self._static(motion.poses) @ self.theta_none.T
-        if lost is None:
+        if missing is None:
             return recursion.dropout_chances(base, self.memory, motion.position, None)
-        return np.clip(base + self.memory * lost, 0.0, 1.0)
+        return np.clip(base + self.memory * missing, 0.0, 1.0)
 
     def _static(self, poses: Floats) -> Floats:
-        """Return the terms (n, n_static) of poses (n, 3) alone."""
+        """Return the terms (n, n_static) of poses (n, 3) without history."""
         motion = ScanSequence(poses=poses, stamps=np.zeros(len(poses)), sequence=np.arange(len(poses)))
         return self._static_terms.matrix(motion.signals(np.arange(len(poses)), 0), self.scale, n=len(poses))
 
     def _start(self, poses: Floats) -> Floats:
-        """Return the readings (n, n_rays) [m] by the start equation."""
+        """Return the readings (n, n_rays) [m] of the start equation."""
         place = np.full(len(self.form.shared), -1)
         place[self.form.static] = np.arange(len(self.form.static))
         weights = np.zeros((len(self.form.static), self.n_rays))
@@ -163,26 +166,26 @@ class RayNarmax(NarmaxParameters):
         return np.clip(out, self.sensor.range_min, self.sensor.range_max)
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
-        """Predict rays (n_rays,) at poses (n_poses, 3) without a history: by the start equation."""
+        """Predict rays (n_rays,) at poses (n_poses, 3) without history, by the start equation."""
         none = np.clip(self._static(poses) @ self.theta_none.T / (1.0 - self.memory), 0.0, 1.0)
         return self._prediction(poses, self._start(poses), none, START, rays)
 
     def predict_sequence(
         self, motion: ScanSequence, rays: Ints, measured: Floats | None = None
     ) -> Prediction:
-        """Predict scans in a row: one step ahead of `measured` (n, n_rays of the graph) [m], or in free run.
+        """Predict consecutive scans: one step ahead of `measured` (n, n_rays of the graph) [m], or in free run.
 
-        In `measured`, +inf is no return and nan a broken reading; the last return then stands for it in the lags.
+        In `measured`, +inf is no return and nan a broken reading; the lags then use the last return.
         """
         base = self._static(motion.poses) @ self.theta_none.T
-        lost = None if measured is None else np.where(np.isnan(measured), np.nan, np.isposinf(measured))
-        none = recursion.dropout_chances(base, self.memory, motion.position, lost)
+        missing = None if measured is None else np.where(np.isnan(measured), np.nan, np.isposinf(measured))
+        none = recursion.dropout_chances(base, self.memory, motion.position, missing)
         value = recursion.run(self.equations(motion), measured)
         kind = FREE_RUN if measured is None else ONE_STEP
         return self._prediction(motion.poses, value, none, kind, rays)
 
     def _prediction(self, poses: Floats, value: Floats, none: Floats, kind: int, rays: Ints) -> Prediction:
-        with np.errstate(over="ignore"):  # however large, it is cut
+        with np.errstate(over="ignore"):  # the value is limited
             leverage = np.minimum(((self._static(poses) @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
         trusted: Bools = (leverage <= self.leverage_limit) & self.support.covers(poses)
         widen = np.sqrt(1.0 + leverage) if kind == START else np.ones(len(poses))
@@ -206,15 +209,15 @@ class RayNarmax(NarmaxParameters):
         )
 
     def equation(self, ray: int) -> str:
-        """Print one ray's equation with its lags, in metres and radians, its tests, and the terms as fitted."""
+        """Return one ray's equation with lags in metres and radians, its tests, and the fitted terms as text."""
         return equation_text(self, ray)
 
     def summary(self) -> Mapping[str, str]:
-        """Return the form, which scans count, how well they are met and what the tests say."""
+        """Return form, fitted scans, standard deviations, tests and support as label -> text."""
         return summary_of(self)
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return plain data and arrays that hold the whole model."""
+        """Return plain data and arrays that describe the whole model."""
         support, arrays = self.support.state()
         header = {
             "form": self.form.to_dict(),
@@ -230,10 +233,10 @@ class RayNarmax(NarmaxParameters):
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave.
+        """Recreate the model from the output of `state`.
 
         Raises
         ------
-        ValueError : an array has a wrong shape or points outside the terms
+        ValueError : An array has a wrong shape or an invalid term index.
         """
         return cls(**restored(sensor, header, arrays))

@@ -1,8 +1,11 @@
-"""Coefficients, noise terms, standard errors and tests of the residuals of one ray.
+"""Coefficients, noise terms, standard errors and residual tests of one ray.
 
-Where the least-squares residual is correlated, noise terms c1 e(k-1) + ... are estimated with the others by the
-prediction error (Ljung 1999, ch. 7): from the start of Hannan and Rissanen, then Gauss-Newton. Lags of the noise do
-not cross gaps. Tests are Lagrange multiplier tests (Breusch 1978, Godfrey 1978), as in `robotmodic_ident.validate`.
+Model: y(k) = phi(k)·theta + sum_l c_l e(k-l) + e(k). Prediction error: e = (y - Q beta) / C(q).
+Here phi = Q R, beta = R theta, and C(q) = 1 + c_1 q⁻¹ + ... filters in time.
+
+If the least-squares residual is correlated, beta and c minimise e'e (prediction error, Ljung 1999, ch. 7). Gauss-Newton
+steps (J'J)⁻¹ J'e start from the estimate of Hannan and Rissanen. Lags of the noise do not cross gaps. The tests are
+Lagrange multiplier tests (Breusch 1978, Godfrey 1978), as in `robotmodic_ident.validate`.
 """
 
 from __future__ import annotations
@@ -19,36 +22,36 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayEstimate:
-    """The coefficients of one ray."""
+    """Estimated coefficients of one ray."""
 
     kept: Bools
-    """(n_columns,) the terms that are still needed beside the noise terms; k of them."""
+    """(n_columns,) mask of the k terms that are still needed with the noise terms."""
     theta: Floats
-    """(k,)"""
+    """(k,) coefficients."""
     stderr: Floats
-    """(k,)"""
+    """(k,) standard errors."""
     noise: Floats
-    """(noise_lags,) 0 where no noise terms are needed."""
+    """(noise_lags,) coefficients of the noise; 0 where no noise terms are needed."""
     noise_stderr: Floats
-    """(noise_lags,)"""
+    """(noise_lags,) standard errors."""
     sigma: float
-    """[m] of the one-step residual, corrected for the coefficients; nan if no row is left."""
+    """[m] Standard deviation of the one-step residual, corrected for the coefficients; nan without degrees of freedom."""
     tests: Floats
-    """(3,) p-values: the residual against its own past, against v, against omega; nan where there is too little."""
+    """(3,) p-values of the residual against its own past, v and omega; nan with too few rows."""
 
 
 class Stretches:
-    """Rows of one ray as runs of consecutive scans; filters and lags start anew in each."""
+    """Rows of one ray as runs of consecutive scans; filters and lags start again in each run."""
 
     def __init__(self, index: Ints) -> None:
-        """Take index (n,) of the scans, increasing; a stretch number must not be shared: gaps break the count."""
+        """Store the index (n,) of the scans, increasing; consecutive scans differ by 1, so a gap must skip a number."""
         first = np.r_[True, np.diff(index) != 1] if len(index) else np.zeros(0, dtype=np.bool_)
         starts = np.flatnonzero(first)
         lengths = np.diff(np.r_[starts, len(index)])
         self.position = np.arange(len(index)) - np.repeat(starts, lengths)
         self._groups = []
         size = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
-        for power in np.unique(size).tolist():  # of similar lengths, padded to one
+        for power in np.unique(size).tolist():  # stretches of similar length, padded to the longest
             mine = np.flatnonzero(size == power)
             longest = int(lengths[mine].max())
             place = starts[mine][:, None] + np.arange(longest)
@@ -56,16 +59,16 @@ class Stretches:
             self._groups.append((np.where(there, place, 0), there))
 
     def lagged(self, values: Floats, lag: int) -> Floats:
-        """Return values (n,) of `lag` scans ago; 0 before the start of a stretch."""
+        """Return the values (n,) of `lag` scans before; 0 before the start of a stretch."""
         out = np.zeros_like(values)
         out[lag:] = values[: len(values) - lag]
         return np.where(self.position >= lag, out, 0.0)
 
     def whitened(self, noise: Floats, values: Floats) -> Floats:
-        """Filter values (n, m) by 1 / (1 + c1 q^-1 + ...), at rest before each stretch."""
+        """Filter values (n, m) by 1 / C(q) = 1 / (1 + c1 q⁻¹ + ...), from rest at the start of each stretch."""
         if not noise.any():
             return values
-        from scipy.signal import lfilter  # 0.3 s to import, for rays with noise terms only
+        from scipy.signal import lfilter  # imported here, since it takes 0.3 s
 
         if len(values) and self.position[-1] == len(values) - 1:  # one stretch
             return np.asarray(lfilter([1.0], np.r_[1.0, noise], values, axis=0))
@@ -77,14 +80,14 @@ class Stretches:
 
 
 def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: int) -> RayEstimate:
-    """Estimate one ray.
+    """Estimate and test the equation of one ray.
 
     Parameters
     ----------
-    phi : (n, k) columns of its terms, the constant first
-    y : (n,) [m]
-    twists : (n, 2)
-    index : (n,) number of each scan, in which a gap leaves a number out
+    phi : (n, k) Columns of its terms, the constant first.
+    y : (n,) [m] Measured ranges.
+    twists : (n, 2) [m/s, rad/s]
+    index : (n,) Number of each scan; a gap skips a number.
     """
     n, k = phi.shape
     zero = np.zeros(noise_lags)
@@ -100,23 +103,23 @@ def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: in
     beta = Q.T @ y
     e = y - Q @ beta
     noise, jacobian = zero, Q
-    if noise_lags and _correlated(e, Q, runs, NARMAX.tested_lags) < NARMAX.alarm:
+    if noise_lags and _correlated(e, Q, runs, NARMAX.tested_lags) < NARMAX.test_level:
         beta, noise = _prediction_error(Q, y, e, runs, noise_lags)
         e, jacobian = _linearised(Q, y, beta, noise, runs)
-        kept = _needed(jacobian, e, beta, noise, R)
+        kept = _kept_by_bic(jacobian, e, beta, noise, R)
         if not kept.all():
             fewer = estimate(phi[:, kept], y, twists, index, noise_lags)
             whole = kept.copy()
             whole[kept] = fewer.kept
             return replace(fewer, kept=whole)
-    free = max(n - jacobian.shape[1], 1)
-    sigma = float(np.sqrt(e @ e / free))
+    degrees_of_freedom = max(n - jacobian.shape[1], 1)
+    sigma = float(np.sqrt(e @ e / degrees_of_freedom))
     spread = sigma**2 * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    back = np.linalg.pinv(R)
-    variance = np.einsum("ij,jk,ik->i", back, spread[:k, :k], back)
+    inverse_R = np.linalg.pinv(R)
+    variance = np.einsum("ij,jk,ik->i", inverse_R, spread[:k, :k], inverse_R)
     return RayEstimate(
         kept=np.ones(k, dtype=np.bool_),
-        theta=back @ beta,
+        theta=inverse_R @ beta,
         stderr=np.sqrt(np.maximum(variance, 0.0)),
         noise=noise,
         noise_stderr=np.sqrt(np.maximum(np.diagonal(spread)[k:], 0.0)) if noise.any() else zero,
@@ -128,7 +131,10 @@ def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: in
 def _prediction_error(
     Q: Floats, y: Floats, e: Floats, runs: Stretches, noise_lags: int
 ) -> tuple[Floats, Floats]:
-    """Return coefficients (k,) and noise (noise_lags,) of least prediction error."""
+    """Minimise e'e over beta (k,) and c (noise_lags,) by Gauss-Newton: step = (J'J)⁻¹ J'e.
+
+    Start (Hannan and Rissanen 1982): least squares of y on Q and the lags of the least-squares residual.
+    """
     k = Q.shape[1]
     past = np.column_stack([runs.lagged(e, lag) for lag in range(1, noise_lags + 1)])
     both = np.column_stack([Q, past])
@@ -152,36 +158,39 @@ def _prediction_error(
     return (beta, noise) if cost < plain else (Q.T @ y, np.zeros(noise_lags))
 
 
-def _needed(jacobian: Floats, e: Floats, beta: Floats, noise: Floats, R: Floats) -> Bools:
-    """Tell which terms (k,) are worth their cost by BIC beside the noise terms; the least needed goes first.
+def _kept_by_bic(jacobian: Floats, e: Floats, beta: Floats, noise: Floats, R: Floats) -> Bools:
+    """Return a mask of the terms (k,) that BIC keeps next to the noise terms, by backward elimination.
 
-    Coloured noise makes lagged readings look needed; once its coefficients are known, they are not. The constant stays.
+    A term i is removed while theta_i² / (sigma² ((J'J)⁻¹)_ii) < log n is smallest for it. Coloured noise makes lagged
+    readings seem necessary; with its coefficients known, they are not. The constant is kept.
     """
     k = len(beta)
-    turn = np.eye(jacobian.shape[1])
-    turn[:k, :k] = R
-    J = jacobian @ turn  # slopes by the coefficients of the terms
+    to_terms = np.eye(jacobian.shape[1])
+    to_terms[:k, :k] = R
+    J = jacobian @ to_terms  # derivatives by the coefficients of the terms
     size = np.sqrt(np.maximum((J**2).sum(axis=0), np.finfo(np.float64).tiny))
     J = J / size
     gram = J.T @ J
-    cross = J.T @ (e + jacobian @ np.r_[beta, noise][: jacobian.shape[1]])  # no noise columns where it is 0
+    cross = J.T @ (
+        e + jacobian @ np.r_[beta, noise][: jacobian.shape[1]]
+    )  # without noise columns if the noise is 0
     kept = np.ones(len(gram), dtype=np.bool_)
-    variance, price = float(e @ e) / len(e), np.log(len(e))
+    variance, penalty = float(e @ e) / len(e), np.log(len(e))
     while kept[:k].sum() > 1:
         inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], hermitian=True)
         theta = inverse @ cross[kept]
         gain = theta**2 / (variance * np.maximum(np.diagonal(inverse), np.finfo(np.float64).tiny))
         place = np.flatnonzero(kept)
-        may_go = (place > 0) & (place < k)
-        weakest = int(np.argmin(np.where(may_go, gain, np.inf)))
-        if gain[weakest] >= price:
+        removable = (place > 0) & (place < k)
+        weakest = int(np.argmin(np.where(removable, gain, np.inf)))
+        if gain[weakest] >= penalty:
             break
         kept[place[weakest]] = False
     return kept[:k]
 
 
 def _linearised(Q: Floats, y: Floats, beta: Floats, noise: Floats, runs: Stretches) -> tuple[Floats, Floats]:
-    """Return the prediction errors (n,) and minus their slopes (n, k + noise_lags)."""
+    """Return the prediction errors e (n,) and J = -de/d(beta, c) (n, k + noise_lags): Q / C, and lags of e / C."""
     if not noise.any():
         return y - Q @ beta, Q
     filtered = runs.whitened(noise, np.column_stack([Q, y - Q @ beta]))
@@ -192,14 +201,14 @@ def _linearised(Q: Floats, y: Floats, beta: Floats, noise: Floats, runs: Stretch
 
 
 def _invertible(noise: Floats) -> Floats:
-    """Draw the roots of the noise polynomial back to within the unit circle."""
+    """Move the roots of C(q) to within the unit circle."""
     roots = np.abs(np.roots(np.r_[1.0, noise])) if noise.any() else np.zeros(1)
-    share = min(1.0, NARMAX.largest_root / max(float(roots.max(initial=0.0)), 1e-12))
+    share = min(1.0, NARMAX.max_root / max(float(roots.max(initial=0.0)), 1e-12))
     return np.asarray(noise * share ** np.arange(1, len(noise) + 1))
 
 
 def _correlated(e: Floats, G: Floats, runs: Stretches, n_lags: int) -> float:
-    """Return the p-value of the residual (n,) against its own past, freed of the gradients G (n, k)."""
+    """Return the p-value of the residual (n,) against its own past, orthogonal to the gradients G (n, k)."""
     return _multiplier_tests(e, G, [e], runs, n_lags)[0]
 
 
@@ -211,8 +220,12 @@ def _tests(e: Floats, G: Floats, twists: Floats, runs: Stretches) -> Floats:
 def _multiplier_tests(
     e: Floats, G: Floats, pasts: Sequence[Floats], runs: Stretches, n_lags: int
 ) -> list[float]:
-    """Return the p-values of e (n,) against the lags of signals (n,), once what G (n, k) explains is taken from them."""
-    while n_lags > 1 and (runs.position >= n_lags).mean() < 0.5:  # of short stretches, fewer lags
+    """Return the p-values of Lagrange multiplier tests of e (n,) against the lags of each signal (n,) in `pasts`.
+
+    Statistic: g' V⁻¹ g / sigma², with the score g = Z'e - Z'G (G'G)⁻¹ G'e and V = Z'Z - Z'G (G'G)⁻¹ G'Z.
+    Here Z holds the lags and G (n, k) the gradients. Under the null it is chi-squared with rank(V) degrees of freedom.
+    """
+    while n_lags > 1 and (runs.position >= n_lags).mean() < 0.5:  # fewer lags for short stretches
         n_lags -= 1
     use = runs.position >= n_lags
     target, G = e[use], G[use]
@@ -228,7 +241,7 @@ def _multiplier_tests(
         size = np.sqrt(np.diagonal(square))
         size = np.where(size > 0, size, 1.0)
         values, vectors = np.linalg.eigh((square - ZG @ inverse @ ZG.T) / np.outer(size, size))
-        kept = values > 1e-12  # below is rounding
+        kept = values > 1e-12  # smaller values are rounding errors
         if not kept.any() or variance <= 0:
             out.append(float("nan"))
             continue

@@ -1,4 +1,8 @@
-"""The equations of all rays run scan by scan: one step ahead of what was measured, or free of it."""
+"""Recursion of the equations of all rays over scans: one step ahead of measured readings, or in free run.
+
+Reading of ray j, scaled on the right: r_j(k) = driven_j(k) + sum_{l,o} plain_{l,j,o} r_{j+o}(k-l)
++ sum_o (v twist_{0,j,o} + omega twist_{1,j,o} + omega² twist_{2,j,o}) r_{j+o}(k-1) + sum_l noise_{j,l} e_j(k-l).
+"""
 
 from __future__ import annotations
 
@@ -13,16 +17,16 @@ from sensorgraph.types import Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReadingGains:
-    """Coefficients of lagged readings as arrays over rays and their neighbours."""
+    """Coefficients of lagged readings as arrays over rays and neighbours."""
 
     plain: Floats
-    """(lags, n_rays, 2 * neighbours + 1)"""
+    """(lags, n_rays, 2 * neighbours + 1) coefficients of the readings."""
     twist: Floats
-    """(3, n_rays, 2 * neighbours + 1) at lag 1, times v, omega and omega^2."""
+    """(3, n_rays, 2 * neighbours + 1) coefficients of the readings at lag 1, times v, omega and omega^2."""
 
     @classmethod
     def of(cls, form: NarmaxForm, order: Ints, theta: Floats) -> ReadingGains:
-        """Collect them from the terms (n_rays, n_max) of each ray and their coefficients."""
+        """Collect the coefficients from the terms (n_rays, n_max) of each ray."""
         n_rays, h, m = len(order), form.neighbours, len(form.shared)
         plain = np.zeros((form.lags, n_rays, 2 * h + 1))
         twist = np.zeros((len(FACTORS), n_rays, 2 * h + 1))
@@ -37,45 +41,45 @@ class ReadingGains:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """What the recursion needs of a model at n scans: all that does not depend on readings is evaluated beforehand."""
+    """Inputs of the recursion at n scans: everything that does not depend on readings."""
 
     form: NarmaxForm
     scale: ReadingScale
     gains: ReadingGains
     noise: Floats
-    """(n_rays, noise_lags)"""
+    """(n_rays, noise_lags) coefficients of the noise."""
     limits: tuple[float, float]
-    """[m] of the sensor."""
+    """[m] Range limits of the sensor."""
     position: Ints
-    """(n,) scans of the stretch before each."""
+    """(n,) number of preceding scans in the stretch."""
     twists: Floats
-    """(n, 2)"""
+    """(n, 2) [m/s, rad/s]"""
     start: Floats
-    """(n, n_rays) [m] by the start equation, which holds where there is no history."""
+    """(n, n_rays) [m] start equation, used without history."""
     driven: Floats
-    """(n, n_rays) [m] sum of the terms of poses and twist; 0 where there is no history."""
+    """(n, n_rays) [m] sum of the terms of poses and twist; 0 without history."""
 
 
 class RunState:
-    """What a run carries from scan to scan: scaled readings of the last scans, and their noise."""
+    """State of the recursion: scaled readings of the last scans, and their noise."""
 
     def __init__(self, equations: Equations) -> None:
         form, n_rays = equations.form, equations.start.shape[1]
         self.form, self.scale, self.n_rays = form, equations.scale, n_rays
         self.readings = np.zeros((form.lags, n_rays + 2 * form.reach))
-        """Scaled; the ends stay 0."""
+        """(lags, n_rays + 2 reach) scaled readings, with a margin of zeros on both sides."""
         self.errors = np.zeros((equations.noise.shape[1], n_rays))
 
     @property
     def last(self) -> Floats:
-        """(n_rays,) [m] reading of the scan before."""
+        """(n_rays,) [m] readings of the preceding scan."""
         h = self.form.reach
         return np.asarray(
             self.readings[0, h : h + self.n_rays] * self.scale.width + self.scale.centre, dtype=np.float64
         )
 
     def predicted(self, equations: Equations, k: int) -> Floats:
-        """Return the readings (n_rays,) [m] of scan k, which has `lags` scans before it."""
+        """Return the readings (n_rays,) [m] of scan k, which needs `lags` preceding scans."""
         if not self.form.lags:
             return np.asarray(equations.driven[k])
         window = sliding_window_view(self.readings, 2 * self.form.reach + 1, axis=1)[
@@ -89,7 +93,7 @@ class RunState:
         return np.asarray(raw + np.einsum("ql,lq->q", equations.noise, self.errors))
 
     def advance(self, reading: Floats, error: Floats) -> None:
-        """Take a scan's readings and its noise (n_rays,) [m]."""
+        """Append the readings and the noise (n_rays,) [m] of a scan."""
         h = self.form.reach
         if len(self.readings):
             self.readings[1:] = self.readings[:-1].copy()
@@ -104,8 +108,7 @@ def run(equations: Equations, measured: Floats | None = None) -> Floats:
 
     Parameters
     ----------
-    measured : (n, n_rays) [m]; the lags are those of what was measured, the last return held where there is none: one
-        step ahead. None: the lags are predictions themselves: free run
+    measured : (n, n_rays) [m] Measured readings used as lags, with the last return held (one step ahead). None: predictions are used as lags (free run).
     """
     n, q = equations.start.shape
     state = RunState(equations)
@@ -131,21 +134,23 @@ def run(equations: Equations, measured: Floats | None = None) -> Floats:
     return out
 
 
-def dropout_chances(base: Floats, memory: Floats, position: Ints, lost: Floats | None) -> Floats:
-    """Return the chance of no return (n, n_rays): a two-state Markov chain whose entry depends on the pose (Gilbert 1960).
+def dropout_chances(base: Floats, memory: Floats, position: Ints, missing: Floats | None) -> Floats:
+    """Return P(k) = base(k) + memory missing(k-1), the probability of no return (n, n_rays).
+
+    It is a two-state Markov chain whose entry depends on the pose (Gilbert 1960).
 
     Parameters
     ----------
-    base : (n, n_rays) chance after a return
-    memory : (n_rays,) added after no return
-    lost : (n, n_rays) 1 where nothing came back, nan where not known; None: free run
+    base : (n, n_rays) Probability after a return.
+    memory : (n_rays,) Increase after a missing return.
+    missing : (n, n_rays) 1 for a missing return, nan where unknown. None: free run.
     """
-    rest = np.clip(base / (1.0 - memory), 0.0, 1.0)  # in equilibrium
-    if lost is not None:
-        before = np.vstack([rest[:1], lost[:-1]])
-        before = np.where(np.isnan(before) | (position == 0)[:, None], rest, before)
+    equilibrium = np.clip(base / (1.0 - memory), 0.0, 1.0)  # in equilibrium
+    if missing is not None:
+        before = np.vstack([equilibrium[:1], missing[:-1]])
+        before = np.where(np.isnan(before) | (position == 0)[:, None], equilibrium, before)
         return np.clip(base + memory * before, 0.0, 1.0)
     out = np.empty_like(base)
     for k in range(len(base)):
-        out[k] = rest[k] if position[k] == 0 else np.clip(base[k] + memory * out[k - 1], 0.0, 1.0)
+        out[k] = equilibrium[k] if position[k] == 0 else np.clip(base[k] + memory * out[k - 1], 0.0, 1.0)
     return out

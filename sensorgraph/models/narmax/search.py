@@ -1,8 +1,12 @@
-"""The search for terms: forward selection for every ray on one shared matrix of moments, by error reduction ratio.
+"""Search for the terms of every ray: forward selection by error reduction ratio on shared moments.
 
-Orthogonal least squares (Billings 2013, ch. 3) as a pivoted Cholesky factorisation of Φ'Φ, of which only the rows of
-the chosen terms are needed. A ray that misses scans corrects just those rows, so its search is exact at a cost in
-proportion to what it misses. `robotmodic_ident.select` says the same for one ray at a time.
+Error reduction ratio of candidate c: err_c = (b_c² / remaining_c) / y'y, the share of y'y that c explains in addition
+to the chosen terms.
+
+Orthogonal least squares (Billings 2013, ch. 3) is computed as a pivoted Cholesky factorisation of Φ'Φ, which needs
+only the rows of the chosen terms. For a ray with missing scans only these rows are corrected, so the search is exact
+and its extra cost is proportional to the number of missing scans. `robotmodic_ident.select` does the same for one ray
+at a time.
 """
 
 from __future__ import annotations
@@ -19,46 +23,45 @@ from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 CRITERION = "ebic"
-"""Of the number of terms: it also counts how many models the candidates allow (Chen and Chen 2008)."""
+"""Criterion for the number of terms; EBIC penalises the number of possible models (Chen and Chen 2008)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChosenTerms:
-    """The terms of one ray, in order of choice."""
+    """The terms of one ray, in order of selection."""
 
     order: Ints
-    """(k,) candidates: the shared ones first, then the ray's own readings."""
+    """(k,) candidates: indices of shared terms, then of the ray's readings."""
     err: Floats
-    """(k,) error reduction ratio of each."""
+    """(k,) error reduction ratio of each term."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
-    """What one ray's search needs of the moments."""
+    """Moments for the search of one ray."""
 
     row: Callable[[int], Floats]
-    """Candidate -> its row (m,) of Φ'Φ over the ray's scans."""
+    """Function from a candidate to its row (m,) of Φ'Φ over the ray's scans."""
     diagonal: Floats
-    """(m,) of Φ'Φ."""
+    """(m,) diagonal of Φ'Φ."""
     cross: Floats
     """(m,) Φ'y."""
     power: float
     """y'y."""
     count: int
-    """Scans of the ray."""
+    """Number of scans of the ray."""
 
 
 class SharedMoments:
-    """Φ'Φ and Φ'Y of all rays over the same scans; the columns of readings are those of a few rays at a time."""
+    """Φ'Φ and Φ'Y of all rays over the same scans; reading columns are computed for a few rays at a time."""
 
     def __init__(self, phi: Floats, columns: ReadingColumns, ranges: Floats, form: NarmaxForm) -> None:
-        """Take phi (n, n_shared), and ranges (n, n_rays) [m] at the same rows; nan: not known."""
+        """Store phi (n, n_shared), and ranges (n, n_rays) [m] at the same rows; nan: unknown."""
         self.columns, self.form = columns, form
         self.n_rays = ranges.shape[1]
         self.known = np.isfinite(ranges) & columns.all_known()
-        self.phi = (
-            phi if self.known.all() else np.ascontiguousarray(phi)
-        )  # rows are gathered where some are missing
+        # rows are gathered where scans are missing
+        self.phi = phi if self.known.all() else np.ascontiguousarray(phi)
         self.y = np.where(self.known, ranges, 0.0)
         self.static = phi[:, form.static]
         self.gram = phi.T @ phi
@@ -66,7 +69,7 @@ class SharedMoments:
         self.power = np.einsum("ij,ij->j", self.y, self.y)
 
     def searches(self, *, is_static: bool, progress: Progress | None = None) -> Iterator[ChosenTerms]:
-        """Yield the terms of every ray in turn; `is_static`: of those that a pose alone gives."""
+        """Yield the terms of each ray; with `is_static`, only terms of the current pose are candidates."""
         step = NARMAX.rays_per_block
         for first in range(0, self.n_rays, step):
             rays = range(first, min(first + step, self.n_rays))
@@ -78,22 +81,24 @@ class SharedMoments:
                 progress(rays.stop, self.n_rays)
 
     def _static(self, ray: int) -> ChosenTerms:
-        few = self.form.static
+        static_terms = self.form.static
         known = self.known[:, ray]
         phi = self.static
-        gram = self.gram[np.ix_(few, few)] if known.all() else phi[known].T @ phi[known]
+        gram = self.gram[np.ix_(static_terms, static_terms)] if known.all() else phi[known].T @ phi[known]
         problem = _Problem(
             row=lambda c: gram[c],
             diagonal=np.diagonal(gram).copy(),
-            cross=self.cross[few, ray],
+            cross=self.cross[static_terms, ray],
             power=float(self.power[ray]),
             count=int(known.sum()),
         )
-        found = forward_selection(problem, self.form.n_terms, self.form.shared[few.tolist()].canonical_order)
-        return ChosenTerms(order=few[found.order], err=found.err)
+        found = forward_selection(
+            problem, self.form.n_terms, self.form.shared[static_terms.tolist()].canonical_order
+        )
+        return ChosenTerms(order=static_terms[found.order], err=found.err)
 
     def _lagged(self, rays: range) -> Iterator[ChosenTerms]:
-        """Search the terms of neighbouring rays, whose readings are multiplied together."""
+        """Search the terms of neighbouring rays, whose moments are computed together."""
         h = self.form.reach
         around = slice(max(rays.start - h, 0), min(rays.stop + h, self.n_rays))
         readings = self.columns.of_all(slice(None), around)
@@ -106,7 +111,7 @@ class SharedMoments:
             has = np.flatnonzero(places >= 0)
             at = places[has]
             full = np.block([[self.gram, mixed[:, at]], [mixed[:, at].T, own[np.ix_(at, at)]]])
-            row, diagonal = _with_holes(full, self.phi, readings[:, at], self.known[:, ray])
+            row, diagonal = _rows_of_known_scans(full, self.phi, readings[:, at], self.known[:, ray])
             problem = _Problem(
                 row=row,
                 diagonal=diagonal,
@@ -121,47 +126,53 @@ class SharedMoments:
             yield ChosenTerms(order=candidates[found.order], err=found.err)
 
 
-def _with_holes(
+def _rows_of_known_scans(
     full: Floats, phi: Floats, readings: Floats, known: Bools
 ) -> tuple[Callable[[int], Floats], Floats]:
-    """Return the rows of Φ'Φ over the known scans, one by one, and its diagonal; `full` is over all scans."""
+    """Return the rows of Φ'Φ over the known scans, on demand, and its diagonal; `full` is over all scans."""
     if known.all():
         return (lambda c: full[c]), np.diagonal(full).copy()
-    few = known if 2 * known.sum() < len(known) else ~known
-    part = np.concatenate([phi[few], readings[few]], axis=1)
+    fewer = known if 2 * known.sum() < len(known) else ~known
+    part = np.concatenate([phi[fewer], readings[fewer]], axis=1)
     squares = np.einsum("ij,ij->j", part, part)
-    if few is known:
+    if fewer is known:
         return (lambda c: part[:, c] @ part), squares
     diagonal = np.diagonal(full) - squares
-    safe = np.where(diagonal > 1e-12 * np.diagonal(full), diagonal, 0.0)  # the difference is rounding
+    safe = np.where(
+        diagonal > 1e-12 * np.diagonal(full), diagonal, 0.0
+    )  # smaller differences are rounding errors
     return (lambda c: full[c] - part[:, c] @ part), safe
 
 
 def forward_selection(problem: _Problem, n_max: int, order: Ints) -> ChosenTerms:
-    """Choose terms by what they explain, the constant first, and cut where the criterion is least.
+    """Select terms greedily, the constant first, and truncate at the minimum of the criterion.
+
+    The columns are scaled to unit norm. Step: c = argmax b_c² / remaining_c, z = b_c / sqrt(remaining_c).
+    Row of the factor: ((Φ'Φ)_c - sum_i basis_i,c basis_i) / sqrt(remaining_c).
+    Update: b = b - z row, remaining = remaining - row². Error reduction ratio: err = z² / y'y.
 
     Parameters
     ----------
-    order : (m,) canonical order of the candidates, which decides ties; the constant is candidate 0
+    order : (m,) Canonical order of the candidates, which decides ties; the constant is candidate 0.
     """
     m = len(problem.diagonal)
     n_max = max(1, min(n_max, m, problem.count // NARMAX.rows_per_term))
     norm = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0))
-    left = np.where(problem.diagonal > 0, 1.0, 0.0)  # remaining squared norm
+    remaining = np.where(problem.diagonal > 0, 1.0, 0.0)  # remaining squared norm
     b = problem.cross / norm
     basis, chosen, gains = np.empty((n_max, m)), [], []
     for k in range(n_max):
-        c = 0 if k == 0 else _best(b, left, order, 4.0 * EPSILON * problem.power)
-        if c < 0 or left[c] <= DEPENDENCE_TOLERANCE:
+        c = 0 if k == 0 else _best(b, remaining, order, 4.0 * EPSILON * problem.power)
+        if c < 0 or remaining[c] <= DEPENDENCE_TOLERANCE:
             break
         row = problem.row(c) / (norm * norm[c])
         row = row - basis[:k, c] @ basis[:k]
-        row /= np.sqrt(left[c])
+        row /= np.sqrt(remaining[c])
         basis[k] = row
-        z = b[c] / np.sqrt(left[c])
+        z = b[c] / np.sqrt(remaining[c])
         b = b - z * row
-        left = left - row**2
-        left[c] = 0.0
+        remaining = remaining - row**2
+        remaining[c] = 0.0
         chosen.append(c)
         gains.append(z)
     explained = np.array(gains) ** 2 / (problem.power if problem.power > 0 else 1.0)
@@ -172,10 +183,10 @@ def forward_selection(problem: _Problem, n_max: int, order: Ints) -> ChosenTerms
     return ChosenTerms(order=np.array(chosen[:size], dtype=np.intp), err=explained[:size])
 
 
-def _best(b: Floats, left: Floats, order: Ints, floor: float) -> int:
-    """Return the candidate that explains most, of equals the first in canonical order; -1: all depend on the chosen."""
-    free = left > DEPENDENCE_TOLERANCE
-    gain = np.where(free, b**2 / np.where(free, left, 1.0), -1.0)
+def _best(b: Floats, remaining: Floats, order: Ints, floor: float) -> int:
+    """Return the candidate with the largest gain, the first in canonical order among equals; -1: all are dependent."""
+    free = remaining > DEPENDENCE_TOLERANCE
+    gain = np.where(free, b**2 / np.where(free, remaining, 1.0), -1.0)
     best = float(gain.max())
     if best < 0:
         return -1

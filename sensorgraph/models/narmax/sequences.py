@@ -1,4 +1,4 @@
-"""Sequences of scans: which scans follow each other without a gap, and how the robot moved between them."""
+"""Sequences of scans: stretches without a gap, and the motion of the robot between scans."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.types import Bools, Floats, Ints
 
 MAX_STEP = 1.5
-"""Median steps of time; a longer step is a gap."""
+"""Time step above which there is a gap, in median steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,11 +22,11 @@ class ScanSequence:
     stamps: Floats
     """(n,) [s]"""
     sequence: Ints
-    """(n,) number of the stretch without a gap that a scan is of; equal numbers stand together."""
+    """(n,) number of each scan's stretch without a gap; equal numbers are adjacent."""
 
     @cached_property
     def position(self) -> Ints:
-        """(n,) how many scans of its stretch come before each."""
+        """(n,) number of preceding scans in the stretch of each scan."""
         n = len(self.sequence)
         starts = (
             np.flatnonzero(np.r_[True, self.sequence[1:] != self.sequence[:-1]]) if n else np.zeros(0, int)
@@ -36,7 +36,7 @@ class ScanSequence:
 
     @cached_property
     def twists(self) -> Floats:
-        """(n, 2) [m/s, rad/s] mean forward speed and turn rate since the scan before; those of the next at a start."""
+        """(n, 2) [m/s, rad/s] mean speed and turn rate since the preceding scan; until the next scan at a start."""
         n = len(self.poses)
         out = np.zeros((n, 2))
         if n < 2:
@@ -55,7 +55,7 @@ class ScanSequence:
         return out
 
     def signals(self, rows: Ints, lags: int) -> dict[str, Floats]:
-        """Return the signals of poses and twist by name, `x(k-1)`, at rows (n_rows,) that have `lags` scans before."""
+        """Return the signals of poses and twist by name, `x(k-1)`, at rows (n_rows,) with `lags` preceding scans."""
         x, y, phi = self.poses.T
         pose = {"x": x, "y": y, "cos_phi": np.cos(phi), "sin_phi": np.sin(phi)}
         out = {
@@ -67,13 +67,13 @@ class ScanSequence:
 
 
 def stretches(stamps: Floats, used: Bools, period: float) -> Ints:
-    """Number the stretches of used scans, those left out and gaps in time between them; (n_used,).
+    """Number the stretches of used scans (n_used,); unused scans and time gaps separate them.
 
     Parameters
     ----------
     stamps : (n,) [s]
-    used : (n,)
-    period : [s] median step of the stamps
+    used : (n,) Mask of the used scans.
+    period : [s] Median step of the stamps.
     """
     index = np.flatnonzero(used)
     if len(index) == 0:

@@ -1,6 +1,6 @@
-"""Settings of the model `narmax`: every tuned number of `models/narmax` with its unit and its meaning.
+"""Settings of the model `narmax`: every tuned number of `models/narmax` with unit and meaning.
 
-Their defaults were set on the shipped arenas, by what `python -m benchmarks.lagged_rays` prints.
+The defaults were set on the shipped arenas, by the output of `python -m benchmarks.lagged_rays`.
 """
 
 from __future__ import annotations
@@ -13,48 +13,48 @@ class NarmaxSettings:
     """All tuned numbers of the model `narmax`."""
 
     lags: int = 3
-    """[scans] default look back."""
+    """[scans] Default number of lags."""
     degree: int = 3
     """Default degree in poses and twist."""
     neighbours: int = 3
-    """Rays on each side whose lagged readings a ray may use."""
+    """Number of rays on each side whose lagged readings a ray may use."""
     turn_quantile: float = 0.95
-    """Of the turns from scan to scan [rad], as far as which the neighbours reach."""
+    """Quantile of the turns between scans [rad] up to which the neighbours reach."""
     max_spacing: int = 10
-    """[rays] between neighbours."""
+    """[rays] Maximum distance between neighbours."""
     noise_lags: int = 2
-    """[scans] lags of the noise, where the residual is correlated."""
+    """[scans] Number of noise lags of rays with a correlated residual."""
     max_terms: int = 25
-    """Terms of a ray that the search goes to."""
+    """Maximum number of terms of a ray."""
     max_lags: int = 20
-    """[scans] look back that may be asked for."""
+    """[scans] Maximum number of lags that may be specified."""
     max_candidates: int = 4000
-    """Candidates that all rays share; more lags or a higher degree would take too long."""
+    """Maximum number of shared candidates; more lags or a higher degree would take too long."""
     max_search_rows: int = 20_000
-    """Scans that the search for terms looks at, evenly spread; coefficients are estimated on all."""
+    """Maximum number of scans in the search for terms, evenly spread; coefficients are estimated on all scans."""
     rows_per_block: int = 2048
-    """Rows whose products are taken together, for the sake of memory."""
+    """Number of rows multiplied at a time; it limits memory."""
     rays_per_block: int = 32
-    """Rays, alike."""
+    """Number of rays processed at a time; it limits memory."""
     rows_per_term: int = 5
-    """Rows that a ray needs for each term; with fewer it keeps fewer terms, at least its mean."""
-    alarm: float = 0.05
-    """p-value of the test of autocorrelation below which a ray gets noise terms; the convention."""
+    """Minimum number of rows per term of a ray; with fewer rows it has fewer terms, at least the mean."""
+    test_level: float = 0.05
+    """p-value of the test for autocorrelation below which a ray has noise terms; the usual level."""
     tested_lags: int = 10
-    """[scans] of the tests of residuals."""
+    """[scans] Number of lags in residual tests."""
     max_steps: int = 3
-    """Gauss-Newton steps of the prediction error, from a consistent start (Hannan and Rissanen 1982)."""
+    """Maximum number of Gauss-Newton steps, from a consistent start (Hannan and Rissanen 1982)."""
     converged: float = 1e-3
-    """Relative gain of a step below which the next one is not taken."""
-    largest_root: float = 0.98
-    """Of the noise polynomial: closer to the unit circle a start is drawn back, so that residuals do not ring."""
+    """Relative gain of a step below which the iteration ends."""
+    max_root: float = 0.98
+    """Largest modulus of the roots of the noise polynomial; it avoids slowly decaying residuals."""
     max_dropout_memory: float = 0.98
-    """Largest share of a dropout that lasts into the next scan."""
+    """Maximum increase of the probability of no return after a missing return."""
     scored_scans: int = 5000
-    """First training scans whose one-step and free-run errors give the standard deviations."""
+    """Number of training scans, from the start, whose errors determine the standard deviations."""
     min_sigma: float = 1e-6
-    """[m] of a ray."""
+    """[m] Lower limit of a ray's standard deviation."""
 
 
 NARMAX = NarmaxSettings()
-"""The settings of the model `narmax`."""
+"""The settings that the modules use."""

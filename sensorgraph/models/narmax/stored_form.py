@@ -1,4 +1,4 @@
-"""Options and files of the model `narmax`: which forms are allowed, and whether stored arrays make a model."""
+"""Checks of the options and of the stored arrays of the model `narmax`."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _WHOLE = ("order", "rows", "start_order")
 def restored(
     sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
 ) -> dict[str, Any]:
-    """Check what `state` gave, and return the parameters of the model by name.
+    """Check the output of `state` and return the parameters of the model by name.
 
     Raises
     ------
-    ValueError : an array has a wrong shape or points outside the terms
+    ValueError : An array has a wrong shape or an invalid term index.
     """
     form = check_form(form_from(header["form"]))
     q, k, s = sensor.n_rays, arrays["order"].shape[-1], arrays["start_order"].shape[-1]
@@ -47,7 +47,7 @@ def restored(
     check_order(arrays["order"], m + len(form.readings))
     check_order(arrays["start_order"], m)
     if not np.isin(arrays["start_order"], np.r_[-1, form.static]).all():
-        raise ValueError("start_order names terms with lags")
+        raise ValueError("start_order holds terms with lags, expected terms of the pose alone")
     _check_neighbours(form, arrays["order"], m)
     for name in ("rows", "sigma", "spread"):
         check_range(name, arrays[name], 0)
@@ -70,11 +70,11 @@ def restored(
 
 
 def form_of(options: Mapping[str, Any]) -> NarmaxForm:
-    """Return the form that options ask for.
+    """Return the form that the options define.
 
     Raises
     ------
-    SensorgraphError : an option is unknown, below 0, or too large
+    SensorgraphError : An option is unknown or out of range.
     """
     known = ("lags", "degree", "neighbours", "noise_lags", "n_terms")
     if unknown := set(options) - set(known):
@@ -91,11 +91,11 @@ def form_of(options: Mapping[str, Any]) -> NarmaxForm:
 
 
 def check_form(form: NarmaxForm) -> NarmaxForm:
-    """Refuse a form that is no model, or that would take too long.
+    """Check that a form is valid and small enough to be fitted.
 
     Raises
     ------
-    ValueError : a number is out of range
+    ValueError : A number is out of range.
     """
     check_range("lags", form.lags, 0, NARMAX.max_lags)
     check_range("degree", form.degree, 0, 20)
@@ -105,18 +105,18 @@ def check_form(form: NarmaxForm) -> NarmaxForm:
     check_range("noise_lags", form.noise_lags, 0, NARMAX.max_lags)
     if (count := form.n_shared) > NARMAX.max_candidates:
         raise ValueError(
-            f"degree {form.degree} and {form.lags} lags make {count} candidates, expected {NARMAX.max_candidates} at most; "
-            "take fewer lags or a lower degree"
+            f"degree {form.degree} and {form.lags} lags make {count} candidates, expected at most {NARMAX.max_candidates}; "
+            "specify fewer lags or a lower degree"
         )
     return form
 
 
 def _check_neighbours(form: NarmaxForm, order: Ints, m: int) -> None:
-    """Check that no ray reads a neighbour beyond the ends of the scan.
+    """Check that no ray uses a neighbour beyond the ends of the scan.
 
     Raises
     ------
-    ValueError : one does
+    ValueError : A neighbour does not exist.
     """
     for ray, j in zip(*np.nonzero(order >= m), strict=True):
         if not 0 <= ray + form.readings[int(order[ray, j]) - m][0] < len(order):

@@ -1,1 +1,1 @@
-"""Model `polynomial`: one polynomial in (x, y, phi) for each ray, the form of 2004."""
+"""Model `polynomial`: one polynomial in (x, y, phi) for each ray, as published in 2004."""

@@ -1,4 +1,4 @@
-"""The choice of degree, harmonics and number of terms by validation on blocks of the log."""
+"""Selection of degree, harmonics and number of terms by cross-validation on stretches of the log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FORM = POLYNOMIAL.form
 
 @dataclass(frozen=True, kw_only=True)
 class PolynomialForm:
-    """The form that all rays share, and why."""
+    """The form that all rays share, and how it was chosen."""
 
     degree: int
     harmonics: int
@@ -35,7 +35,7 @@ class PolynomialForm:
 
 
 def n_candidates(degree: int, harmonics: int) -> int:
-    """Count monomials of x, y up to a degree times 1, cos, sin up to a harmonic."""
+    """Return the number of monomials of x, y up to a degree times 1, cos, sin up to a harmonic."""
     return (degree + 1) * (degree + 2) // 2 * (2 * harmonics + 1)
 
 
@@ -49,22 +49,22 @@ def select_form(
     n_terms: Auto = "auto",
     progress: Progress | None = None,
 ) -> PolynomialForm:
-    """Return the form with the least mean error on stretches of the training scans that its fit left out.
+    """Return the form with the smallest mean error on held-out stretches of the training scans.
 
     Raises
     ------
-    SensorgraphError : a degree, a number of harmonics or of terms is too small, or no ray returned
+    SensorgraphError : A degree or a number of harmonics or terms is too small, or no ray returned.
     """
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
             raise SensorgraphError(f"{name} is {value}, expected {least} or more, or auto")
     if degree != "auto" and harmonics != "auto" and n_terms != "auto":
         size = min(int(n_terms), n_candidates(degree, harmonics))
-        return PolynomialForm(degree=degree, harmonics=harmonics, n_terms=size, how="as asked")
+        return PolynomialForm(degree=degree, harmonics=harmonics, n_terms=size, how="given options")
     forms = _forms(len(scans), degree, harmonics)
     table = _Folds(scans, scale, dictionary(max(d for d, _ in forms), max(h for _, h in forms)))
     best = (np.inf, 0, 0, 1)
-    for k, (d, h) in enumerate(forms):  # from poor to rich
+    for k, (d, h) in enumerate(forms):  # from few to many candidates
         if progress is not None:
             progress(k, len(forms))
         sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
@@ -72,12 +72,12 @@ def select_form(
         if errors[least] < FORM.max_error_ratio * best[0]:
             best = (float(errors[least]), d, h, int(sizes[least]))
     error, d, h, size = best
-    how = f"mean error {error:.3f} m on {FORM.folds} x {FORM.stretches // FORM.folds} left-out stretches of the training scans"
+    how = f"mean error {error:.3f} m on {FORM.folds} x {FORM.stretches // FORM.folds} held-out stretches of the training scans"
     return PolynomialForm(degree=d, harmonics=h, n_terms=size, how=how)
 
 
 def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
-    """List (degree, harmonics) that n scans can carry, fewest candidates first."""
+    """Return the pairs (degree, harmonics) that n scans support, in the order of the number of candidates."""
     degrees = range(1, FORM.max_degree + 1) if degree == "auto" else [degree]
     waves = range(FORM.max_harmonics + 1) if harmonics == "auto" else [harmonics]
     forms = sorted(((d, h) for d in degrees for h in waves), key=lambda f: (n_candidates(*f), f))
@@ -86,16 +86,18 @@ def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
 
 
 class _Folds:
-    """Moments of a sample of rays and scans with each fold left out, for every sub-dictionary of one."""
+    """Moments of a sample of rays and scans without each fold, for every sub-dictionary of a dictionary."""
 
     def __init__(self, scans: TrainingScans, scale: Scale, terms: Terms) -> None:
         q = scans.sensor.n_rays
-        alive = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
-        if len(alive) == 0:
+        returning = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
+        if len(returning) == 0:
             raise SensorgraphError(
                 "no ray of any training scan returned a range; record where the sensor sees something"
             )
-        rays = alive[np.unique(np.linspace(0, len(alive) - 1, min(FORM.max_rays, q)).round().astype(np.intp))]
+        rays = returning[
+            np.unique(np.linspace(0, len(returning) - 1, min(FORM.max_rays, q)).round().astype(np.intp))
+        ]
         some = np.unique(
             np.linspace(0, len(scans) - 1, min(FORM.max_scans, len(scans))).round().astype(np.intp)
         )
@@ -113,7 +115,7 @@ class _Folds:
         self.moments = [total - part for part in parts]
 
     def errors(self, terms: Terms, n_terms: int | None) -> tuple[Ints, Floats]:
-        """Return numbers of terms (n_sizes,) and the mean size of the validation error after each."""
+        """Return numbers of terms (n_sizes,) and the mean absolute validation error for each."""
         place = {name: i for i, name in enumerate(self.terms.names)}
         index = np.array([place[name] for name in terms.names])
         sizes = (
@@ -139,7 +141,7 @@ class _Folds:
         return sizes, total / max(count, 1)
 
     def _stack(self, index: Ints) -> tuple[Floats, Floats, Floats, Ints, Ints]:
-        """Stack all folds and rays: Grams (one a fold, or one a fold and ray), cross, power, fold, ray."""
+        """Stack all folds and rays: Gram matrices (one per fold, or per fold and ray), cross, power, fold, ray."""
         square = np.ix_(index, index)
         n_rays = self.y.shape[1]
         fold, ray = np.repeat(np.arange(FORM.folds), n_rays), np.tile(np.arange(n_rays), FORM.folds)
@@ -155,7 +157,7 @@ class _Folds:
 
 
 def _sizes(n_max: int) -> Ints:
-    """List the numbers of terms to try: every number at first, then steps of a fifth."""
+    """Return the numbers of terms to try: all small numbers, then steps of a fifth."""
     sizes = list(range(1, min(n_max, FORM.every_size_to) + 1))
     while sizes[-1] < n_max:
         sizes.append(min(n_max, sizes[-1] + sizes[-1] // 5))

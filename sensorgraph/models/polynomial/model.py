@@ -1,7 +1,8 @@
-"""Model `polynomial`: one polynomial for each ray over (x, y, phi), the form of 2004; phi through harmonics.
+"""Model `polynomial`: r_j = sum_i theta_ji phi_i(x, y, phi), one polynomial for each ray j (published in 2004).
 
-The rays share one dictionary and one pass over the data; each ray then selects its own terms by ERR.
-A range is fitted where something was seen; whether something is seen is a second polynomial of the same kind.
+The terms phi_i are monomials of x and y times harmonics of phi. The rays share one dictionary and one pass over the
+data. Each ray selects its terms by the error reduction ratio (ERR). The range is fitted to the returns; a second
+polynomial of the same kind models the probability of no return.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ from sensorgraph.types import Floats, Ints, Progress
 SUPPORT = POLYNOMIAL.support
 POSES_PER_BLOCK = POLYNOMIAL.poses_per_block
 QUANTILES = np.linspace(0.0, 1.0, POLYNOMIAL.n_quantiles)
-"""Shares at which the size of the residuals is kept."""
+"""Probabilities of the stored quantiles of the absolute residual."""
 
 
 def dictionary(degree: int, harmonics: int) -> Terms:
-    """List monomials of x and y times harmonics of phi."""
+    """Return the products of monomials of x and y with harmonics of phi."""
     return polynomial(["x", "y"], degree) * fourier(["phi"], harmonics)
 
 
 def columns(poses: Floats) -> dict[str, Floats]:
-    """Name the columns of poses (n, 3) as the terms do."""
+    """Return the columns of poses (n, 3) by variable name."""
     return {"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Polynomial:
-    """Polynomials of all rays, and where they may be trusted."""
+    """Polynomials of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "polynomial"
 
@@ -53,32 +54,32 @@ class Polynomial:
     terms: Terms
     scale: Scale
     order: Ints
-    """(n_rays, n_max) terms of each ray in order of choice; -1 beyond them."""
+    """(n_rays, n_max) terms of each ray in order of selection; -1: none."""
     err: Floats
-    """(n_rays, n_max) error reduction ratio of each choice."""
+    """(n_rays, n_max) error reduction ratio of each term."""
     stderr: Floats
-    """(n_rays, n_max) standard error of the coefficient."""
+    """(n_rays, n_max) standard error of each coefficient."""
     theta: Floats
     """(n_rays, n_terms) [m] coefficients of the scaled terms."""
     theta_none: Floats
-    """(n_rays, n_terms) coefficients for the chance of no return."""
+    """(n_rays, n_terms) coefficients of the probability of no return."""
     returns: Ints
-    """(n_rays,) training scans in which the ray returned."""
+    """(n_rays,) number of training scans with a return."""
     nothing: Ints
-    """(n_rays,) training scans in which it saw nothing (+inf)."""
+    """(n_rays,) number of training scans without a return (+inf)."""
     sigma: Floats
     """(n_rays,) [m] standard deviation of the residual."""
     spread: Floats
-    """(n_rays, len(SPREAD)) [m] quantiles of the size of the residual."""
+    """(n_rays, len(QUANTILES)) [m] quantiles of the absolute residual."""
     root: Floats
     """(n_terms, n_terms) W with W W' = (Φ'Φ)⁻¹ over all training scans: leverage is |φ W|²."""
     leverage_limit: float
-    """A larger leverage is extrapolation."""
+    """Leverage above which a pose is an extrapolation."""
     support: Support
 
     @property
     def n_rays(self) -> int:
-        """Count of rays."""
+        """Number of rays."""
         return len(self.sigma)
 
     @classmethod
@@ -89,11 +90,11 @@ class Polynomial:
         progress: Progress | None = None,
         **options: Auto,
     ) -> Self:
-        """Choose degree, harmonics and n_terms (the options) by validation, then fit every ray.
+        """Select degree, harmonics and n_terms (the options) by cross-validation, then fit every ray.
 
         Raises
         ------
-        SensorgraphError : an option is unknown, or no ray returned
+        SensorgraphError : An option is unknown, or no ray returned.
         """
         if unknown := set(options) - {"degree", "harmonics", "n_terms"}:
             raise SensorgraphError(
@@ -120,7 +121,7 @@ class Polynomial:
         return draft._with_residuals(scans)
 
     def _with_residuals(self, scans: TrainingScans) -> Self:
-        """Fill sigma and spread from the residuals of the training scans, corrected for the terms used."""
+        """Estimate sigma and spread from the residuals of the training scans, corrected for the number of terms."""
         residual = np.empty_like(scans.ranges)
         for rays in _rays_of_one_pose(scans, self.n_rays):
             for start in range(0, len(scans), POSES_PER_BLOCK):
@@ -145,7 +146,7 @@ class Polynomial:
         return np.clip(ranges, self.sensor.range_min, self.sensor.range_max)
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
-        """Predict rays (n_rays,) at poses (n_poses, 3); median, mode and mean are one for a Gaussian."""
+        """Predict rays (n_rays,) at poses (n_poses, 3); median, mode and mean are equal for a Gaussian."""
         shape = (len(poses), len(rays))
         value, sigma, none, off = (np.empty(shape) for _ in range(4))
         trusted = np.empty(len(poses), dtype=np.bool_)
@@ -155,7 +156,7 @@ class Polynomial:
             phi = self.terms.matrix(columns(poses[rows]), self.scale)
             value[rows] = self._clip(phi @ self.theta[rays].T)
             none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
-            with np.errstate(over="ignore"):  # however large, it is cut
+            with np.errstate(over="ignore"):  # the value is limited
                 leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
             widen = np.sqrt(1.0 + leverage)
             sigma[rows] = self.sigma[rays] * widen[:, None]
@@ -175,11 +176,11 @@ class Polynomial:
         )
 
     def ray_terms(self, ray: int) -> Ints:
-        """Return the indices of a ray's terms in order of choice."""
+        """Return the indices of a ray's terms in order of selection."""
         return np.asarray(self.order[ray][self.order[ray] >= 0], dtype=np.intp)
 
     def equation(self, ray: int) -> str:
-        """Print one ray's equation in metres and radians, its sigma, and the terms it chose."""
+        """Return one ray's equation in metres and radians, its sigma, and its terms as text."""
         chosen = self.ray_terms(ray)
         if len(chosen) == 0:
             return f"ray {ray} never returned in {self.nothing[ray]} training scans: no equation"
@@ -189,10 +190,10 @@ class Polynomial:
         what = f", the nearest surface in a cone of {cone:.2f} deg" if cone > 0 else ""
         lines = [
             f"ray {ray}, bearing {bearing:.2f} deg{what}: {len(chosen)} terms, sigma {self.sigma[ray]:.4g} m, "
-            f"{self.returns[ray]} returns, {self.nothing[ray]} without",
+            f"{self.returns[ray]} returns, {self.nothing[ray]} missing returns",
             f"r{ray} = {sum_text(terms, theta, digits=8)}   [m; x, y in m, phi in rad]",
             "",
-            "as it was fitted, with "
+            "fitted terms, with "
             + ", ".join(
                 f"{v} -> ({v} - {c:.6g}) / {w:.6g}"
                 for v, c, w in zip(self.scale.variables, self.scale.centres, self.scale.widths, strict=True)
@@ -208,11 +209,11 @@ class Polynomial:
         return "\n".join(lines)
 
     def summary(self) -> Mapping[str, str]:
-        """Return the form, how it was chosen, and how well the training scans are met."""
+        """Return the form, how it was chosen, standard deviations and support as label -> text."""
         used = (self.order >= 0).sum(axis=1)
         return {
             "form": f"degree {self.form.degree} in x, y times {self.form.harmonics} harmonics of phi: "
-            f"{len(self.terms)} candidates, {used.min()} to {used.max()} terms a ray",
+            f"{len(self.terms)} candidates, {used.min()} to {used.max()} terms per ray",
             "chosen by": self.form.how,
             "sigma": f"{self.sigma.min():.3g} to {self.sigma.max():.3g} m, median {np.median(self.sigma):.3g} m",
             "support": f"{len(self.support.keys)} cells of {self.support.cell:g} m x "
@@ -220,7 +221,7 @@ class Polynomial:
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return plain data and arrays that hold the whole model."""
+        """Return plain data and arrays that describe the whole model."""
         support, arrays = self.support.state()
         header = {
             "choice": self.form.to_dict(),
@@ -236,16 +237,15 @@ class Polynomial:
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave.
+        """Recreate the model from the output of `state`.
 
         Raises
         ------
-        ValueError : an array has a wrong shape or points outside the terms, or the powers of the scaled poses
-            would overflow
+        ValueError : An array has a wrong shape or an invalid term index, or powers of the scaled poses would overflow.
         """
         form = PolynomialForm(**header["choice"])
         if not all(type(n) is int and n >= 0 for n in (form.degree, form.harmonics, form.n_terms)):
-            raise ValueError(f"the form is {form}, expected whole numbers from 0")
+            raise ValueError(f"the form is {form}, expected integers of 0 or more")
         if n_candidates(form.degree, form.harmonics) != arrays["theta"].shape[-1]:
             raise ValueError(f"theta has shape {arrays['theta'].shape}, not of degree {form.degree}")
         terms = dictionary(form.degree, form.harmonics)
@@ -279,7 +279,7 @@ def _shapes(q: int, m: int, k: int) -> tuple[tuple[int, ...], ...]:
 def _select_all(
     scans: TrainingScans, terms: Terms, scale: Scale, n_terms: int, progress: Progress | None
 ) -> dict[str, Any]:
-    """Fit the range and the chance of no return of all rays, a few rays a pass where returns are missing."""
+    """Fit range and probability of no return of all rays, in passes of a few rays if returns are missing."""
     n, q, m = len(scans), scans.sensor.n_rays, len(terms)
     k = min(n_terms, m)
     out: dict[str, Any] = {
@@ -328,17 +328,17 @@ def _select_all(
 
 
 def _rays_of_one_pose(scans: TrainingScans, n_rays: int) -> list[slice]:
-    """Return the rays that share their poses: all of them, or one by one where the laser sweeps."""
+    """Return slices of rays with common poses: all rays, or single rays of a sweeping laser."""
     return [slice(0, n_rays)] if scans.ray_poses is None else [slice(j, j + 1) for j in range(n_rays)]
 
 
 def _poses(scans: TrainingScans, rays: slice, rows: slice) -> Floats:
-    """Return the poses (n, 3) of some scans, of a sweep those of the first of some rays."""
+    """Return the poses (n, 3) of some scans; for a sweep, those of the first of the given rays."""
     return scans.poses[rows] if scans.ray_poses is None else scans.ray_poses[rows, rays.start]
 
 
 def _by_size(count: NDArray[np.int64], k: int) -> list[tuple[Ints, int]]:
-    """Group outputs by how many terms their data allow: `k`, or the mean alone where there are too few rows a term."""
+    """Group outputs by the number of terms that their data support: `k`, or the mean alone with too few rows."""
     rows = POLYNOMIAL.form.rows_per_term * k
     rich, poor = np.flatnonzero(count >= rows), np.flatnonzero((count < rows) & (count > 0))
     return [(few, size) for few, size in ((rich, k), (poor, 1)) if len(few)]
@@ -349,14 +349,14 @@ def _store(out: dict[str, Any], rays: Ints, picked: Selection) -> None:
     out["order"][rays, :k] = picked.order
     out["err"][rays, :k] = picked.err
     out["theta"][rays] = picked.theta
-    spread = np.sqrt((picked.inverse**2).sum(axis=2))  # root of the diagonal of T T'
+    spread = np.sqrt((picked.inverse**2).sum(axis=2))  # square root of the diagonal of T T'
     out["stderr"][rays, :k] = np.nan_to_num(picked.sigma)[:, None] * spread
 
 
 def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
-    """Return W with W W' = (Φ'Φ)⁻¹ and the leverage beyond which a pose is unlike the training poses.
+    """Return W with W W' = (Φ'Φ)⁻¹, and the leverage above which a pose is an extrapolation.
 
-    Directions along which the poses never varied keep a tiny variance, so that a pose off them has a huge leverage.
+    Directions in which the poses never varied keep a tiny variance, so that the leverage of a pose off them is huge.
     """
     values, vectors = np.linalg.eigh(gram)
     root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))

@@ -1,4 +1,4 @@
-"""Support: where a model that is fitted to poses may be trusted, because the robot has been there."""
+"""Support: poses near training poses, at which a model fitted to poses is supported by data."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from sensorgraph.types import Bools, Floats
 CellKeys = NDArray[np.int64]
 
 SUPPORT = POLYNOMIAL.support
-_KEY_SPAN = 1 << 28  # cells along an axis that a key can tell apart
+_KEY_SPAN = 1 << 28  # number of cells along an axis that a key distinguishes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Support:
-    """Cells over (x, y, heading) that training poses lie in; a neighbouring cell counts as well."""
+    """Cells over (x, y, heading) that contain training poses; their neighbours are also supported."""
 
     cell: float
-    """[m] side of a position cell."""
+    """[m] Side of a position cell."""
     n_sectors: int
-    """Heading sectors; 1 where the sensor sees all around."""
+    """Number of heading sectors; 1 if the sensor sees all around."""
     origin: Floats
     """(2,) [m] corner of cell (0, 0)."""
     keys: CellKeys
@@ -38,23 +38,23 @@ class Support:
 
     @classmethod
     def of(cls, poses: Floats, *, sees_around: bool) -> Support:
-        """Take the smallest cell at which the poses (n, 3) support each other."""
+        """Choose the smallest cell size for which enough of the poses (n, 3) have neighbours."""
         n_sectors = 1 if sees_around else SUPPORT.n_sectors
         origin = poses[:, :2].min(axis=0)
         for cell in SUPPORT.cell_sizes:
             keys, counts = np.unique(_keys(_cells(poses, cell, origin, n_sectors)), return_counts=True)
             support = cls(cell=cell, n_sectors=n_sectors, origin=origin, keys=keys)
-            near = support._near(poses, counts) > 1  # someone besides the pose itself
+            near = support._near(poses, counts) > 1  # another pose in addition to itself
             if near.mean() >= SUPPORT.min_supported:
                 break
         return support
 
     def covers(self, poses: Floats) -> Bools:
-        """Tell which poses (n, 3) lie in a visited cell or beside one."""
+        """Return a mask of the poses (n, 3) in a visited cell or next to one."""
         return self._near(poses, np.ones(len(self.keys), dtype=np.int64)) > 0
 
     def _near(self, poses: Floats, counts: CellKeys) -> CellKeys:
-        """Add up the counts of each pose's cell and its neighbours."""
+        """Sum the counts of each pose's cell and its neighbours."""
         home = _cells(poses, self.cell, self.origin, self.n_sectors)
         total = np.zeros(len(poses), dtype=np.int64)
         turns = (-1, 0, 1) if self.n_sectors >= 3 else (0,)
@@ -73,11 +73,11 @@ class Support:
 
     @classmethod
     def restore(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Support:
-        """Build from what `state` gave.
+        """Recreate the support from the output of `state`.
 
         Raises
         ------
-        ValueError : the keys are not one sorted array, or the cells have no size
+        ValueError : The keys are not a sorted array, or the cell size is not positive.
         """
         keys = arrays["visited"]
         check_shape("visited", keys, (max(keys.size, 1),), "i")
@@ -96,9 +96,9 @@ class Support:
 
 
 def leverage_root(phi: Floats) -> tuple[Floats, float]:
-    """Return W (m, m) with W W' = (Φ'Φ)⁻¹ for phi (n, m), and the leverage beyond which a pose is unlike these.
+    """Return W (m, m) with W W' = (Φ'Φ)⁻¹ for phi (n, m), and the leverage above which a pose is an extrapolation.
 
-    Directions along which the poses never varied keep a tiny variance, so that a pose off them has a huge leverage.
+    Directions in which the poses never varied keep a tiny variance, so that the leverage of a pose off them is huge.
     """
     values, vectors = np.linalg.eigh(phi.T @ phi)
     root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))
@@ -106,14 +106,14 @@ def leverage_root(phi: Floats) -> tuple[Floats, float]:
 
 
 def leverage_limit(leverage: Floats) -> float:
-    """Return the leverage beyond which a pose is unlike the training poses, from theirs (n,)."""
+    """Return the leverage above which a pose is an extrapolation, from the leverages (n,) of the training poses."""
     h = np.minimum(leverage, 1.0 - 1e-9)
-    # h / (1 - h): the leverage that a training pose would have as a new one
+    # h / (1 - h) is the leverage that a training pose would have as a new pose
     return float(SUPPORT.leverage_factor * np.quantile(h / (1.0 - h), SUPPORT.leverage_quantile))
 
 
 def scale_of(scans: TrainingScans) -> Scale:
-    """Scale x and y by the arena's bounds if they are known, else by the poses."""
+    """Return the scale of x and y, from the arena's bounds if known, otherwise from the poses."""
     if scans.bounds is not None:
         x0, y0, x1, y1 = scans.bounds
         return Scale.between({"x": (x0, x1), "y": (y0, y1)})
@@ -121,13 +121,13 @@ def scale_of(scans: TrainingScans) -> Scale:
 
 
 def sees_around(sensor: RangeSensor) -> bool:
-    """Tell whether a sensor sees all around, so that its heading does not matter for what it has seen."""
+    """Return whether a sensor sees all around, so that the observed space does not depend on its heading."""
     step = np.diff(sensor.bearings).mean() if sensor.n_rays > 1 else 0.0
     return bool(np.ptp(sensor.bearings) + step > SUPPORT.full_circle)
 
 
 def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKeys:
-    """Return (n, 3) cell numbers along x, y and heading; sectors are centred on multiples of their width."""
+    """Return cell numbers (n, 3) along x, y and heading; sectors are centred on multiples of their width."""
     with np.errstate(invalid="ignore", over="ignore"):
         xy = np.floor((poses[:, :2] - origin) / cell)
         sector = np.mod(np.round(poses[:, 2] / (2 * np.pi / n_sectors)), n_sectors)
