@@ -342,7 +342,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
 
 
 def test_a_robot_too_large_for_the_arena_is_refused() -> None:
-    with pytest.raises(SensorgraphError, match="stands nowhere in the arena"):
+    with pytest.raises(SensorgraphError, match="fits nowhere in the arena"):
         ExportedWorld.of(load_arena("square"), parse_robot("footprint_radius: 3.0\n"))
 
 

@@ -1,4 +1,4 @@
-"""An arena and a robot for other simulators: MuJoCo, ir-sim, Gazebo, Nav2.
+"""Export an arena and a robot to other simulators: MuJoCo, ir-sim, Gazebo, Nav2.
 
-`export` writes a folder; `twin` is what the scripts in it run on, so that a drive there becomes a run like any other.
+`export` writes a folder. The scripts in it use `twin`, so that a drive there becomes a run like any other.
 """

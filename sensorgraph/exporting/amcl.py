@@ -1,8 +1,17 @@
-"""AMCL's parameters from a run: the beam mixture by EM, the likelihood field, and the odometry's noise.
+"""AMCL's parameters from a run: the beam mixture by EM, the likelihood field, and the odometry noise.
 
-Models of Thrun, Burgard and Fox, Probabilistic Robotics (2005): the beam model and the EM that learns it (tables 6.1
-and 6.2), the likelihood field (table 6.3) and the odometry motion model (table 5.6), as Nav2's AMCL has them. Every
-number has an interval, from a bootstrap over stretches of the run.
+The map gives the expected range z* of a reading z. Its beam model is
+
+    p(z) = z_hit·N(z; z*, spread²) + z_short·E(z) + z_max·[z = range_max] + z_rand/range_max.
+
+Here E(z) = rate·exp(-rate·z) / (1 - exp(-rate·z*)) for z < z*, and 0 otherwise. EM estimates its parameters (Thrun, Burgard and Fox, Probabilistic Robotics, 2005, tables 6.1 and 6.2). The
+distance of returns to occupied cells gives the likelihood field (table 6.3). The noise of an odometry step
+(table 5.6, as in Nav2's AMCL) is
+
+    var(turn1 + turn2) = alpha1 (turn1² + turn2²) + 2 alpha2 way²,
+    var(way) = alpha3 way² + alpha4 (turn1² + turn2²).
+
+Every number has an interval, from a bootstrap over segments of the run.
 """
 
 from __future__ import annotations
@@ -27,25 +36,25 @@ DEFAULTS: Mapping[str, float] = {
     "alpha1": 0.2, "alpha2": 0.2, "alpha3": 0.2, "alpha4": 0.2, "alpha5": 0.2, "lambda_short": 0.1,
     "laser_max_range": 100.0, "sigma_hit": 0.2, "z_hit": 0.5, "z_max": 0.05, "z_rand": 0.5, "z_short": 0.05,
 }  # fmt: skip
-"""Of Nav2's AMCL (docs.nav2.org, AMCL configuration)."""
+"""Defaults of Nav2's AMCL (docs.nav2.org, AMCL configuration)."""
 MAX_SCANS = 2000
-"""Scans that the mixture is learnt from, evenly over the run."""
+"""Maximum number of scans for the mixture, spread evenly over the run."""
 N_BLOCKS, N_DRAWS = 20, 200
-"""Stretches of the run, and how often as many of them are drawn."""
+"""Number of segments of the run, and number of bootstrap draws of as many segments."""
 EM_PASSES = 60
 N_STRETCHES, N_UPDATES, N_WARM_UP, N_PARTICLES = 20, 25, 10, 500
-"""Stretches of the run on which the laser models are compared; updates of the filter in each, and how many of them are
-not counted, as the filter has to settle; its particles."""
+"""Number of segments on which the laser models are compared; filter updates per segment; updates before the
+filter settles, which do not count; particles."""
 MIN_STEPS = 40
-"""Steps of the odometry that its noise can be told from."""
+"""Minimum number of odometry steps for an estimate of its noise."""
 MAX_POSE_DISTANCE = 0.11
-"""[s] to the nearest pose of the reference: half the period of a laser of 5 Hz that was located by its scans."""
+"""[s] Maximum time to the nearest reference pose: half the period of a laser of 5 Hz located by its scans."""
 MOTION_NAMES = ("alpha1", "alpha2", "alpha3", "alpha4")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BootstrapEstimate:
-    """A number and the interval of 95 % that the bootstrap gives."""
+    """A value with its 95 % bootstrap interval."""
 
     value: float
     low: float
@@ -56,21 +65,21 @@ class BootstrapEstimate:
 
 
 def estimate_amcl(run: Run, arena: Arena, grid: OccupancyMap) -> dict[str, BootstrapEstimate]:
-    """Return the parameters that a run with poses tells, by their names in Nav2.
+    """Return the parameters that a run with poses determines, by their names in Nav2.
 
     Parameters
     ----------
-    run : its poses are in the frame of the arena
-    grid : the map that AMCL will be given; sigma_hit is the distance of returns to its occupied cells
+    run : Run with poses in the frame of the arena.
+    grid : Map for AMCL; `sigma_hit` is the distance of returns to its occupied cells.
 
     Raises
     ------
-    SensorgraphError : the run has no poses, or none at its scans
+    SensorgraphError : The run has no poses, or none at its scans.
     """
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired)
     if len(index) == 0:
-        raise SensorgraphError("the run has no pose at any scan; locate it first: sensorgraph locate RUN")
+        raise SensorgraphError("the run has no pose at any scan; locate it first with `sensorgraph locate`")
     index = index[np.unique(np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp))]
     poses, readings = pairing.poses[index], run.ranges[index]
     out = _beam_mixture(run, arena, poses, readings, grid)
@@ -82,13 +91,13 @@ def estimate_amcl(run: Run, arena: Arena, grid: OccupancyMap) -> dict[str, Boots
 
 @dataclass(frozen=True, kw_only=True)
 class LaserModelChoice:
-    """A laser model of AMCL, and what the run says for it."""
+    """Chosen laser model of AMCL, with the errors of both models."""
 
     name: str
     default_error: BootstrapEstimate
-    """[m] median distance of a filter with Nav2's laser model to the run's poses."""
+    """[m] Median distance between the run's poses and a filter with Nav2's default laser model."""
     product_error: BootstrapEstimate
-    """[m] of one with `likelihood_field_prob`."""
+    """[m] The same with `likelihood_field_prob`."""
 
     def __str__(self) -> str:
         by_name = (
@@ -96,20 +105,20 @@ class LaserModelChoice:
             for name, found in zip(LASER_MODELS, (self.default_error, self.product_error), strict=True)
         )
         default = "" if self.name == LASER_MODELS[0] else f"; Nav2's default is {LASER_MODELS[0]}"
-        return f"off the run's poses: {', '.join(by_name)}{default}"
+        return f"median error against the run's poses: {', '.join(by_name)}{default}"
 
 
 def compare_laser_models(
     run: Run, grid: OccupancyMap, parameters: Mapping[str, float]
 ) -> LaserModelChoice | None:
-    """Follow stretches of the run by a filter with each laser model; None: the run has too little odometry.
+    """Track segments of the run by a filter with each laser model; None if the run has too little odometry.
 
-    Nav2's default is left where the interval of the difference excludes zero in favour of the product.
+    The default is replaced only if the interval of the difference excludes zero in favour of the product.
 
     Parameters
     ----------
-    run : its poses are in the frame of the map
-    parameters : by their names in Nav2
+    run : Run with poses in the frame of the map.
+    parameters : Parameters by their names in Nav2.
     """
     motion, pairing = odometry_of(run), pair(run)
     if motion is None or len(run.odom_stamps) < MIN_STEPS:
@@ -151,35 +160,35 @@ def compare_laser_models(
 def _beam_mixture(
     run: Run, arena: Arena, poses: Floats, readings: Floats, grid: OccupancyMap
 ) -> dict[str, BootstrapEstimate]:
-    """Learn z_hit, z_short, z_max, z_rand, lambda_short and sigma_hit (Probabilistic Robotics, table 6.2)."""
+    """Estimate z_hit, z_short, z_max, z_rand, lambda_short and sigma_hit (Probabilistic Robotics, table 6.2)."""
     sensor = run.sensor
     lasers = laser_poses(poses, sensor.mount)
     expected, _ = cast_laser(arena.walls, lasers, sensor.bearings, sensor.range_max)
     expected = np.minimum(expected, sensor.range_max)
-    is_max = ~(readings < sensor.range_max)  # beyond the range, or not at all
+    is_max = ~(readings < sensor.range_max)  # beyond the range, or missing
     z = np.where(is_max, sensor.range_max, np.maximum(readings, 0.0))
-    away = _distance_to_cells(lasers, sensor.bearings, np.where(is_max, np.nan, z), grid)
+    cell_distance = _distance_to_cells(lasers, sensor.bearings, np.where(is_max, np.nan, z), grid)
     block = np.arange(len(poses)) * N_BLOCKS // len(poses)
     names = ("z_hit", "z_short", "z_max", "z_rand", "lambda_short", "sigma_hit")
     start = (0.7, 0.1, 0.1, 0.1, 1.0, max(3 * sensor.sigma, grid.resolution))
-    every = _learn(z, expected, is_max, away, sensor.range_max, start)
-    parts = [
-        _learn(z[block == k], expected[block == k], is_max[block == k], away[block == k], sensor.range_max, every, 8)
+    estimate = _fit_mixture(z, expected, is_max, cell_distance, sensor.range_max, start)
+    block_estimates = [
+        _fit_mixture(z[block == k], expected[block == k], is_max[block == k], cell_distance[block == k], sensor.range_max, estimate, 8)
         for k in range(min(N_BLOCKS, len(poses)))
     ]  # fmt: skip
-    return _with_intervals(names, every, np.array(parts))
+    return _with_intervals(names, estimate, np.array(block_estimates))
 
 
-def _learn(
+def _fit_mixture(
     z: Floats,
     expected: Floats,
     is_max: np.ndarray,
-    away: Floats,
+    cell_distance: Floats,
     range_max: float,
     start: tuple[float, ...],
     passes: int = EM_PASSES,
 ) -> tuple[float, ...]:
-    """Alternate shares of each reading and parameters of the mixture."""
+    """Alternate the shares of each reading and the parameters of the mixture (EM)."""
     w_hit, w_short, w_max, w_rand, rate, _ = start
     is_hit = ~is_max
     miss = np.where(is_hit, z - expected, 0.0)
@@ -195,16 +204,16 @@ def _learn(
         w_hit, w_short, w_max, w_rand = (float(part.mean()) for part in shares)
         rate = float(np.clip(shares[1].sum() / max((shares[1] * z).sum(), 1e-9), 0.01, 20.0))
         spread = max(float(np.sqrt((shares[0] * miss**2).sum() / max(shares[0].sum(), 1e-9))), 1e-3)
-    known = np.isfinite(away)
+    known = np.isfinite(cell_distance)
     weight = shares[0][known]
-    sigma = float(np.sqrt((weight * away[known] ** 2).sum() / max(weight.sum(), 1e-9)))
+    sigma = float(np.sqrt((weight * cell_distance[known] ** 2).sum() / max(weight.sum(), 1e-9)))
     return w_hit, w_short, w_max, w_rand, rate, sigma
 
 
 def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: OccupancyMap) -> Floats:
-    """Return how far [m] each return ends from the middle of an occupied cell, nan where it is off the map.
+    """Return the root mean square distance [m] of each return to an occupied cell; nan outside the map.
 
-    In the mean square: from cell to cell, and anywhere in its own.
+    It combines the distance between cell centres with a uniform position within the cell.
     """
     far = distance_transform_edt(grid.data != 100) * grid.resolution
     phi = lasers[:, 2:] + bearings
@@ -213,20 +222,20 @@ def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: Occupa
     column = np.where(known, (x - grid.origin[0]) / grid.resolution, -1.0).astype(np.intp)
     row = np.where(known, (y - grid.origin[1]) / grid.resolution, -1.0).astype(np.intp)
     inside = known & (column >= 0) & (row >= 0) & (column < far.shape[1]) & (row < far.shape[0])
-    away = far[np.where(inside, row, 0), np.where(inside, column, 0)]
-    return np.where(inside, np.hypot(away, grid.resolution / np.sqrt(12)), np.nan)
+    cell_distance = far[np.where(inside, row, 0), np.where(inside, column, 0)]
+    return np.where(inside, np.hypot(cell_distance, grid.resolution / np.sqrt(12)), np.nan)
 
 
 def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
-    """Return alpha1 to alpha4 from steps of the odometry against those of the poses (table 5.6); {} if there are few.
+    """Return alpha1 to alpha4 from odometry steps relative to those of the poses; {} if there are too few steps.
 
-    The variances of a step's turn and way are linear in the alphas; they are fitted to the squared
-    errors by weighted least squares without negative values. alpha5 is of omnidirectional robots alone.
+    The variances are linear in the alphas (see the module). Weighted non-negative least squares fits them to
+    the squared errors. alpha5 only applies to omnidirectional robots.
     """
     steps = _steps(run)
     if len(steps) < MIN_STEPS:
         return {}
-    every = _fit_alphas(steps)
+    estimate = _fit_alphas(steps)
     block = np.arange(len(steps)) * N_BLOCKS // len(steps)
     rng = np.random.default_rng(0)
     draws = []
@@ -235,13 +244,13 @@ def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
         draws.append(_fit_alphas(np.concatenate([steps[block == k] for k in chosen])))
     low, high = np.percentile(draws, [2.5, 97.5], axis=0)
     return {
-        name: BootstrapEstimate(value=float(every[i]), low=float(low[i]), high=float(high[i]))
+        name: BootstrapEstimate(value=float(estimate[i]), low=float(low[i]), high=float(high[i]))
         for i, name in enumerate(MOTION_NAMES)
     }
 
 
 def _steps(run: Run) -> Floats:
-    """Return (n, 6): first turn, way, second turn of the odometry, and of the poses, between two updates."""
+    """Return (n, 6): first turn, way and second turn between two updates, of the odometry and of the poses."""
     if len(run.odom_stamps) < 2 or len(run.pose_stamps) < 2:
         return np.zeros((0, 6))
     stamps, odometry = run.odom_stamps, run.odometry
@@ -262,23 +271,23 @@ def _steps(run: Run) -> Floats:
 
 
 def _turn_way_turn(a: Floats, b: Floats) -> tuple[float, float, float]:
-    """Split a step into turn, way, turn, as AMCL does: a way below 1 cm has no direction."""
+    """Split a step into turn, way, turn, as AMCL does; a way below 1 cm has no direction."""
     way = float(np.hypot(*(b[:2] - a[:2])))
     first = 0.0 if way < 0.01 else float(wrap(np.arctan2(b[1] - a[1], b[0] - a[0]) - a[2]))
-    backwards = abs(first) > np.pi / 2  # it drove in reverse: the turn is taken from the rear
+    backwards = abs(first) > np.pi / 2  # reversing: the turn is relative to the rear
     first = float(wrap(first + np.pi)) if backwards else first
     return first, -way if backwards else way, float(wrap(b[2] - a[2] - first))
 
 
 def _fit_alphas(steps: Floats) -> Floats:
-    """Fit alpha1 to alpha4 to how far steps turn and go wrongly; not to the two turns one by one.
+    """Fit alpha1 to alpha4 to the errors of the total turn and of the way.
 
-    On a short way the direction is noise of the poses: the two turns are then wrong by the same, one to the left, one to
-    the right, and the robot's heading is not.
+    The two turns are not fitted separately: on a short way its direction is noise of the poses. The two turns
+    then have opposite errors, and the heading of the robot has none.
     """
     turn, true_turn = steps[:, 0] + steps[:, 2], steps[:, 3] + steps[:, 5]
-    turns, ways = steps[:, 3] ** 2 + steps[:, 5] ** 2, steps[:, 4] ** 2  # of the poses: those of the odometry
-    none = np.zeros(len(steps))  # hold its noise
+    turns, ways = steps[:, 3] ** 2 + steps[:, 5] ** 2, steps[:, 4] ** 2  # of the poses, as those of the
+    none = np.zeros(len(steps))  # odometry contain its noise
     rows = np.concatenate(
         [
             np.stack([turns, 2 * ways, none, none], axis=1),
@@ -287,22 +296,26 @@ def _fit_alphas(steps: Floats) -> Floats:
     )
     squares = np.concatenate([wrap(turn - true_turn), steps[:, 1] - steps[:, 4]]) ** 2
     alphas = np.full(4, 0.1)
-    for _ in range(8):  # a square has twice the variance of its mean, squared
+    for _ in range(8):  # the variance of a square is twice its squared mean
         weight = 1 / np.maximum(rows @ alphas, 1e-8)
         alphas = nnls(rows * weight[:, None], squares * weight)[0]
     return np.asarray(alphas)
 
 
 def _with_intervals(
-    names: tuple[str, ...], every: tuple[float, ...], parts: Floats
+    names: tuple[str, ...], estimate: tuple[float, ...], block_estimates: Floats
 ) -> dict[str, BootstrapEstimate]:
-    """Return the values of the whole run with intervals from a bootstrap over its stretches."""
+    """Return the values of the whole run, with intervals from a bootstrap over its segments."""
     rng = np.random.default_rng(0)
-    means = parts[rng.integers(0, len(parts), (N_DRAWS, len(parts)))].mean(axis=1)
+    means = block_estimates[rng.integers(0, len(block_estimates), (N_DRAWS, len(block_estimates)))].mean(
+        axis=1
+    )
     half = (np.percentile(means, 97.5, axis=0) - np.percentile(means, 2.5, axis=0)) / 2
     return {
         name: BootstrapEstimate(
-            value=float(every[i]), low=max(float(every[i] - half[i]), 0.0), high=float(every[i] + half[i])
+            value=float(estimate[i]),
+            low=max(float(estimate[i] - half[i]), 0.0),
+            high=float(estimate[i] + half[i]),
         )
         for i, name in enumerate(names)
     }

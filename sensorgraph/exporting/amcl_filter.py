@@ -1,8 +1,12 @@
-"""A small particle filter with AMCL's models: what its parameters are worth on a run.
+"""A small particle filter with AMCL's models, to evaluate its parameters on a run.
 
-Models as Nav2's AMCL has them: odometry (Thrun, Burgard and Fox 2005, table 5.6) and likelihood field (table 6.3), whose
-two laser models differ in how rays count. `likelihood_field` weighs a particle by one plus the sum of the cubes
-of its rays' likelihoods, which is never far from flat; `likelihood_field_prob` by their product.
+The models are those of Nav2's AMCL: odometry (Thrun, Burgard and Fox 2005, table 5.6) and likelihood field
+(table 6.3). The likelihood of a return is
+
+    p = z_hit exp(-distance² / (2 sigma_hit²)) + z_rand / laser_max_range.
+
+The two laser models combine the returns differently. `likelihood_field` weights a particle by 1 + sum p³,
+which is always nearly flat; `likelihood_field_prob` weights it by the product of p.
 """
 
 from __future__ import annotations
@@ -21,12 +25,12 @@ from sensorgraph.types import Floats
 LASER_MODELS = ("likelihood_field", "likelihood_field_prob")
 """The first is Nav2's default."""
 MIN_D, MIN_A = 0.25, 0.2
-"""[m], [rad] between two updates of AMCL (update_min_d, update_min_a)."""
+"""[m], [rad] Motion between two updates of AMCL (update_min_d, update_min_a)."""
 MAX_BEAMS = 60
 MAX_DISTANCE = 2.0
-"""[m] of a return to the nearest occupied cell (laser_likelihood_max_dist)."""
+"""[m] Maximum distance of a return to the nearest occupied cell (laser_likelihood_max_dist)."""
 START_SPREAD = (0.25, 0.25, 0.07)
-"""[m, m, rad] of the particles about the pose that the filter is told to start from."""
+"""[m, m, rad] Standard deviations of the initial particles."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,21 +38,21 @@ class CellDistances:
     """Distance to the nearest occupied cell."""
 
     low: Floats
-    """(2,) [m] corner of the grid."""
+    """(2,) [m] Lower left corner of the grid."""
     cell: float
     distance: Floats
     """(ny, nx) [m], at most MAX_DISTANCE."""
 
     @classmethod
     def of(cls, grid: OccupancyMap) -> CellDistances:
-        """Measure it on a map."""
+        """Compute the distances of a map."""
         far = grid.resolution * distance_transform_edt(grid.data != 100)
         return cls(
             low=np.asarray(grid.origin[:2]), cell=grid.resolution, distance=np.minimum(far, MAX_DISTANCE)
         )
 
     def table(self, parameters: Mapping[str, float], laser_model: str) -> Floats:
-        """Return what a return in each cell counts (ny * nx + 1,); the last is off the map."""
+        """Return the contribution of a return in each cell (ny * nx + 1,); the last is for a return off the map."""
         distance = np.append(self.distance.ravel(), MAX_DISTANCE)
         p = parameters["z_hit"] * np.exp(-0.5 * (distance / parameters["sigma_hit"]) ** 2)
         p += parameters["z_rand"] / parameters["laser_max_range"]
@@ -56,7 +60,7 @@ class CellDistances:
 
 
 def updates(odometry: Floats) -> Iterator[int]:
-    """Yield the scans at which the filter is updated: it has gone or turned far enough by its odometry (n, 3)."""
+    """Yield the scans at which the filter updates, given the odometry (n, 3)."""
     last = 0
     for k in range(len(odometry)):
         way = np.hypot(*(odometry[k, :2] - odometry[last, :2]))
@@ -77,14 +81,14 @@ def filtered(
     laser_model: str = LASER_MODELS[0],
     n_particles: int = 2000,
 ) -> Floats:
-    """Return the poses (n, 3) that the filter has after its updates, nan between them.
+    """Return the poses (n, 3) of the filter after its updates, nan at other scans.
 
     Parameters
     ----------
-    odometry : (n, 3) [m, m, rad] at the scans
+    odometry : (n, 3) [m, m, rad] Odometry at the scans.
     ranges : (n, n_rays) [m]
-    start : (3,) pose at the first scan
-    parameters : by their names in Nav2
+    start : (3,) Pose at the first scan.
+    parameters : Parameters by their names in Nav2.
     """
     particles = start + rng.normal(size=(n_particles, 3)) * START_SPREAD
     table, out, last = field.table(parameters, laser_model), np.full((len(odometry), 3), np.nan), 0
@@ -100,8 +104,12 @@ def filtered(
         ends = sensor.mount[:2] + ranges[k, used, None] * np.column_stack(
             [np.cos(bearings), np.sin(bearings)]
         )
-        counted = _counted(particles, ends, field, table).sum(axis=1)
-        weights = 1.0 + counted if laser_model == LASER_MODELS[0] else np.exp(counted - counted.max())
+        contributions = _contributions(particles, ends, field, table).sum(axis=1)
+        weights = (
+            1.0 + contributions
+            if laser_model == LASER_MODELS[0]
+            else np.exp(contributions - contributions.max())
+        )
         weights /= weights.sum()
         out[k] = _mean(particles, weights)
         at = np.searchsorted(np.cumsum(weights), (np.arange(n_particles) + rng.uniform()) / n_particles)
@@ -115,7 +123,7 @@ def _moved(
     way, turn = float(np.hypot(step[0], step[1])), float(wrap(step[2]))
     before = float(np.arctan2(step[1], step[0])) if way > 0.01 else 0.0
     after = float(wrap(turn - before))
-    a = min(abs(before), abs(float(wrap(before - np.pi))))  # backwards is as good as forwards
+    a = min(abs(before), abs(float(wrap(before - np.pi))))  # reversing counts as driving forwards
     b = min(abs(after), abs(float(wrap(after - np.pi))))
     n = len(particles)
     a1, a2, a3, a4 = (parameters[f"alpha{k}"] for k in (1, 2, 3, 4))
@@ -127,8 +135,8 @@ def _moved(
     return np.column_stack([x, y, particles[:, 2] + first + second])
 
 
-def _counted(particles: Floats, ends: Floats, field: CellDistances, table: Floats) -> Floats:
-    """Return what each return counts for each particle (n_particles, n_returns)."""
+def _contributions(particles: Floats, ends: Floats, field: CellDistances, table: Floats) -> Floats:
+    """Return the contribution of each return for each particle (n_particles, n_returns)."""
     cos, sin = np.cos(particles[:, 2:]) / field.cell, np.sin(particles[:, 2:]) / field.cell
     place = (particles[:, :2] - field.low) / field.cell
     column = np.floor(place[:, :1] + cos * ends[:, 0] - sin * ends[:, 1]).astype(np.intp)

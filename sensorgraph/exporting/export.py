@@ -1,4 +1,4 @@
-"""Write the folder of an exported world: the target's own files, arena, robot and effects, a script, a README."""
+"""Write the folder of an exported world: files of the target, arena, robot, effects, a script and a README."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from sensorgraph.version import __version__
 
 TARGETS = ("mujoco", "irsim", "gazebo", "nav2")
 SCRIPTED = {"mujoco": "drive_mujoco.py", "irsim": "drive_irsim.py"}
-"""Target -> the script that drives a plan there and records it."""
+"""Target -> script that drives a plan there and records it."""
 OWN_FILES = (
     "arena.geojson", "robot.yaml", "effects.yaml", "drive.py", "scene.xml", "world.yaml", "world.sdf", "bridge.launch.py",
     "map.yaml", "map.pgm", "keepout.yaml", "keepout.pgm", "amcl.yaml",
 )  # fmt: skip
-"""What an export may write; those of an older one in the same folder would change what the newer one means."""
+"""Files that an export may write; those of an older export in the same folder are removed."""
 BUILT_IN = ("geometry", "mount")
-"""Stages of effects that every target has in its world; nav2 keeps the map as it was given."""
+"""Stages of effects that every target applies in its world; nav2 keeps the original map."""
 NATIVE = {"gazebo": (RANGE_BIAS, SPEED_SATURATION), "mujoco": (ACTUATOR_LAG,)}
-"""Further effects that a target's own file has."""
+"""Additional effects in the files of a target."""
 FIRST_STEPS = {
     "mujoco": "python -m mujoco.viewer --mjcf=scene.xml   # look at it\npython drive.py PLAN -o run.mcap          # drive a plan and record it",
     "irsim": "python -c \"import irsim; env = irsim.make('world.yaml'); env.show()\"   # look at it\n"
@@ -46,11 +46,11 @@ FIRST_STEPS = {
 
 
 def check_target(target: str) -> None:
-    """Refuse an unknown target.
+    """Reject an unknown target.
 
     Raises
     ------
-    SensorgraphError : it lists the known ones
+    SensorgraphError : The target is unknown; the message lists the known ones.
     """
     if target not in TARGETS:
         near = difflib.get_close_matches(target, TARGETS, n=1)
@@ -66,17 +66,18 @@ def export(
     no_go: Sequence[shapely.Polygon] = (),
     run: Run | None = None,
 ) -> list[str]:
-    """Write a world for a target; return what the target cannot do, a line each.
+    """Write a world for a target; return what the target leaves out, one line each.
 
     Parameters
     ----------
-    target : one of TARGETS
-    folder : made if it is not there; all files are complete or not there, and those of an older export are taken away
-    no_go, run : see `nav2.write`
+    target : One of TARGETS.
+    folder : Folder, created if missing. Either all files are written or none; files of an older export are
+        removed.
+    no_go, run : See `nav2.write`.
 
     Raises
     ------
-    SensorgraphError : an unknown target
+    SensorgraphError : The target is unknown.
     """
     check_target(target)
     with atomic_folder(folder) as part:
@@ -110,20 +111,20 @@ def export(
 
 
 def _effects_left_out(world: ExportedWorld, target: str) -> list[str]:
-    """Say which effects the world's own files lack."""
-    left = []
+    """Return the effects that are missing from the files of the world, one line each."""
+    lines = []
     for a in world.effects:
         in_world = target != "nav2" and a.stage in BUILT_IN and a.effect is not PEOPLE
         is_native = a.effect in NATIVE.get(target, ()) and (target != "mujoco" or world.robot.drive == "diff")
         if in_world or is_native:
             continue
-        by_script = " in the world's own file; drive.py adds it" if target in SCRIPTED else ""
-        left.append(f"{a.effect.title} ({a.name}){by_script}")
-    return left
+        by_script = ", added by drive.py" if target in SCRIPTED else ""
+        lines.append(f"{a.effect.title} ({a.name}){by_script}")
+    return lines
 
 
 def _readme(world: ExportedWorld, target: str, left_out: Sequence[str]) -> str:
-    """Say what the folder holds, how to begin, and what the target cannot do."""
+    """Return the README: content of the folder, first steps, and what the target leaves out."""
     robot, sensor = world.robot, world.robot.sensor
     effects = "".join(f"- {a.effect.title}: {a.effect.physics}\n" for a in world.effects) or "- none\n"
     missing = "".join(f"- {line}\n" for line in left_out) or "- nothing\n"
@@ -131,9 +132,9 @@ def _readme(world: ExportedWorld, target: str, left_out: Sequence[str]) -> str:
         f"# {world.name} for {target}\n\n"
         f"Written by `sensorgraph export` {__version__}: {len(world.boxes)} walls"
         f"{f', {len(world.discs)} round obstacles' if len(world.discs) else ''}, the robot {robot.name} "
-        f"(radius {robot.footprint_radius:g} m), its laser of {sensor.n_rays} rays up to {sensor.range_max:g} m.\n\n"
+        f"(radius {robot.footprint_radius:g} m), and its laser with {sensor.n_rays} rays up to {sensor.range_max:g} m.\n\n"
         f"```bash\n{FIRST_STEPS[target]}\n```\n\n"
-        f"`arena.geojson`, `robot.yaml`{', `effects.yaml`' if world.effects else ''} are what it was made from. Compare "
-        "a run recorded here with the robot's own:\n\n```bash\nsensorgraph diagnose real.mcap --simulation run.mcap -o compared\n```\n\n"
-        f"## Effects\n\n{effects}\n## What it leaves out\n\n{missing}"
+        f"The sources are `arena.geojson`, `robot.yaml`{', `effects.yaml`' if world.effects else ''}. Compare a run "
+        "recorded here with a run of the robot:\n\n```bash\nsensorgraph diagnose real.mcap --simulation run.mcap -o compared\n```\n\n"
+        f"## Effects\n\n{effects}\n## Not in this world\n\n{missing}"
     )

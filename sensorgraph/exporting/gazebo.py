@@ -1,4 +1,4 @@
-"""Gazebo: world.sdf (SDF 1.9) with walls, a robot on wheels and its lidar with noise; bridge.launch.py for ros_gz."""
+"""Gazebo: world.sdf (SDF 1.9) with walls, a wheeled robot and a noisy lidar; bridge.launch.py for ros_gz."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ SYSTEMS = {
     "SceneBroadcaster": "scene-broadcaster",
     "UserCommands": "user-commands",
 }
-"""Name of a system that the world runs -> the name in its file."""
+"""Name of a system of the world -> the name in its file."""
 WHEEL_WIDTH = 0.03
 """[m]"""
 
 
 def write(world: ExportedWorld, folder: Path) -> list[str]:
-    """Write world.sdf and bridge.launch.py; return what they leave out, a line each."""
+    """Write world.sdf and bridge.launch.py; return what they leave out, one line each."""
     root = ElementTree.Element("sdf", version="1.9")
     place = SubElement(root, "world", name=_name(world.name))
     for name, tag in SYSTEMS.items():
@@ -41,16 +41,14 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     sensor, left_out = world.robot.sensor, []
     if sensor.is_composite:
         left_out.append(
-            "several sensors: the lidar is one fan at the mount, from the first bearing to the last"
+            "several sensors: the lidar has one fan at the mount, from the first bearing to the last"
         )
     if sensor.has_ray_delays:
-        left_out.append("the sweep: all rays of a scan are taken at one time")
+        left_out.append("the sweep: all rays of a scan have the same time")
     if world.robot.drive != "diff":
-        left_out.append(f"{world.robot.drive} cars: the robot turns in place")
+        left_out.append(f"the {world.robot.drive} car: the robot turns in place")
     if world.robot.actuators.delay or world.robot.actuators.tau:
-        left_out.append(
-            "dead time and lag of the motors: the plug-in limits speed and acceleration, and no more"
-        )
+        left_out.append("dead time and lag of the motors: the plug-in limits only speed and acceleration")
     return left_out
 
 
@@ -108,7 +106,7 @@ def _add_walls(world: ExportedWorld, place: ElementTree.Element) -> None:
 def _add_part(
     link: ElementTree.Element, name: str, shape: str, pose: str, **size: float
 ) -> ElementTree.Element:
-    """Add a shape to be seen and to collide with; return what collides."""
+    """Add a visible and a collision shape; return the collision shape."""
     for kind in ("visual", "collision"):
         part = SubElement(link, kind, name=f"{name}_{kind}")
         _leaves(part, pose=pose)

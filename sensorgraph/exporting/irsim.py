@@ -1,4 +1,4 @@
-"""ir-sim: world.yaml with walls as lines, a disc of a robot and its lidar; drive.py records."""
+"""ir-sim: world.yaml with walls as lines, a disc-shaped robot and its lidar; drive.py records."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.world.robot import bearings as even_bearings
 
 STEP = 0.01
-"""[s] of the simulation."""
+"""[s] Time step of the simulation."""
 MARGIN = 0.5
-"""[m] round the arena."""
+"""[m] Margin around the arena."""
 
 
 def write(world: ExportedWorld, folder: Path) -> list[str]:
-    """Write world.yaml; return what it leaves out, a line each."""
+    """Write world.yaml; return what it leaves out, one line each."""
     robot, sensor = world.robot, world.robot.sensor
     x0, y0, x1, y1 = world.arena.bounds
     left_out = []
@@ -26,7 +26,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     fov = float(sensor.bearings[-1] - sensor.bearings[0])
     if sensor.is_composite or not np.allclose(sensor.bearings, even_bearings(sensor.n_rays, fov), atol=1e-6):
         left_out.append(
-            "its lidar has rays evenly to both sides of straight ahead; drive.py casts the robot's own"
+            "the robot's bearings: ir-sim's lidar is symmetric with even steps; drive.py casts the robot's rays"
         )
     else:
         laser = {
@@ -41,7 +41,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
         }
     if robot.drive != "diff":
         left_out.append(
-            f"{robot.drive} cars: its robot turns in place; drive.py tells it no more than a car can do"
+            f"the {robot.drive} car: the robot turns in place; drive.py commands only motions of the car"
         )
     limits = robot.limits
     data: dict[str, Any] = {

@@ -11,19 +11,19 @@ import numpy as np
 from sensorgraph.exporting.world import BODY_MASS, CASTER, CLEARANCE, WHEEL_MASS, ExportedWorld
 
 WALL_GROUP, ROBOT_GROUP = 0, 1
-"""Groups of geoms: the laser sees the first alone."""
+"""Groups of geoms; the laser sees only the first."""
 TIMESTEP = 0.001
 """[s]"""
 SERVO_GAIN = 20.0
-"""[N m s/rad] of the wheels' speed control: a step is followed within a few milliseconds, the lag aside."""
+"""[N m s/rad] Gain of the wheels' speed control; without lag, a step is followed within a few milliseconds."""
 SOLREF = "0.002 1"
-"""Time constant [s] and damping ratio of the tyres' contact: softer ones let the body lag its wheels."""
+"""Time constant [s] and damping ratio of the tyre contact; with softer tyres the body lags its wheels."""
 MAX_SITES = 2000
-"""Rays that get a rangefinder of their own."""
+"""Maximum number of rays with a rangefinder each."""
 
 
 def write(world: ExportedWorld, folder: Path) -> list[str]:
-    """Write scene.xml; return what it leaves out, a line each."""
+    """Write scene.xml; return what it leaves out, one line each."""
     root = ElementTree.Element("mujoco", model=world.name)
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
     # elliptic friction cones and a stiff ratio keep wheels from creeping
@@ -46,7 +46,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
             )
     ElementTree.indent(root, " ")
     (folder / "scene.xml").write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-    return [] if laser else [f"{world.robot.sensor.n_rays} rays get no rangefinder each; drive.py casts them"]
+    return [] if laser else [f"rangefinders for {world.robot.sensor.n_rays} rays; drive.py casts these rays"]
 
 
 def _text(*numbers: float) -> str:
@@ -86,7 +86,7 @@ def _add_body(world: ExportedWorld, robot: ElementTree.Element) -> None:
 
 
 def _add_wheeled(world: ExportedWorld, robot: ElementTree.Element, actuators: ElementTree.Element) -> None:
-    """Stand the robot on two driven wheels and two balls without friction."""
+    """Add two driven wheels and two frictionless balls."""
     radius, base = world.robot.wheels.radius, world.robot.wheels.base
     ElementTree.SubElement(robot, "freejoint", name="base")
     _add_body(world, robot)
@@ -101,7 +101,7 @@ def _add_wheeled(world: ExportedWorld, robot: ElementTree.Element, actuators: El
         ElementTree.SubElement(
             wheel, "joint", name=f"{name}_wheel", type="hinge", axis="0 1 0", armature="0.01"
         )
-        # an ellipsoid touches the floor in one point, so that the base is what robot.yaml says
+        # an ellipsoid touches the floor in one point, so that the wheelbase equals that of robot.yaml
         ElementTree.SubElement(
             wheel, "geom", name=f"{name}_tyre", type="ellipsoid", size=_text(radius, min(0.02, radius), radius),
             mass=f"{WHEEL_MASS:g}", friction="2 0.005 0.0001", solref=SOLREF, priority="1", rgba="0.14 0.15 0.18 1",
@@ -116,7 +116,7 @@ def _add_wheeled(world: ExportedWorld, robot: ElementTree.Element, actuators: El
 
 
 def _add_planar(world: ExportedWorld, robot: ElementTree.Element, actuators: ElementTree.Element) -> None:
-    """Let a car slide and turn on a plane; drive.py sets how fast, as a car without slip would go."""
+    """Add a planar joint for a car; drive.py sets its velocity as that of a car without slip."""
     for name, kind, axis in (("x", "slide", "1 0 0"), ("y", "slide", "0 1 0"), ("phi", "hinge", "0 0 1")):
         ElementTree.SubElement(robot, "joint", name=name, type=kind, axis=axis)
     _add_body(world, robot)

@@ -1,4 +1,4 @@
-"""Nav2: map.yaml for map_server, keepout.yaml for the costmap's filter, amcl.yaml with what a run says of the robot."""
+"""Nav2: map.yaml for map_server, keepout.yaml for the costmap filter, amcl.yaml with parameters estimated from a run."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.types import Floats
 from sensorgraph.world.simulate import occupancy_map
 
-RESOLUTION, MARGIN, MOST_CELLS = 0.05, 10.0, 100_000_000
-"""[m] side of a cell; [m] around the walls at which the map ends; cells from which on they are made larger."""
+RESOLUTION, MARGIN, MAX_CELLS = 0.05, 10.0, 100_000_000
+"""[m] Side of a cell; [m] margin of the map around the walls; maximum number of cells before they are
+enlarged."""
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
-"""Grey values that map_server reads so in trinary mode."""
+"""Grey values of free, occupied and unknown cells for map_server in trinary mode."""
 
 
 def write(
     world: ExportedWorld, folder: Path, *, no_go: Sequence[shapely.Polygon] = (), run: Run | None = None
 ) -> list[str]:
-    """Write the map, the mask and AMCL's parameters; return what they leave out, a line each.
+    """Write the map, the mask and AMCL's parameters; return what they leave out, one line each.
 
     Parameters
     ----------
-    no_go : where the robot may not enter
-    run : with poses in the arena's frame; without it AMCL keeps Nav2's defaults
+    no_go : Zones that the robot may not enter.
+    run : Run with poses in the frame of the arena; None: AMCL keeps Nav2's defaults.
     """
     grid = map_of(world.arena)
     grey = np.select([grid.data == 0, grid.data == 100], [FREE, OCCUPIED], UNKNOWN)
@@ -48,19 +49,19 @@ def write(
     estimates = {} if run is None else estimate_amcl(run, world.arena, grid)
     model = None if run is None else compare_laser_models(run, grid, chosen(estimates))
     (folder / "amcl.yaml").write_text(amcl_yaml(estimates, model, world), encoding="utf-8")
-    left_out = ["the sweep, the noise and the lag: a map has none"]
+    left_out = ["the sweep, the noise and the lag: a map does not contain them"]
     if run is None:
-        left_out.append("AMCL's parameters: give a run with poses (--run) to have them estimated")
+        left_out.append("AMCL's parameters: give a run with poses (--run) to estimate them")
     return left_out
 
 
 def map_of(arena: Arena) -> OccupancyMap:
-    """Return the map that is exported: cells of 5 cm, up to MARGIN around the walls."""
-    return occupancy_map(arena, resolution=RESOLUTION, most=MOST_CELLS, margin=MARGIN)
+    """Return the exported map: cells of 5 cm, up to MARGIN around the walls."""
+    return occupancy_map(arena, resolution=RESOLUTION, most=MAX_CELLS, margin=MARGIN)
 
 
 def _write_map(folder: Path, name: str, grey: np.ndarray, grid: OccupancyMap) -> None:
-    """Write NAME.pgm, the first row at the top, and NAME.yaml."""
+    """Write NAME.pgm, with the first row at the top, and NAME.yaml."""
     pixels = grey[::-1].astype(np.uint8)
     header = f"P5\n{pixels.shape[1]} {pixels.shape[0]}\n255\n".encode()
     (folder / f"{name}.pgm").write_bytes(header + pixels.tobytes())
@@ -73,7 +74,7 @@ def _write_map(folder: Path, name: str, grey: np.ndarray, grid: OccupancyMap) ->
 
 
 def _cells_in(zones: Sequence[shapely.Polygon], grid: OccupancyMap) -> np.ndarray:
-    """Tell which cells (ny, nx) a zone touches."""
+    """Return which cells (ny, nx) a zone touches."""
     ny, nx = grid.data.shape
     x, y = np.meshgrid(
         grid.origin[0] + (np.arange(nx) + 0.5) * grid.resolution,
@@ -84,7 +85,7 @@ def _cells_in(zones: Sequence[shapely.Polygon], grid: OccupancyMap) -> np.ndarra
 
 
 def chosen(estimates: Mapping[str, BootstrapEstimate]) -> dict[str, float]:
-    """Return AMCL's parameters by name: Nav2's defaults, but where the interval of an estimate excludes them."""
+    """Return AMCL's parameters by name: Nav2's defaults, unless the interval of an estimate excludes them."""
     return {
         name: default
         if (found := estimates.get(name)) is None or found.low <= default <= found.high
@@ -96,43 +97,43 @@ def chosen(estimates: Mapping[str, BootstrapEstimate]) -> dict[str, float]:
 def amcl_yaml(
     estimates: Mapping[str, BootstrapEstimate], model: LaserModelChoice | None, world: ExportedWorld
 ) -> str:
-    """Return AMCL's parameters: Nav2's defaults, but where the interval of an estimate excludes them.
+    """Return the text of amcl.yaml: Nav2's defaults, unless the interval of an estimate excludes them.
 
-    `lambda_short`, `z_short` and `z_max` count only in the beam model; `laser_max_range` is the sensor's own.
+    `lambda_short`, `z_short` and `z_max` only affect the beam model; `laser_max_range` is that of the sensor.
     """
     lines = []
     for name, default in DEFAULTS.items():
         found = estimates.get(name)
         if found is None:
             why = (
-                "; the run has too few steps of odometry beside poses"
+                "; the run has too few odometry steps with poses"
                 if estimates and name in MOTION_NAMES
                 else ""
             )
             lines.append(f"{name}: {default:g}  # Nav2's default{why}")
         elif found.low <= default <= found.high:
-            lines.append(f"{name}: {default:g}  # Nav2's default; the run says {found}")
+            lines.append(f"{name}: {default:g}  # Nav2's default; estimate {found}")
         else:
-            lines.append(f"{name}: {found.value:.3g}  # the run says {found}; Nav2's default is {default:g}")
+            lines.append(f"{name}: {found.value:.3g}  # estimate {found}; Nav2's default is {default:g}")
     x, y, phi = world.start
     kind = "nav2_amcl::DifferentialMotionModel"
-    said = "Nav2's default" if model is None else str(model)
+    comment = "Nav2's default" if model is None else str(model)
     laser_model = LASER_MODELS[0] if model is None else model.name
     body = "\n".join(f"    {line}" for line in lines)
     return (
-        "# AMCL: a part of Nav2's parameter file. Intervals are of 95 %, from a bootstrap over stretches of the run.\n"
-        f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: {laser_model}  # {said}\n"
+        "# AMCL: part of Nav2's parameter file. Intervals are 95 %, from a bootstrap over segments of the run.\n"
+        f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: {laser_model}  # {comment}\n"
         f"    laser_min_range: {world.robot.sensor.range_min:g}\n{body}\n"
         f"    set_initial_pose: true\n    initial_pose: {{x: {x:.3f}, y: {y:.3f}, z: 0.0, yaw: {phi:.3f}}}\n"
     )
 
 
 def check_zones(zones: Sequence[shapely.Polygon], bounds: Floats | tuple[float, ...]) -> None:
-    """Refuse zones that lie outside the arena altogether.
+    """Reject zones that are all outside the arena.
 
     Raises
     ------
-    SensorgraphError : no zone meets the arena
+    SensorgraphError : No zone intersects the arena.
     """
     if zones and not any(zone.intersects(shapely.box(*bounds)) for zone in zones):
-        raise SensorgraphError("no no-go zone lies in the arena; are its coordinates those of the map [m]?")
+        raise SensorgraphError("no no-go zone lies in the arena; check that its coordinates are in map [m]")

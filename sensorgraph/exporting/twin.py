@@ -1,8 +1,8 @@
-"""Drive a plan in another simulator and record it: what the scripts in an exported folder run on.
+"""Drive a plan in another simulator and record it; the scripts in an exported folder use this module.
 
-The script gives a `Simulator`: it moves by twists and casts rays. Commands come from the embedded robot's own tracking
-law; motors that a simulator lacks, and slippery floor, come from the drivetrain of robot.yaml and effects.yaml;
-readings go through the effects of effects.yaml, whose ranges are those of the simulator.
+The script provides a `Simulator`, which moves by twists and casts rays. Commands come from the simulated
+robot's tracking law. The drivetrain of robot.yaml and effects.yaml provides slippery floor, and motors if the
+simulator lacks them. The effects of effects.yaml apply to readings with the ranges of the simulator.
 """
 
 from __future__ import annotations
@@ -37,45 +37,45 @@ from sensorgraph.world.scene import Scene, draw_readings
 from sensorgraph.world.simulate import simulate
 
 SCANS_AT_ONCE = 200
-"""Scans cast between two ticks of the progress."""
+"""Number of scans between two progress updates."""
 
 
 class Simulator(Protocol):
-    """What a script offers: a robot that moves by twists, and rays."""
+    """Interface of a script: a robot that moves by twists, and rays."""
 
     name: str
     has_motors: bool
-    """Its wheels follow a command with their own lag; else the body moves as it is told."""
+    """Its wheels follow a command with their own lag; otherwise the body moves exactly as commanded."""
 
     def place(self, pose: Floats) -> None:
         """Put the robot at a pose (3,) [m, m, rad], at rest."""
 
     def step(self, v: float, omega: float, duration: float) -> tuple[Floats, Floats]:
-        """Move for a while [s] with the motors, or the body, told v [m/s], omega [rad/s].
+        """Move for `duration` [s] with the command v [m/s], omega [rad/s] to the motors, or to the body.
 
-        Returns the pose (3,) of base_link in map, phi not wrapped, and the twist (2,) that the wheels turn with.
+        Returns the pose (3,) of base_link in map, phi not wrapped, and the twist (2,) of the wheels.
         """
 
     def shift(self, pose: Floats) -> None:
-        """Move the body to a pose (3,) close by, phi not wrapped; its wheels turn on."""
+        """Move the body to a nearby pose (3,), phi not wrapped, while its wheels keep turning."""
 
     def cast(self, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
-        """Return the ranges [m] of rays from (ox, oy) [m] along the unit vectors (ux, uy); inf where nothing is."""
+        """Return the ranges [m] of rays from (ox, oy) [m] along the unit vectors (ux, uy); inf without a hit."""
 
 
 class Motors:
-    """First-order motors with limited acceleration, as those of the embedded robot, for simulators without."""
+    """First-order motors with limited acceleration, as in the simulated robot, for simulators without motors."""
 
     def __init__(self, drivetrain: Drivetrain, robot: Robot) -> None:
         self._share = 1 - np.exp(-TRUTH_STEP / drivetrain.tau) if drivetrain.tau > 0 else 1.0
         self._most = np.array([robot.limits.a, robot.limits.alpha]) * TRUTH_STEP
         self.twist = np.zeros(2)
-        """(2,) [m/s, rad/s] that the wheels turn with."""
+        """(2,) [m/s, rad/s] Twist of the wheels."""
 
-    def step(self, told: Floats) -> Floats:
-        """Follow a command (2,) for one step of the truth; return the mean twist (2,) over it."""
+    def step(self, commanded: Floats) -> Floats:
+        """Follow a command (2,) for one time step; return the mean twist (2,)."""
         before = self.twist
-        self.twist = before + np.clip((told - before) * self._share, -self._most, self._most)
+        self.twist = before + np.clip((commanded - before) * self._share, -self._most, self._most)
         return (before + self.twist) / 2
 
 
@@ -92,21 +92,21 @@ def record_twin(
 
     Parameters
     ----------
-    folder : the exported one: arena.geojson, robot.yaml, and effects.yaml if it was exported with effects
-    plan : a plan's folder, or its trajectory.csv
+    folder : The exported folder: arena.geojson, robot.yaml, and effects.yaml if effects were exported.
+    plan : A plan's folder, or its trajectory.csv.
 
     Raises
     ------
-    SensorgraphError : the plan is no trajectory, or `out` is no *.mcap
+    SensorgraphError : The plan is not a trajectory, or `out` is not *.mcap.
     """  # fmt: skip
     if out.suffix != ".mcap":
-        raise SensorgraphError(f"{out}: a run is written as *.mcap")
+        raise SensorgraphError(f"{out}: expected a file name that ends with .mcap")
     arena, robot = load(folder / "arena.geojson"), load_robot(folder / "robot.yaml")
     known = folder / "effects.yaml"
     effects = effects_file.read(known, arena) if known.exists() else ()
     way = open_drive(plan).way
     if not isinstance(way, Trajectory):
-        raise SensorgraphError(f"{plan} is a run; a twin drives a plan's folder or its trajectory.csv")
+        raise SensorgraphError(f"{plan} is a run; expected a plan's folder or its trajectory.csv")
     run = drive_twin(simulator, way, arena, robot, effects, seed=seed, progress=progress)
     wanted, _ = way.at(run.pose_stamps)
     off = np.hypot(*(run.poses[:, :2] - wanted[:, :2]).T).max()
@@ -127,8 +127,8 @@ def drive_twin(
 ) -> Run:
     """Drive a trajectory in the simulator and return what the robot perceives there.
 
-    The drive comes first; the scans are then cast at its poses, which is the same as long as nothing but the robot
-    moves. Walkers are drawn by the effect, not by the simulator.
+    The drive comes first, and the scans are then cast at its poses. The result is the same as long as only
+    the robot moves. The effect simulates walking people, not the simulator.
     """
     rng = np.random.default_rng(seed)
     on_scans = [a for a in effects if a.effect.channel == "scan"]
@@ -164,7 +164,7 @@ def _follow(
     rng: np.random.Generator,
     tick: Progress,
 ) -> ExecutedDrive:
-    """Track the trajectory; mass and wheels are the simulator's, dead time, limits and slippery floor are kept here."""
+    """Track the trajectory with the simulator's body and wheels, and with this drivetrain's dead time, limits and slip."""
     period, limits = 1.0 / robot.wheels.rate, robot.limits
     duration = trajectory.duration + STANDSTILL
     want, feed = tracking_targets(trajectory, robot, duration)
@@ -186,11 +186,11 @@ def _follow(
             )
             tick(i, len(want))
         waiting = [*waiting[1:], given[-1]]
-        told = np.clip(_delayed(waiting, late), [-drivetrain.v_max, -np.inf], [drivetrain.v_max, np.inf])
+        commanded = np.clip(_delayed(waiting, late), [-drivetrain.v_max, -np.inf], [drivetrain.v_max, np.inf])
         before = pose
-        v, omega = told if motors is None else motors.step(told)
+        v, omega = commanded if motors is None else motors.step(commanded)
         pose, twist = simulator.step(v, omega, TRUTH_STEP)
-        slipped = _slipped(drivetrain, before, pose)
+        slipped = _with_slip(drivetrain, before, pose)
         if slipped is not None:
             pose = slipped
             simulator.shift(pose)
@@ -206,8 +206,8 @@ def _follow(
     )
 
 
-def _slipped(drivetrain: Drivetrain, before: Floats, after: Floats) -> Floats | None:
-    """Return where a step (3,) -> (3,) leads whose wheels slip on the way; None where the floor holds them."""
+def _with_slip(drivetrain: Drivetrain, before: Floats, after: Floats) -> Floats | None:
+    """Return the end pose (3,) of a step (3,) -> (3,) with slipping wheels; None without slip."""
     if not drivetrain.patches:
         return None
     step = after - before
@@ -225,8 +225,8 @@ def _slipped(drivetrain: Drivetrain, before: Floats, after: Floats) -> Floats | 
 
 
 def _delayed(waiting: Sequence[Floats], late: float) -> Floats:
-    """Return the command (2,) of `late` steps ago, between two where that is no whole number; the newest is last."""
+    """Return the command (2,) of `late` steps ago, interpolated between steps; the newest is last."""
     whole = math.floor(late + 1e-9)
-    share = max(late - whole, 0.0)  # of the step that the older command still holds
+    share = max(late - whole, 0.0)  # of a step in which the older command still holds
     newer = waiting[-1 - whole]
     return newer + share * (waiting[-2 - whole] - newer) if share > 1e-9 else newer

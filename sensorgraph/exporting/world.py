@@ -1,4 +1,4 @@
-"""What is exported: walls as solid boxes, round obstacles, the robot and its laser, with effects built in."""
+"""Content of an export: walls as solid boxes, round obstacles, the robot and its laser, with effects applied."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import STAGES, Scene
 
 PROBE = 0.005
-"""[m] beside the middle of a wall, where it is asked whether there is free space."""
+"""[m] Distance from the middle of a wall at which free space is tested."""
 THICKNESSES = (0.1, 0.05, 0.02, 0.01, 0.004)
-"""[m] of a wall's box, the first that leaves the free space free."""
+"""[m] Thicknesses of a wall's box; the first that keeps the free space free is used."""
 INTRUSION = 1e-6
-"""[m²] of free space that a box may take."""
+"""[m²] Maximum area of free space that a box may occupy."""
 SHEET = 0.002
-"""[m] thickness of a wall that is seen from both sides."""
+"""[m] Thickness of a wall observed from both sides."""
 BODY_MASS, WHEEL_MASS = 10.0, 0.5
-"""[kg] of the body and of a wheel; robot.yaml does not say them."""
+"""[kg] Masses of the body and of a wheel; robot.yaml does not specify them."""
 CLEARANCE = 0.01
-"""[m] of the body above the floor."""
+"""[m] Height of the body above the floor."""
 BELOW_LASER = 0.05
-"""[m] from the top of the body up to the laser."""
+"""[m] Distance from the top of the body to the laser."""
 CASTER = 0.02
-"""[m] radius of the balls that the robot slides on in front and behind."""
+"""[m] Radius of the frictionless balls in front and behind."""
 OVERLAP = 1e-4
-"""[m] by which a box is longer than its wall at either end, so that no ray slips through a corner."""
+"""[m] Excess length of a box at each end of its wall, so that no ray passes through a corner."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """A wall as a solid box, seen from above."""
+    """A wall as a solid box, from above."""
 
     name: str
     x: float
-    """[m] centre."""
+    """[m] Centre."""
     y: float
     yaw: float
-    """[rad] of its length."""
+    """[rad] Direction of its length."""
     length: float
     """[m]"""
     thickness: float
@@ -54,7 +54,7 @@ class Box:
 
     @property
     def outline(self) -> shapely.Polygon:
-        """Its four corners."""
+        """Polygon of its four corners."""
         half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.length / 2, self.thickness / 2]
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         return shapely.Polygon(half @ np.array([[c, s], [-s, c]]) + [self.x, self.y])
@@ -62,37 +62,37 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportedWorld:
-    """An arena and a robot, ready to be written for a simulator."""
+    """An arena and a robot, prepared for a simulator."""
 
     name: str
     arena: Arena
-    """As it was given, without effects."""
+    """Arena without effects."""
     robot: Robot
     effects: tuple[Amendment, ...]
     walls: Floats
-    """(n_walls, 2, 2) [m] with the effects on the room built in."""
+    """(n_walls, 2, 2) [m] Walls with the effects on the room applied."""
     names: tuple[str, ...]
     """(n_walls,)"""
     boxes: tuple[Box, ...]
-    """The walls as solids, on the side that is not free."""
+    """Walls as solids, on the side that is not free."""
     discs: Floats
-    """(n_discs, 3) [m] x, y, radius of round obstacles that effects added."""
+    """(n_discs, 3) [m] x, y and radius of round obstacles added by effects."""
     mount: Floats
-    """(3,) [m, m, rad] of the laser, effects built in."""
+    """(3,) [m, m, rad] Mount of the laser, with effects applied."""
     drivetrain: Drivetrain
     start: Floats
-    """(3,) [m, m, rad] where the robot stands: as far from the walls as it gets."""
+    """(3,) [m, m, rad] Initial pose of the robot: the place with the largest clearance."""
     wall_height: float
     """[m]"""
 
     @property
     def body_height(self) -> float:
-        """[m] of the robot's disc, up to below its laser."""
+        """[m] Height of the robot's disc, up to below its laser."""
         return max(self.robot.sensor.height - BELOW_LASER - CLEARANCE, 2 * CASTER)
 
     @property
     def caster_reach(self) -> float:
-        """[m] from the middle of the robot to either ball."""
+        """[m] Distance from the centre of the robot to each ball."""
         return max(self.robot.footprint_radius - CASTER, 2 * CASTER)
 
     @classmethod
@@ -105,19 +105,19 @@ class ExportedWorld:
         name: str = "arena",
         wall_height: float | None = None,
     ) -> ExportedWorld:
-        """Build effects on room, mount and drivetrain in; those on readings are left to the laser.
+        """Apply the effects on room, mount and drivetrain; those on readings remain for the laser.
 
         Parameters
         ----------
-        wall_height : [m]; None: half a metre above the laser
+        wall_height : [m] None: half a metre above the laser.
 
         Raises
         ------
-        SensorgraphError : the arena has no wall, or the robot stands nowhere in it
+        SensorgraphError : The arena has no wall, or no place for the robot.
         """
         if arena.n_walls == 0:
             raise SensorgraphError(
-                "there is no wall to export; give an arena with walls or a sensorgraph of faces"
+                "the arena has no wall to export; give an arena with walls or a sensorgraph of faces"
             )
         scene = Scene(
             arena=arena, sensor=robot.sensor, stamps=np.zeros(1), motion=lambda t: np.zeros((*np.shape(t), 3)), span=1.0
@@ -128,12 +128,12 @@ class ExportedWorld:
         same = len(scene.walls) == arena.n_walls
         names = (
             arena.names if same else tuple(f"wall_{k}" for k in range(len(scene.walls)))
-        )  # an obstacle is gone
-        asked = arena.walls if same else scene.walls
+        )  # an effect removed an obstacle
+        original_walls = arena.walls if same else scene.walls
         lines = np.asarray(shapely.linestrings(scene.walls), dtype=np.object_)
         boxes = tuple(
             solid_wall(name, wall, where, arena, lines)
-            for name, wall, where in zip(names, scene.walls, asked, strict=True)
+            for name, wall, where in zip(names, scene.walls, original_walls, strict=True)
             if np.hypot(*(wall[1] - wall[0])) > 0
         )
         return cls(
@@ -147,18 +147,18 @@ class ExportedWorld:
             discs=scene.discs,
             mount=scene.mount,
             drivetrain=Drivetrain.of(robot, (a for a in effects if a.effect.channel != "scan")),
-            start=_roomy_pose(arena, robot),
+            start=_most_open_pose(arena, robot),
             wall_height=robot.sensor.height + 0.5 if wall_height is None else wall_height,
         )
 
 
 def solid_wall(name: str, wall: Floats, where: Floats, arena: Arena, lines: npt.NDArray[np.object_]) -> Box:
-    """Return a wall (2, 2) [m] as a box on the side that is not free, as thick as no other wall stands in it.
+    """Return a wall (2, 2) [m] as a box on the side that is not free, thin enough to contain no other wall.
 
     Parameters
     ----------
-    where : (2, 2) [m] the wall as the arena has it, if it has since moved: there the free side is looked for
-    lines : (n_walls,) all walls; those of a sensorgraph have corners beside which nobody knows what is free
+    where : (2, 2) [m] The wall in the original arena, where its free side is tested, as effects may move it.
+    lines : (n_walls,) All walls; at the corners of a sensorgraph's walls free space can be unknown.
     """
     way = wall[1] - wall[0]
     length = float(np.hypot(*way))
@@ -186,13 +186,13 @@ def solid_wall(name: str, wall: Floats, where: Floats, arena: Arena, lines: npt.
     return found
 
 
-def _roomy_pose(arena: Arena, robot: Robot) -> Floats:
-    """Return a pose (3,) far from all walls."""
+def _most_open_pose(arena: Arena, robot: Robot) -> Floats:
+    """Return the pose (3,) with the largest clearance."""
     circle = shapely.maximum_inscribed_circle(arena.free, tolerance=0.05)
     if shapely.length(circle) < robot.footprint_radius:
         raise SensorgraphError(
-            f"{robot.name} of radius {robot.footprint_radius:g} m stands nowhere in the arena; the roomiest place "
-            f"leaves {shapely.length(circle):.2f} m"
+            f"{robot.name} with radius {robot.footprint_radius:g} m fits nowhere in the arena; the largest clearance is "
+            f"{shapely.length(circle):.2f} m"
         )
     x, y = shapely.get_coordinates(circle)[0]
     return np.array([x, y, 0.0])
