@@ -68,7 +68,7 @@ def predict(
     *,
     progress: Progress | None = None,
 ) -> Prediction:
-    """Predict some scans (n,) of a run from its reference poses; people are modelled as a chance of short readings."""
+    """Predict some scans (n,) of a run from its reference poses; people are modelled as a probability of short readings."""
     motion = motion_of(run) if sensor.has_ray_delays else _motion_of_scans(run)
     if run.pose_frame == "laser":
         sensor = replace(sensor, mount=np.zeros(3))

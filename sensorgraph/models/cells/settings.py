@@ -124,7 +124,7 @@ class CellMarchSettings:
     min_sine: float = 0.17
     """Sine of the angle between ray and line below which the line does not determine the range."""
     min_survival: float = 1e-4
-    """Probability of being under way below which a ray is not followed further."""
+    """Survival probability below which a ray is not followed further."""
     min_stop: float = 1e-6
     """Probability of a stop below which a cell is not a candidate."""
     default_probability: float = 0.2

@@ -39,7 +39,7 @@ def blur_edges(
     ----------
     t, stop, weight, error : (n,) Crossings of one face as in `Crossings`, sorted.
     edges, levels, errors : (m + 1,) Edges of its stretches, visibility after each (the last is 0), standard errors [m].
-    price : [nats] Complexity penalty of a stretch.
+    penalty : [nats] Complexity penalty of a stretch.
 
     Returns
     -------

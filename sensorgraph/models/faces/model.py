@@ -189,9 +189,7 @@ class Faces(FacesData):
             )
         if self.statistics is None:
             is_of_cones = measures_cones(self.sensor)
-            why = (
-                "is of cones, which cannot be updated" if is_of_cones else "lacks the statistics of its rays"
-            )
+            why = "is of cones, which cannot be updated" if is_of_cones else "lacks its rays' statistics"
             raise SensorgraphError(f"the graph {why}; build it again from all runs")
         with progress("reading scans", "scans") as tick:
             new = reduce_blocks(
@@ -231,10 +229,10 @@ class Faces(FacesData):
             table, supported = cone_table(self, _lasers(poses, self.mount), rays, which_of(point))
         else:
             table, supported = self._thin_table(poses, rays, which_of(point))
-        is_certain = (table[..., P_OFF] < PREDICTION.max_p_off) | (
+        is_clear = (table[..., P_OFF] < PREDICTION.max_p_off) | (
             table[..., NO_RETURN] > 1 - PREDICTION.max_p_off
         )
-        return to_prediction(table, point, supported & is_certain)
+        return to_prediction(table, point, supported & is_clear)
 
     def _thin_table(self, poses: Floats, rays: Ints, which: int) -> tuple[Floats, Bools]:
         """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` does, and whether the rays lie in observed space."""

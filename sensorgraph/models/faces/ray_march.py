@@ -184,7 +184,7 @@ def crossed_faces(
     """List the faces that a ray crosses up to `reach` [m], nearest first; return their number.
 
     Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`. Stops early
-    when the probability of being under way is below `least`. The entry r[MAX_CANDIDATES] is the range at which the ray
+    when the survival probability is below `least`. The entry r[MAX_CANDIDATES] is the range at which the ray
     meets a face from behind, which is only possible from unobserved space.
 
     The function is one loop for speed, since every ray of every prediction runs through it.

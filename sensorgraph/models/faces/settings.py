@@ -254,7 +254,7 @@ class FacePredictionSettings:
     The value lies between the two: `python -m benchmarks.office_graph` and `python -m benchmarks.real_logs LOG`.
     """
     min_survival: float = 0.001
-    """Probability of being under way below which a ray is not followed further."""
+    """Survival probability below which a ray is not followed further."""
     min_share: float = 1e-4
     """Probability of a stop below which a face is not a candidate."""
     edge_sigmas: float = 4.0
