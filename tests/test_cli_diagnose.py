@@ -184,7 +184,7 @@ def test_an_arena_of_another_scale_is_said_first(
     assert cli(["diagnose", str(folder / "run.mcap"), *options]) == 0
     first = capsys.readouterr().out.splitlines()[0]
     found = re.fullmatch(
-        r"The arena does not fit the run, it is drawn (\d\.\d\d) times as large as the place\.", first
+        r"The arena does not fit the run, because it is (\d\.\d\d) times as large as the place\.", first
     )
     assert found is not None
     assert abs(float(found[1]) - scale) < 0.02 * scale  # the sensor reads 4 cm long

@@ -42,12 +42,12 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (3.0, "it is drawn 2.99 times as large as the place:"),
-        (100.0, "times as large as the place (centimetres for metres?):"),
-        (1000.0, "(millimetres for metres?):"),
-        (1 / 0.3048, "(feet for metres?):"),
-        (0.1, "it is drawn 0.0996 times as large as the place:"),
-        (0.0254, "it is drawn 0.0253 times as large as the place:"),
+        (3.0, "it is 2.99 times as large as the place:"),
+        (100.0, "times as large as the place (centimetres instead of metres?):"),
+        (1000.0, "(millimetres instead of metres?):"),
+        (1 / 0.3048, "(feet instead of metres?):"),
+        (0.1, "it is 0.0996 times as large as the place:"),
+        (0.0254, "it is 0.0253 times as large as the place:"),
     ],
 )
 def test_a_map_of_another_scale_or_unit_is_told_with_its_size(hall: Arena, scale: float, words: str) -> None:
@@ -93,5 +93,5 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
     place = align(data, np.random.default_rng(0))
     assert place.share > 0.6  # by chance
     assert place.matching < 0.3 and not place.is_good
-    assert "as long as the arena would make them" in place.sentence()
+    assert "have the length that the arena predicts" in place.sentence()
     assert align(data_of(hall), np.random.default_rng(0)).matching > 0.95

@@ -57,7 +57,7 @@ def test_what_begins_during_the_run_is_told_with_its_time(
     null = fitted(broken)
     (doubt,) = changes(fitted(broken, EFFECTS[name](**dict.fromkeys(values, 0.0))), null)
     assert doubt.failed == {0} and EFFECTS[name].title in doubt.statement
-    when = float(doubt.statement.split("only from ")[1].split(" s ")[0])
+    when = float(doubt.statement.split("only after ")[1].split(" s ")[0])
     assert abs(when - 0.6 * broken.span) < 1.01 * broken.span / SCAN.constancy.n_parts
     (doubt,) = changes(null)  # also where the search has not named it
     assert not doubt.failed

@@ -124,4 +124,4 @@ def test_what_bulges_from_a_wall_is_no_round_thing_that_stands_there(hall: Arena
     )
     assert [a.name for a in before.effects] == ["unmapped_obstacle"] and before.unknown is None
     assert inside.effects == ()
-    assert inside.unknown is not None and "before room/edge_2" in inside.unknown.statement
+    assert inside.unknown is not None and "in front of room/edge_2" in inside.unknown.statement

@@ -1,7 +1,18 @@
-"""The beam mixture of one reading, compiled: core, tail, far side of an edge, short, stray, lost.
+"""Compiled beam mixture of a reading: core, tail, far side of an edge, short, stray, missing.
 
-A beam model after Thrun, Burgard and Fox 2005, section 6.3, with a wide tail and edges in depth added.
-`likelihood.plain_e_step` computes the same in numpy.
+Density of a return z with the expected range mu.
+
+    p(z) = rest p_return (1 - loss) [(1 - a) ((1 - share) N(z; mu, s²) + share N(z; mu, (tail_width s)²))
+                                     + a (EDGE_NEAR N(z; there, s_there²) + EDGE_BETWEEN U(mu, there))]
+           + (1 - stray) short U(0, mu) + (stray + unexplained) / range_max.
+
+Here a = p_alternative, s_there² = (EDGE_WIDTH s)² + spread² and rest = (1 - stray) (1 - short). Probability of no return:
+
+    P(inf) = (1 - short) [(1 - stray) seen loss + rest (1 - seen) + lost_at_edge] + unexplained,
+    seen   = p_return [(1 - a) Phi((range_max - mu) / s) + a Phi((range_max - there) / s_there)].
+
+The term lost_at_edge applies only next to an edge. The mixture follows Thrun, Burgard and Fox 2005, section 6.3, with the
+wide tail and the edges in depth added. `likelihood.plain_e_step` computes the same in numpy.
 """
 
 from __future__ import annotations
@@ -14,29 +25,30 @@ from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats
 
 SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
-# The next seven are settings of the mixture that stand here, not in `settings`: numba keeps their values with the kernel.
+# These settings are constants of this module instead of `settings`, because numba compiles their values into the kernel.
 EDGE_WIDTH = 2.0
-"""Standard deviation at the far side of an edge over that of the core."""
+"""Ratio of the standard deviation at the far side of an edge to that of the core."""
 EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
-"""Shares, of the readings at an edge, that are at its far side, and anywhere between the sides."""
+"""Shares of the readings at an edge: at its far side, and anywhere between the two sides."""
 MIN_EDGE_STEP = 0.01
-"""[m] least distance between the sides of an edge."""
+"""[m] minimum distance between the two sides of an edge."""
 MIN_SHORT_RANGE = 0.05
-"""[m] least range over which short readings are spread."""
+"""[m] minimum range over which short readings are distributed."""
 LATTICE_SLACK = 0.51
-"""Resolutions by which a reading may be off its lattice."""
+"""Maximum distance of a reading from its lattice, in resolutions."""
 OFF_LATTICE = 1e-9
-"""Chance of a reading farther off."""
+"""Density factor of a reading that is farther off its lattice."""
 CUT = 2.5
-"""Standard deviations from a limit of the sensor, within which a residual has no weight: of readings around the limit only
-those on one side of it come back, so that their mean tells nothing."""
+"""Standard deviations from a limit of the sensor, within which a residual has weight 0.
+
+Near a limit only the readings on one side of it return, so their mean is biased."""
 
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
 
 @inner_kernel
 def _normal_cdf(x: float) -> float:
-    """Return the standard normal's integral up to x."""
+    """Return the standard normal distribution function at x."""
     return 0.5 * math.erfc(-x / SQRT_2)
 
 
@@ -56,28 +68,29 @@ def mixture(
     tail_width: float,
     unexplained: float,
 ) -> Floats:
-    """Return log-likelihood and responsibilities of n readings; one loop, since calls from compiled code cost time.
+    """Return the log-likelihood and the responsibilities of n readings.
 
-    One loop on purpose: it is the innermost of every fit.
+    A single loop, because this is the innermost loop of every fit and each call from compiled code costs time.
 
     Parameters
     ----------
-    z : (n,) [m] measured; inf lost, -inf too near, nan broken
-    mu : (n,) [m] expected; inf where nothing can be seen
-    sigma : (n,) [m] of the core
-    p_return : (n,) chance that the ray returns at all
-    alternative, spread, p_alternative : (n,) [m] on the other side of an edge, nan for none, its standard deviation without
-    the noise of a reading, and the chance of being there
-    limits : [m] least and largest range, cell of a reading
-    noise : share of the tail, of lost, of stray readings, and stray ones that an effect adds
-    chances : of a short reading and of one that is lost beside an edge
-    lattice : [m] step that effects put readings on; 0 none
-    tail_width : standard deviation of the tail over that of the core
-    unexplained : chance of a reading that nothing explains
+    z : (n,) [m] Measured range; inf: missing, -inf: too near, nan: broken.
+    mu : (n,) [m] Expected range; inf where no return is possible.
+    sigma : (n,) [m] Standard deviation of the core.
+    p_return : (n,) Probability that the ray returns.
+    alternative : (n,) [m] Expected range on the other side of an edge; nan without an edge.
+    spread : (n,) [m] Standard deviation of `alternative`, without the noise of a reading.
+    p_alternative : (n,) Probability that the ray reads `alternative`.
+    limits : [m] Minimum range, maximum range, and resolution of a reading.
+    noise : Shares of the tail, of missing returns and of outliers; then the share of outliers that effects add.
+    chances : Probabilities of a short reading, and of a missing one next to an edge.
+    lattice : [m] Step to which effects round the readings; 0 without rounding.
+    tail_width : Ratio of the standard deviation of the tail to that of the core.
+    unexplained : Probability of a reading that no component explains.
 
     Returns
     -------
-    (7, n) LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the chances CORE, TAIL, LOST and STRAY
+    (7, n) LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the posterior probabilities CORE, TAIL, LOST and STRAY
     """
     nearest, farthest, cell = limits
     share, loss, stray_noise, stray_effect = noise
@@ -100,7 +113,7 @@ def mixture(
             inside_there = _normal_cdf((farthest - there) / s_there)
         if returned:
             p = 0.0
-            p_back = p_return[k] * (1 - loss)  # the density holds that it is within the limits
+            p_back = p_return[k] * (1 - loss)  # the density already includes that z is within the limits
             if aimed:
                 e = reading - expected
                 out[RESIDUAL, k] = e

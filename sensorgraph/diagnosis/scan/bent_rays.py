@@ -1,4 +1,4 @@
-"""Rays that a surface, an edge or a tilt has bent: how they change with the pose, by casting them again."""
+"""Derivatives of bent rays by the pose, from additional casts; a surface, an edge or a tilt bends a ray."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from sensorgraph.world.beams import Beams
 def bent_columns(
     data: ScanData, model: Sequence[Amendment], beams: Beams
 ) -> tuple[Bools, Floats, Floats] | None:
-    """Differentiate bent rays by the pose, by casting again: a surface, an edge or a tilt has bent them.
+    """Differentiate bent rays by the pose, with difference quotients of additional casts.
 
-    Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
-    (n_scans, n_rays) [m/rad] of all bent rays, also of those where it is a jump.
+    Returns
+    -------
+    Which rays have columns (n_scans, n_rays), and the columns (n_scans, 3, n_rays). Then |d reading / d phi|
+    (n_scans, n_rays) [m/rad] of all bent rays, including those where it is a jump. None without bent rays.
     """
     if beams.straight is None:
         return None

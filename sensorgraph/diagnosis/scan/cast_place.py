@@ -1,7 +1,9 @@
-"""Where casts are made: errors of map and reference are of first order in a reading, but they move outlines, too.
+"""Choose the walls and poses at which casts are made.
 
-A cell of a map of pixels leaves open where in it a wall is, and a reference that is off by more than a reading's noise leaves
-open which wall a ray meets. There casts are made at the likely walls and poses; their errors count from map and reference.
+To first order, map and pose errors only shift a reading. However, they also move outlines, and a ray may then meet
+another wall. Two cases need a better place for the cast: a wall within a cell of an occupancy-grid map, and a reference
+whose error exceeds the noise of a reading. In these cases, casts are made at the most likely walls and poses. The errors
+are still counted from the map and the reference poses.
 """
 
 from __future__ import annotations
@@ -20,11 +22,11 @@ from sensorgraph.types import Floats
 
 
 def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanData:
-    """Return data with walls and poses where the cast of a state had them, or where the state has them now if it has none.
+    """Return data with the walls and poses of the cast of a state, or with its current ones if it has no cast.
 
     Parameters
     ----------
-    same_scans : the state is of these scans; False: their poses stay
+    same_scans : Whether the state belongs to these scans; otherwise their poses are kept.
     """
     laid = data.laid_by(state.corners if state.laid is None else state.laid)
     if data.posed is None or not same_scans:
@@ -33,7 +35,7 @@ def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanDat
 
 
 def is_cast_at(data: ScanData, state: State) -> bool:
-    """Tell whether a cast of this data is at the walls and poses of a state, but for a small share of their tolerances."""
+    """Return whether data is cast at the walls and poses of a state, within a small fraction of the tolerances."""
     if not data.is_laid_by(state.corners):
         return False
     if data.posed is None:
@@ -44,10 +46,10 @@ def is_cast_at(data: ScanData, state: State) -> bool:
 
 
 def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State:
-    """Return a state as a fit of another model begins with it: the laser of each scan stays where it is.
+    """Return the start state for the fit of another model, with the laser of each scan at the same place.
 
-    Where casts are made at likely poses, these take what the model has lost of a mount or a delay, and give what it has gained;
-    else every such effect would move all casts, by what the poses hold already.
+    Where casts are made at likely poses, the pose errors compensate each change of mount and delay in the model.
+    Otherwise such an effect would move all casts by an amount that the poses already contain.
     """
     values = pose_like(model)
     if data.posed is None or (values == state.effects).all():
@@ -58,7 +60,7 @@ def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State
 
 
 def pose_like(model: Sequence[Amendment]) -> Floats:
-    """Return what the effects of a model say of mount and delay of the whole laser, (4,) [m, m, rad, s] as `nuisance.POSE_LIKE`."""
+    """Return mount and delay of the whole laser in a model, (4,) [m, m, rad, s], in the order of `nuisance.POSE_LIKE`."""
     out = np.zeros(len(POSE_LIKE))
     for amendment in (a for a in model if not a.place):
         for parameter in amendment.effect.parameters:
@@ -68,20 +70,20 @@ def pose_like(model: Sequence[Amendment]) -> Floats:
 
 
 def errors_of_laser(data: ScanData, state: State) -> Floats:
-    """Return by what pose errors (n_scans, 3) [m, m, rad] the laser is where a state has it, with what its mount is off."""
+    """Return the pose errors (n_scans, 3) [m, m, rad] of the laser in a state, including its mount error."""
     return state.delta + as_pose_errors(data, np.append(state.g[list(MOUNT)], 0.0))
 
 
 def as_pose_errors(data: ScanData, off: Floats) -> Floats:
-    """Return the pose errors (n_scans, 3) [m, m, rad] that look like a mount and a delay that are off by so much.
+    """Return the pose errors (n_scans, 3) [m, m, rad] that are equivalent to an error of mount and delay.
 
     Parameters
     ----------
-    off : (4,) [m, m, rad, s] in the order of `POSE_LIKE`
+    off : (4,) [m, m, rad, s] Error of mount and delay, in the order of `POSE_LIKE`.
     """
     x, y, yaw, late = off
     ahead, aside = data.sensor.mount[:2]
-    x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, a pose about the base
+    x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, but a pose turns about the base
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
     mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
     return np.asarray(mounted - late * data.twists)

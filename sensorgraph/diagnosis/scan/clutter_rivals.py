@@ -1,8 +1,8 @@
-"""Whether something local, too weak for a name at a cluttered site, is what a number of the whole sensor stands for.
+"""Test whether an effect of the whole sensor absorbs a local effect that is too weak to be named at a cluttered site.
 
-Floors of clutter keep a sector or a disc without a name that is no worse than the site's own. A scale or a bias that no
-floor holds down then takes its place: 6 cm on a fifth of the rays is a scale of 0.9 %, too. So a number of the whole
-sensor must keep its size beside the local effects that are looked for, and held down.
+The clutter floor of a site suppresses a sector or a disc that is no stronger than in known-good runs. A scale or a bias
+without such a floor then takes its place: 6 cm on a fifth of the rays is also a scale of 0.9 %. An effect of the whole
+sensor must therefore keep its size when the suppressed local effects are in the model.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sensorgraph.effects.effect import without
 
 
 def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | None:
-    """Return a local effect beside which one of the model is no more than the site shows by itself; None: there is none.
+    """Return a local effect that reduces an effect of the whole sensor to what the site shows; None without one.
 
-    One that is itself no more than the site shows stands for nothing.
+    A local effect that is itself no larger than in the known-good runs is not returned.
 
     Parameters
     ----------
-    index : of an effect of the whole sensor in the model
+    index : Index in the model of an effect of the whole sensor.
     """
     data, model = fitted.solver.data, fitted.model
     if model[index].name not in data.baseline_intervals:

@@ -1,4 +1,4 @@
-"""Further columns beside a fit, and whether what the whole run says of them is what its parts say."""
+"""Fit additional columns on top of a fit, with the scores of each part of the run."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
 
 Parts = Sequence[tuple[Floats, Floats]]
-"""Normal equations (matrix (m, m), right (m,)) of parts of a run."""
+"""Normal equations (matrix (m, m), right (m,)) of the parts of a run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColumnFit:
-    """Coefficients of further columns, fitted together with all that a fit has."""
+    """Coefficients of additional columns, fitted jointly with all unknowns of a fit."""
 
     values: Floats
     """(k,)"""
     solution: Solution
     gain: float
-    """[nats] that they make the readings likelier."""
+    """[nats] increase of the penalised log-likelihood."""
     each: Floats
-    """(n_parts, k) by how much each part of the run would move them."""
+    """(n_parts, k) Change of the values that each part of the run would cause."""
     information: Floats
-    """(k, k) on the values, if rays are independent: the inverse of their covariance."""
+    """(k, k) Information on the values if rays are independent: the inverse of their covariance."""
 
 
 def fit_columns(
     fitted: Fitted, columns: Floats, start: Floats, *, rounds: int, noise_free: bool = True
 ) -> ColumnFit:
-    """Fit columns (n_scans, k, n_rays) beside a fit, from a start (k,).
+    """Fit columns (n_scans, k, n_rays) in addition to a fit, from a start (k,).
 
-    Poses and map begin anew within their tolerances, or in what the fit had widened them to: what was left to them is to be
-    asked for again.
+    Poses and map restart within their tolerances, or within the tolerances that the fit has widened, because the fit may
+    have absorbed the columns in them.
     """
     k, solver, state = len(start), fitted.solver.with_columns(columns), fitted.state.copy()
     bounds = replace(
@@ -64,29 +64,32 @@ def fit_columns(
 
 
 def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -> bool:
-    """Tell whether something explains more without any effect than effects do with it beside them: they stand for it.
+    """Return whether a structure explains more without any effect than together with the effects.
+
+    The effects then only imitate the structure.
 
     Parameters
     ----------
-    alone, beside : [nats] that it gains over the fit without effects, and over the one with them
+    alone : [nats] Gain of the structure over the fit without effects.
+    beside : [nats] Gain of the structure over the fit with effects.
     """
     return null.j + alone > fitted.j + beside + SCAN.selection.threshold
 
 
 def parts_of_run(fitted: Fitted) -> list[Ints]:
-    """Return the scans of each part of the run."""
+    """Return the scan indices of each part of the run."""
     return np.array_split(np.arange(fitted.solver.data.n_scans), SCAN.constancy.n_parts)
 
 
 def equations_of_parts(solver: Solver, solution: Solution, rows: Sequence[Ints]) -> Parts:
-    """Return the normal equations of parts of the run."""
+    """Return the normal equations of each part of the run."""
     weight, scale = solution.responsibilities.weight, solution.state.pose_scale
     systems = [solver.of_scans(some).assemble(weight[some], scale) for some in rows]
     return [(system.matrix, system.right) for system in systems]
 
 
 def inverse_of_whole(parts: Parts, solver: Solver, solution: Solution) -> Floats:
-    """Return the inverse (m, m) of the whole system with its priors; 0 for what is held or at its bound."""
+    """Return the inverse (m, m) of the whole system with its priors; 0 for unknowns that are held or at a bound."""
     total, free = _whole(parts, solver, solution)
     out = np.zeros(total.shape)
     out[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
@@ -94,9 +97,9 @@ def inverse_of_whole(parts: Parts, solver: Solver, solution: Solution) -> Floats
 
 
 def information_of_last(parts: Parts, solver: Solver, solution: Solution, k: int) -> Floats:
-    """Return the information (k, k) on the last k unknowns of the whole system, all others integrated out.
+    """Return the information (k, k) on the last k unknowns of the whole system, with all others integrated out.
 
-    It is the inverse of their covariance, which has none where another unknown does what some of them do together.
+    It is the inverse of their covariance. The covariance itself does not exist if another unknown is collinear with them.
     """
     total, free = _whole(parts, solver, solution)
     rest = free.copy()
@@ -106,7 +109,7 @@ def information_of_last(parts: Parts, solver: Solver, solution: Solution, k: int
 
 
 def _whole(parts: Parts, solver: Solver, solution: Solution) -> tuple[Floats, Bools]:
-    """Return the whole system (m, m) with its priors, and which unknowns are neither held nor at a bound."""
+    """Return the whole system (m, m) with its priors, and the unknowns that are neither held nor at a bound."""
     tau, g = solver.scaled(solution.state), solution.state.g
     total = with_prior(np.sum([matrix for matrix, _ in parts], axis=0), tau)
     at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau

@@ -1,4 +1,4 @@
-"""What something unexplained in the scans costs a user: how far a simulation without it is off, and what it may be."""
+"""Size of an unexplained difference in the scans: the error of a simulation without it, and its likely causes."""
 
 from __future__ import annotations
 
@@ -15,83 +15,83 @@ CAUSES: dict[tuple[str, str], str] = {
         "bearing",
         "bias",
     ): "an error of the laser that depends on bearing: its mirror, its angles, its mounting",
-    ("bearing", "misses"): "rays that are dead or covered at some bearings",
-    ("bearing", "outliers"): "something on the robot within view of the laser, or a second laser",
-    ("range", "bias"): "an error of the laser that depends on range: a step, a curve, a cycle of its phase",
+    ("bearing", "misses"): "dead or covered rays at some bearings",
+    ("bearing", "outliers"): "an object on the robot within view of the laser, or a second laser",
+    ("range", "bias"): "an error of the laser that depends on range: a step, a curve, a periodic phase error",
     ("range", "misses"): "a loss of signal with range: fog, a weak or dirty window",
     ("range", "outliers"): "echoes from dust, fog or a dirty window",
-    ("incidence", "bias"): "walls seen at a slant read wrongly: a broad beam, rough or shiny surfaces",
-    ("incidence", "misses"): "surfaces that shine or swallow light at a slant",
+    ("incidence", "bias"): "a range error at slanted walls: a broad beam, rough or shiny surfaces",
+    ("incidence", "misses"): "surfaces that reflect or absorb light at a slant",
     (
         "omega",
         "bias",
-    ): "timing between scans and poses: a clock that drifts or jitters, a sweep that is not steady",
+    ): "timing between scans and poses: a clock that drifts or jitters, an unsteady sweep",
     ("speed", "bias"): "timing between scans and poses, or a tilt that depends on speed",
-    ("acceleration", "bias"): "the robot pitches when it brakes or accelerates",
+    ("acceleration", "bias"): "pitching of the robot when it brakes or accelerates",
     (
         "acceleration",
         "outliers",
-    ): "the robot pitches when it brakes or accelerates, so that rays meet the floor",
+    ): "pitching of the robot when it brakes or accelerates, so that rays meet the floor",
     ("time", "bias"): "something that changed during the run: a knock, a restart, a warming laser",
-    ("time", "spread"): "disturbances for a time: vibration, interference, a failing cable",
-    ("time", "misses"): "a loss of signal for a time: sunlight, dirt, a failing cable",
-    ("time", "outliers"): "something that comes and goes: people, a door, another laser",
+    ("time", "spread"): "temporary disturbances: vibration, interference, a failing cable",
+    ("time", "misses"): "a temporary loss of signal: sunlight, dirt, a failing cable",
+    ("time", "outliers"): "a temporary object: people, a door, another laser",
     ("heading", "bias"): "a reference whose yaw depends on heading, or a laser that is not level",
     ("direction in map", "misses"): "light from one direction of the room: sun, a lamp",
     ("direction in map", "bias"): "a map whose scale differs between its axes, or that is sheared",
     (
         "robot place",
         "bias",
-    ): "a reference that is bent over the place (lens, mirror of markers), or an uneven floor",
+    ): "a reference pose with an error that depends on place (lens, mirrored markers), or an uneven floor",
     (
         "robot place",
         "outliers",
-    ): "an uneven floor or a ramp at that place, or things that only that place sees",
-    ("robot place", "misses"): "light or surfaces that only that place sees",
-    ("robot place", "spread"): "a reference that is worse at that place, or an uneven floor",
-    ("hit place", "bias"): "something at that place of the map: bent, moved, turned or covered",
+    ): "an uneven floor or a ramp at that place, or objects that are visible only from there",
+    ("robot place", "misses"): "light or surfaces that are visible only from that place",
+    ("robot place", "spread"): "a less accurate reference pose at that place, or an uneven floor",
+    ("hit place", "bias"): "an object or wall at that place: bent, moved, turned or covered",
     (
         "hit place",
         "outliers",
-    ): "something there that the map lacks, or that moves: a door, furniture, a person",
-    ("hit place", "misses"): "a surface there that swallows or deflects light",
-    ("hit place", "spread"): "a rough, half-open or moving thing there: a curtain, a plant, a door",
+    ): "an object there that is missing in the map or moves: a door, furniture, a person",
+    ("hit place", "misses"): "a surface there that absorbs or deflects light",
+    ("hit place", "spread"): "a rough, half-open or moving object there: a curtain, a plant, a door",
     ("wall", "bias"): "that wall: bent, moved, or covered by something",
-    ("wall", "outliers"): "openings, furniture or people before that wall",
+    ("wall", "outliers"): "openings, furniture or people in front of that wall",
     ("wall", "misses"): "the surface of that wall",
     ("wall", "spread"): "a rough or uneven surface of that wall",
 }
-"""Partition and kind of a deviation -> where a robot engineer would look."""
+"""(partition, kind) of a deviation -> likely cause."""
 ELSE = {
-    "bias": "an error of laser, reference or map that no effect of the library makes",
-    "spread": "noise that the sensor's description lacks: vibration, interference, a poor reference",
-    "outliers": "readings of things that the map lacks",
-    "misses": "a loss of signal that the sensor's description lacks",
+    "bias": "an error of laser, reference or map that is not in the library of effects",
+    "spread": "noise that is missing in the sensor's description: vibration, interference, a poor reference",
+    "outliers": "readings of objects that are missing in the map",
+    "misses": "a loss of signal that is missing in the sensor's description",
 }
 SCATTER_CAUSES = (
-    "scans that come late, twice or with wrong stamps",
-    "a reference that is at times worse than stated",
-    "bursts of noise of the laser",
+    "scans that are late, repeated or wrongly stamped",
+    "a reference pose that is temporarily less accurate than specified",
+    "bursts of noise in the laser",
 )
-"""Of scans that differ from each other more than their rays do within a scan."""
+"""Causes of scans that differ from each other more than the rays within a scan do."""
 MAX_CAUSES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanError:
-    """By how much simulated readings are off."""
+    """Error of simulated readings."""
 
     offset: float = 0.0
     """[m] root mean square of the mean error of the affected readings."""
     noise: float = 0.0
-    """[m] by which the standard deviation of the affected readings is wrong."""
+    """[m] error of the standard deviation of the affected readings."""
     affected: float = 0.0
-    """Share of all readings that are off by these."""
+    """Share of all readings with these errors."""
     wrong: float = 0.0
-    """Share of all readings that are strays, or missing, though the simulator says otherwise."""
+    """Share of all readings that are outliers or missing, contrary to the simulation."""
 
     def to_dict(self) -> dict[str, float]:
-        """Return plain data for the report: what is not zero."""
+        """Return the nonzero values as plain data for the report."""
         named = {
             "offset_m": self.offset,
             "noise_m": self.noise,
@@ -101,22 +101,22 @@ class ScanError:
         return {key: value for key, value in named.items() if value}
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the error as a sentence."""
         parts, affected = [], _percent(self.affected)
         if self.offset:
             parts.append(f"off by {length(self.offset)} in {affected} of the readings")
         if self.noise:
-            parts.append(f"too quiet by {length(self.noise)} in {affected} of the readings")
+            parts.append(f"less noisy than the laser by {length(self.noise)} in {affected} of the readings")
         if self.wrong:
-            parts.append(f"wrong in {_percent(self.wrong)} of the readings, which are strays or missing")
+            parts.append(f"wrong in {_percent(self.wrong)} of the readings, which are outliers or missing")
         return f"a simulation without it is {' and '.join(parts)}"
 
     def is_material(self, sigma: float, settings: GoodnessOfFitSettings = SCAN.goodness_of_fit) -> bool:
-        """Tell whether a user would mind.
+        """Return whether the error exceeds what a user tolerates.
 
         Parameters
         ----------
-        sigma : [m] of one reading; of a noisy sensor more is needed
+        sigma : [m] Standard deviation of a reading; the minimum error grows with it.
         """
         least = max(settings.min_range_error, settings.min_size["bias"] * sigma)
         is_off = max(self.offset, self.noise) >= least and self.affected >= settings.min_affected_share
@@ -124,12 +124,12 @@ class ScanError:
 
 
 def scan_error(deviations: Sequence[Deviation], sigma: float, n_readings: int) -> ScanError:
-    """Return what deviations of one kind and one partition amount to.
+    """Return the error of simulated readings that deviations of one kind and one partition correspond to.
 
     Parameters
     ----------
-    sigma : [m] of one reading
-    n_readings : of the whole run
+    sigma : [m] Standard deviation of a reading.
+    n_readings : Number of readings in the whole run.
     """
     rays = np.array([d.n_rays for d in deviations], dtype=np.float64)
     size = np.array([d.size for d in deviations])
@@ -143,7 +143,7 @@ def scan_error(deviations: Sequence[Deviation], sigma: float, n_readings: int) -
 
 
 def excess_noise(spread: float, sigma: float) -> float:
-    """Return by how much a standard deviation [m] is too small if the variance is too small by this ratio."""
+    """Return the error [m] of a standard deviation whose variance is too small by the ratio `spread`."""
     return float(sigma * (np.sqrt(1 + max(spread, 0.0)) - 1))
 
 
@@ -163,7 +163,7 @@ def _percent(share: float) -> str:
 
 
 def likely_causes(deviations: Sequence[Deviation]) -> tuple[str, ...]:
-    """Return what the deviations may come from, the likeliest first: the partition whose bins explain most."""
+    """Return likely causes of deviations, first those of the partition whose bins explain most."""
     explained: dict[tuple[str, str], float] = {}
     for d in deviations:
         key = (d.partition.removesuffix(" and half of the run"), d.family)

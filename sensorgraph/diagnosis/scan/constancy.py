@@ -1,10 +1,16 @@
-"""Whether a number of the sensor holds in the whole run, or changed once: a knock, a restart, a warming laser.
+"""Test whether a parameter of the sensor changed once during the run: a knock, a restart, a warming laser.
 
-Every smooth effect of the whole sensor, in the model or not, is given a second value from a time on. The gain follows
-from the normal equations of parts of the run (a Chow test at each of many times, of which the largest counts: Andrews
-1993, Tests for parameter instability with unknown change point). The likeliest are fitted. The error of a jump comes
-from how the parts scatter about the fit, so that what neighbouring scans have in common counts once (Ibragimov and
-Mueller 2010, t-statistic based correlation and heterogeneity robust inference).
+Model: x in the first parts of the run, x + jump in the later ones.
+
+    gain = ½ jumpᵀ s,    jump = (M - M A⁻¹ M)⁻¹ s.
+
+M and s are the normal matrix and the score, summed over the later parts. A is the normal matrix of the whole run with its
+priors. Both equations are restricted to the rows and columns of the parameter. This is a Chow test at each possible time, of which the largest counts
+(Andrews 1993, Tests for parameter instability with unknown change point). It is applied to every smooth effect of the whole
+sensor, in the model or not; the most likely changes are then fitted.
+
+The standard error of a jump is estimated from the scatter of the parts about the fit. Errors shared by neighbouring scans
+then count once (Ibragimov and Mueller 2010, t-statistic based correlation and heterogeneity robust inference).
 """
 
 from __future__ import annotations
@@ -35,48 +41,48 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
 
 LEAST_INFORMATION = 1e-9
-"""Share of a number's information that must be left beside all else, above round-off."""
+"""Minimum share of a parameter's information that must remain when all other unknowns are free, above round-off."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorNumber:
-    """A smooth effect of the whole sensor, as it stands in a fit."""
+    """A smooth effect of the whole sensor in a fit."""
 
     amendment: Amendment
     index: int | None
-    """In the model; None: it is a nuisance."""
+    """Index in the model; None for a nuisance."""
     unknowns: Ints
-    """(k,) among those of the fit."""
+    """(k,) Indices among the unknowns of the fit."""
     columns: Ints
-    """(k,) among the columns of the solver."""
+    """(k,) Indices among the columns of the solver."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NumberChange:
-    """A number that has another value from a part of the run on."""
+    """A parameter with a second value in the later parts of the run."""
 
     number: SensorNumber
     part: int
-    """The first with the second value."""
+    """First part with the second value."""
     first: Amendment
     second: Amendment
     gain: float
-    """[nats] that two values are likelier than one."""
+    """[nats] log-likelihood ratio of two values to one."""
     wald: float = 0.0
-    """Square of the jump over its error, per unknown, the error from the scatter of the parts."""
+    """Squared ratio of the jump to its standard error (from the scatter of the parts), per unknown."""
 
     @property
     def jump(self) -> dict[str, float]:
-        """By which the parameters change."""
+        """Change of each parameter."""
         return {name: self.second[name] - self.first[name] for name in self.first.steps}
 
 
 def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Doubt a sensor of which a number changed once by more than its materiality, and by half of itself.
+    """Report a sensor parameter that changed once, by more than its materiality and by at least half of its value.
 
     Parameters
     ----------
-    null : the fit without effects, which may tell the change more plainly than the effects that stand for it
+    null : The fit without effects, which may show the change more clearly than effects that imitate it.
     """
     candidates = _candidates(fitted)
     found, view = _likeliest(fitted, candidates), fitted
@@ -102,7 +108,7 @@ def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
 
 
 def _candidates(fitted: Fitted) -> list[NumberChange]:
-    """Return the changes that are likely to first order, the likeliest first; one per number."""
+    """Return the changes that are likely to first order, most likely first; one for each parameter."""
     rows = parts_of_run(fitted)
     if len(rows[-1]) < SCAN.constancy.min_scans:
         return []
@@ -112,7 +118,7 @@ def _candidates(fitted: Fitted) -> list[NumberChange]:
 
 
 def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
-    """Return the likeliest of the first candidates that is sure and large; None where every number holds."""
+    """Return the most likely of the first candidates that is significant and large; None without one."""
     found = [_refitted(fitted, c, parts_of_run(fitted)) for c in candidates[: SCAN.constancy.max_refitted]]
     n_asked = len(_numbers(fitted))
     sure = [c for c in found if _is_likely(c) and _is_sure(c, n_asked) and _is_large(c, fitted)]
@@ -131,7 +137,7 @@ def _numbers(fitted: Fitted) -> list[SensorNumber]:
             out.append(SensorNumber(amendment=a, index=index, unknowns=solver.n_g + own, columns=columns))
     for effect in effects_with_nuisances():
         own = np.array(effect.nuisances)
-        # a drift is a bias that changes, as a jump of the bias says more plainly
+        # a drift is a bias that changes; a jump of the bias shows it more clearly
         if Nuisance.DRIFT in effect.nuisances or solver.locked[own].any():
             continue
         values = dict(zip(effect.steps, map(float, fitted.state.g[own]), strict=True))
@@ -140,7 +146,7 @@ def _numbers(fitted: Fitted) -> list[SensorNumber]:
 
 
 def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChange | None:
-    """Return the likeliest change of a number, to first order; None where no part of the run tells one from what else gives way."""
+    """Return the most likely change of a parameter, to first order; None where the run cannot distinguish one."""
     solver, chosen = fitted.solver, number.unknowns
     x = np.concatenate([fitted.state.g, fitted.solution.p])
     inverse = inverse_of_whole(parts, solver, fitted.solution)
@@ -150,7 +156,7 @@ def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChang
     tried = list[tuple[float, int, Floats, Floats]]()
     for part in range(trimmed, len(parts) - trimmed + 1):
         column = matrices[part:].sum(axis=0)[:, chosen]
-        beside = inverse @ column  # how the other unknowns give way, per unit of the jump
+        beside = inverse @ column  # response of the other unknowns to a unit jump
         score = scores[part:].sum(axis=0)[chosen]
         information = column[chosen] - column.T @ beside
         if np.linalg.eigvalsh(information)[0] <= LEAST_INFORMATION * float(np.trace(column[chosen])):
@@ -165,7 +171,7 @@ def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChang
 
 
 def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> NumberChange:
-    """Fit the two values together with all else, and take the error of the jump from the scatter of the parts."""
+    """Fit both values jointly with all other unknowns, with the error of the jump from the scatter of the parts."""
     number, k = change.number, len(change.number.unknowns)
     late = np.arange(fitted.solver.data.n_scans) >= rows[change.part][0]
     columns = fitted.solver.stack[:, number.columns] * late[:, None, None]
@@ -187,28 +193,28 @@ def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> Num
 
 
 def _moved(a: Amendment, step: Floats) -> Amendment:
-    """Return an effect whose smooth parameters have moved, without errors."""
+    """Return an effect with its smooth parameters moved, without standard errors."""
     values = {name: a[name] + float(s) for name, s in zip(a.steps, step, strict=True)}
     return replace(a.moved_to(values), stderr={})
 
 
 def _is_likely(change: NumberChange) -> bool:
-    """Tell whether the likelihood speaks for a change, its size and its time being paid for."""
+    """Return whether the likelihood supports a change, after the complexity penalty for its size and its time."""
     price = SCAN.selection.price * (len(change.number.unknowns) + 1)
     return change.gain - price > SCAN.selection.threshold
 
 
 def _is_sure(change: NumberChange, n_asked: int) -> bool:
-    """Tell whether the scatter of the parts speaks for it, too, at the best of so many times and of so many numbers."""
+    """Return whether the scatter of the parts supports a change, at the best of n_parts times and n_asked parameters."""
     settings, k = SCAN.constancy, len(change.number.unknowns)
     chance = (1 - settings.confidence) / (settings.n_parts * n_asked)
     return change.wald > float(fdtri(k, settings.n_parts - 1 - k, 1 - chance))
 
 
 def _is_large(change: NumberChange, fitted: Fitted) -> bool:
-    """Tell whether a change is material, a good part of the value over the whole run, and more than good runs differ.
+    """Return whether a change is material, a large share of the value, and larger than between known-good runs.
 
-    A laser that sits elsewhere from a time on looks like a reference that wanders: it must exceed what that may wander.
+    A laser whose mount changes looks like a drifting reference, so the jump must exceed the drift that is allowed.
     """
     a, scale = change.number.amendment, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     baseline = fitted.solver.data.baseline_intervals.get(a.name)
@@ -230,17 +236,17 @@ def _is_large(change: NumberChange, fitted: Fitted) -> bool:
 
 
 def _sentence(first: Amendment, second: Amendment, when: float) -> str:
-    """Say what changed, and when."""
+    """Return a statement of the change and its time."""
     small = SCAN.constancy.min_share * max(first.ratio, second.ratio)
     if first.ratio < small:
-        return f"{brief(second)}, but only from {when:.0f} s of the run on"
+        return f"{brief(second)}, but only after {when:.0f} s of the run"
     if second.ratio < small:
-        return f"{brief(first)}, but only until {when:.0f} s of the run"
+        return f"{brief(first)}, but only before {when:.0f} s of the run"
     return f"{brief(first)}, which changes at {when:.0f} s of the run to {brief(second)}"
 
 
 def _size(solver: Solver, change: NumberChange) -> ScanError:
-    """Return by how much readings are off that are simulated with one value: half of the change either way."""
+    """Return the error of readings that are simulated with one value: half of the change in either direction."""
     jump = np.array(list(change.jump.values()))
     off = np.einsum("k,nkm->nm", jump, solver.stack[:, change.number.columns]) / 2
     valid = solver.jacobian.valid & solver.data.returned

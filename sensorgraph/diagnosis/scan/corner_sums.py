@@ -1,6 +1,12 @@
-"""Sums over rays by the wall that each meets: what the corners of the map add to the normal equations.
+"""Contribution of the map's corners to the normal equations, summed over rays by the wall that each ray meets.
 
-The sums over rays are compiled; `plain_corner_sums` says the same in numpy and is what tests hold `corner_sums` against.
+V, B and S are the derivatives of the readings by corner shifts, by the pose of a scan and by the shared unknowns. W holds
+the weights and y the residuals.
+
+    cv = Bᵀ W V (for each scan),    gv = Sᵀ W V,    vv = Vᵀ W V,    rv = Vᵀ W y.
+
+A corner shift changes a reading only by its component along the wall's normal n: V = ends nᵀ for each of the two ends.
+The sums are compiled. `plain_corner_sums` computes the same in numpy, and tests compare the two.
 """
 
 from __future__ import annotations
@@ -24,21 +30,19 @@ def corner_sums(
     corners: Ints,
     count: int,
 ) -> Sums:
-    """Return weighted products of corner shifts with poses, columns, each other and readings.
-
-    A ray's reading changes with a shift of the corners of its wall along the wall's normal.
+    """Return the weighted products cv, gv, vv, rv of corner shifts with poses, columns, each other and residuals.
 
     Parameters
     ----------
-    w : (n_scans, n_rays) [1/m²] weights; 0 leaves a ray out
-    pose : (n_scans, 3, n_rays) columns of the pose of each scan
-    stack : (n_scans, k, n_rays) columns that all scans share
-    ends : (2, n_scans, n_rays) what a shift of each end of the wall along its normal does to the reading
-    wall : (n_scans, n_rays) index of the wall
-    y : (n_scans, n_rays) [m] residuals
-    normals : (n_walls, 2)
-    corners : (n_walls, 2) index of the corner at each end
-    count : of corners; each has two columns, x and y
+    w : (n_scans, n_rays) [1/m²] Weights; 0 excludes a ray.
+    pose : (n_scans, 3, n_rays) Columns of the pose of each scan.
+    stack : (n_scans, k, n_rays) Columns that all scans share.
+    ends : (2, n_scans, n_rays) Derivative of the reading by a shift of each end of the wall along its normal.
+    wall : (n_scans, n_rays) Index of the wall.
+    y : (n_scans, n_rays) [m] Residuals.
+    normals : (n_walls, 2) Unit normals.
+    corners : (n_walls, 2) Index of the corner at each end.
+    count : Number of corners; each has two columns, x and y.
 
     Returns
     -------
@@ -53,7 +57,10 @@ def corner_sums(
 def _by_corner(
     by_wall: Floats, square: Floats, normals: Floats, corners: Ints, count: int
 ) -> tuple[Floats, Floats]:
-    """Return products by end of a wall, along its normal, as those by x and y of each corner: with columns and each other."""
+    """Convert products by wall end, along its normal, into products by x and y of each corner.
+
+    Returns those with columns (k + 1, 2 count) and with each other (2 count, 2 count).
+    """
     with_column = np.zeros((len(by_wall), 2 * count))
     with_corner = np.zeros((2 * count, 2 * count))
     for at in range(len(normals)):
@@ -81,8 +88,9 @@ def _by_wall(
     corners: Ints,
     count: int,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the products with poses (n_scans, 3, 2 count); by end of a wall those with columns, and last with readings,
-    (k + 1, 2, n_walls), and with each other (2, 2, n_walls).
+    """Return the products of corner shifts with poses, and by wall end with columns and each other.
+
+    Shapes: (n_scans, 3, 2 count); (k + 1, 2, n_walls), whose last row is the product with residuals; (2, 2, n_walls).
     """
     n_scans, n_rays = w.shape
     k, n_walls = stack.shape[1], len(normals)
@@ -123,7 +131,7 @@ def plain_corner_sums(
     corners: Ints,
     count: int,
 ) -> Sums:
-    """Return what `corner_sums` does, with a dense column for each corner's x and y."""
+    """Return the same as `corner_sums`, with dense columns V for x and y of each corner."""
     columns = np.zeros((len(w), 2 * count, w.shape[1]))  # (n_scans, 2 count, n_rays)
     for e in range(2):
         for d in range(2):

@@ -1,4 +1,4 @@
-"""Corners of a map, whose errors move the walls that end there."""
+"""Corners of a map, whose position errors move the walls that end there."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corners:
-    """Which corners of the map each wall ends at."""
+    """Corners at the ends of each wall."""
 
     ends: Ints
-    """(n_walls, 2) index of a corner."""
+    """(n_walls, 2) Indices of the corners."""
     count: int
     rest: int = -1
-    """Index that stands for all corners that stay where they are; -1: each may shift."""
+    """Index shared by all fixed corners; -1 if every corner may shift."""
 
     @classmethod
     def of(cls, walls: Floats, met: Bools | None = None) -> Corners:
-        """Merge wall ends that coincide; those that only end walls (n_walls,) which nothing meets stay where they are."""
+        """Merge wall ends that coincide; corners that only end walls which no ray meets, by `met` (n_walls,), are fixed."""
         points = np.round(walls.reshape(-1, 2), 6)
         _, index = np.unique(points, axis=0, return_inverse=True)
         index = index.reshape(-1, 2)

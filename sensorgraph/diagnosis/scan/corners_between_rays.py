@@ -1,6 +1,10 @@
-"""Corners that stand between two rays which both pass them: legs of tables that a small error puts before a ray.
+"""Corners between two rays that both pass them: legs of tables that a small pose or map error moves in front of a ray.
 
-The loop over scans and corners is compiled; `plain_corners_between_rays` asks every pair of rays for every corner.
+A ray meets a corner at the lateral distance `aside` and the range r with the probability
+
+    chance = min(½, Phi(-|aside| / hypot(blur_angle r, blur_place))).
+
+The loop over scans and corners is compiled; `plain_corners_between_rays` tests every corner with every pair of rays.
 """
 
 from __future__ import annotations
@@ -30,25 +34,25 @@ def corners_between_rays(
     blur: tuple[float, float],
     least: float,
 ) -> tuple[Floats, Floats]:
-    """Return how likely each ray meets a corner that it passes, next to it and in sight, and at what range.
+    """Return the probability that each ray meets a visible corner next to it, and the range of that corner.
 
-    A corner of a wall that the ray or its neighbour on the other side of the corner meets is none: that edge is seen.
+    A corner is skipped if it ends a wall that one of the two rays around it meets, because that edge is found elsewhere.
 
     Parameters
     ----------
-    corners : (n_corners, 2) [m]
-    walls : (n_walls, 2, 2) [m]
-    rays : ox, oy, ux, uy (n_scans, n_rays), origins [m] and unit directions
-    ranges, wall : (n_scans, n_rays) [m] how far corners may be from where rays begin, at most as far as what they meet,
-    and the index of the wall of that, below 0 for none
-    pairs : right and left ray (n_pairs,) of each pair of neighbours, counter-clockwise from pair to pair
-    first : (n_pairs,) [rad] bearing of each right ray, counted from the first
-    blur : [rad, m] standard deviation of the direction in which a corner stands, and of its place
-    least : chance; less is none
+    corners : (n_corners, 2) [m] Places of the corners.
+    walls : (n_walls, 2, 2) [m] End points of the walls.
+    rays : ox, oy, ux, uy (n_scans, n_rays) Origins [m] and unit directions.
+    ranges : (n_scans, n_rays) [m] Maximum distance of a corner, at most the range that the ray meets.
+    wall : (n_scans, n_rays) Index of the wall that the ray meets; negative without one.
+    pairs : Right and left ray (n_pairs,) of each pair of neighbours; the pairs are in counter-clockwise order.
+    first : (n_pairs,) [rad] Bearing of each right ray relative to the first.
+    blur : [rad, m] Standard deviations of the direction and of the place of a corner.
+    least : Minimum probability; smaller values are set to 0.
 
     Returns
     -------
-    chance (n_scans, n_rays), at most 1/2, of the likeliest corner, and range [m], nan where there is none
+    Probability (n_scans, n_rays) of the most likely corner, at most 1/2, and its range [m], nan without a corner
     """
     ox, oy, ux, uy = rays
     rights, lefts = pairs
@@ -94,11 +98,13 @@ def _pair_around(
     first: Floats,
     is_full_turn: bool,
 ) -> int:
-    """Return the pair of rays of a scan between which a place lies; -1 for none."""
+    """Return the index of the pair of rays around a place; -1 without one."""
     dx, dy, c, s = x - ox[rights[0]], y - oy[rights[0]], ux[rights[0]], uy[rights[0]]
     angle = atan2(c * dy - s * dx, c * dx + s * dy) % TURN
     at, step = int(np.searchsorted(first, angle, side="right")) - 1, 0
-    for _ in range(len(rights)):  # a robot that turns within a sweep has turned the rays, too
+    for _ in range(
+        len(rights)
+    ):  # the rays of a robot that turns during the sweep deviate from their bearings
         right, left = rights[at], lefts[at]
         if ux[right] * (y - oy[right]) - uy[right] * (x - ox[right]) < 0.0:
             move = -1
@@ -119,7 +125,7 @@ def _pair_around(
 
 @inner_kernel
 def _ends_at(walls: Floats, at: int, x: float, y: float) -> bool:
-    """Tell whether a wall, of this index or none below 0, ends at a place."""
+    """Return whether the wall with the index `at` ends at a place; False for a negative index."""
     if at < 0:
         return False
     to_first = abs(walls[at, 0, 0] - x) + abs(walls[at, 0, 1] - y)
@@ -129,14 +135,14 @@ def _ends_at(walls: Floats, at: int, x: float, y: float) -> bool:
 
 @inner_kernel
 def _is_in_sight(walls: Floats, ox: float, oy: float, dx: float, dy: float) -> bool:
-    """Tell whether no wall crosses the way from an origin by (dx, dy) [m], short of its end."""
+    """Return whether no wall crosses the segment from an origin along (dx, dy) [m], before its end."""
     short = 1.0 - SAME_PLACE / hypot(dx, dy)
     for at in range(len(walls)):
         ex, ey = walls[at, 1, 0] - walls[at, 0, 0], walls[at, 1, 1] - walls[at, 0, 1]
         ax, ay = walls[at, 0, 0] - ox, walls[at, 0, 1] - oy
         across = dx * ey - dy * ex
         share, along = (ax * dy - ay * dx) / across, (ax * ey - ay * ex) / across
-        if 0.0 <= share <= 1.0 and 0.0 <= along < short:  # not so where they are parallel: inf or nan
+        if 0.0 <= share <= 1.0 and 0.0 <= along < short:  # False for parallel lines: inf or nan
             return False
     return True
 
@@ -151,7 +157,7 @@ def plain_corners_between_rays(
     blur: tuple[float, float],
     least: float,
 ) -> tuple[Floats, Floats]:
-    """Return what `corners_between_rays` does."""
+    """Return the same as `corners_between_rays`, in numpy."""
     chance, met = np.zeros(ranges.shape), np.full(ranges.shape, np.nan)
     for right, left in zip(*pairs, strict=True):
         for x, y in corners:
@@ -173,6 +179,6 @@ def plain_corners_between_rays(
 
 
 def _towards(x: float, y: float, rays: tuple[Floats, ...]) -> tuple[Floats, Floats]:
-    """Return how far ahead and to the left of each ray a place lies [m]."""
+    """Return the distance of a place ahead of each ray, and to its left [m]."""
     ox, oy, ux, uy = rays
     return ux * (x - ox) + uy * (y - oy), ux * (y - oy) - uy * (x - ox)

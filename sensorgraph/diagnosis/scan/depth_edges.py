@@ -1,4 +1,8 @@
-"""Edges in depth: rays that a small error of pose or map takes past the end of a surface, and what they read there."""
+"""Edges in depth: rays that a small pose or map error moves past the end of a surface, and their range beyond it.
+
+A ray at the angle `away` from an edge passes it with the probability chance = min(½, Phi(-away / blur)). The blur combines
+the errors of heading and mount with those of place and map over the range of the nearer surface.
+"""
 
 from __future__ import annotations
 
@@ -18,78 +22,79 @@ from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.likelihood
 MIN_END_RANGE = 0.05
-"""[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
+"""[m] minimum range of the nearer side of an edge, because map and pose errors turn it by their size over the range."""
 MAX_CORNERS = 1.5
-"""Corners a wall, of a map whose walls meet: closed outlines have one, scraps two."""
+"""Maximum number of corners per wall in a map of connected walls: closed outlines have one, separate fragments two."""
 SLACK = 1e-3
-"""[rad] by which the end of a wall may seem to lie outside of two rays that begin at different places."""
+"""[rad] tolerance for the end of a wall outside of two rays, which may have different origins."""
 GRAZING = 0.02
-"""Cosine against the normal, below which a ray does not meet the extension of a wall."""
+"""Minimum cosine to the normal at which a ray meets the extension of a wall."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edges:
-    """Rays so near a step in depth that a small error of pose or map takes them to its other side."""
+    """Rays so close to a step in depth that a small pose or map error moves them to its other side."""
 
     index: tuple[Ints, Ints]
     """Indices (scan, ray) of k rays."""
     other: Floats
-    """(k,) [m] what they would read on the other side."""
+    """(k,) [m] range on the other side."""
     spread: Floats
-    """(k,) [m] standard deviation of that by small errors of pose and map, more where the other side is met at a slant; the
-    noise of a reading aside."""
+    """(k,) [m] standard deviation of `other` due to pose and map errors, without the noise of a reading.
+
+    It increases with the incidence on the other side."""
     chance: Floats
-    """(k,) of being there."""
+    """(k,) probability of the other side."""
 
 
 Rows = tuple[Ints, Ints, Floats, Floats, Floats]
-"""Of k rays: scan, ray, what it would read on the other side [m], the spread of that [m], the chance of being there."""
+"""k rays: scan, ray, range on the other side [m], its standard deviation [m], probability of the other side."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Other:
-    """What is met on the other side of edges."""
+    """Surfaces on the other side of edges."""
 
     wall: Ints
-    """(k,) index; below 0 none of the map."""
+    """(k,) index; negative where it is not a wall of the map."""
     ranges: Floats
-    """(k,) [m] from where it was met."""
+    """(k,) [m] range at which the neighbour met it."""
 
     def of(self, some: Ints) -> _Other:
-        """Return that of some edges."""
+        """Return the surfaces of some edges."""
         return _Other(wall=self.wall[some], ranges=self.ranges[some])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Steps:
-    """Pairs of neighbours that meet different walls."""
+    """Pairs of neighbouring rays that meet different walls."""
 
     scan: Ints
     """(k,)"""
     right: Ints
-    """(k,) the right ray of each pair."""
+    """(k,) right ray of each pair."""
     left: Ints
     gap: Floats
-    """(k,) [rad] from the right ray to the left one."""
+    """(k,) [rad] angle from the right ray to the left one."""
     nearer: Ints
-    """(k,) that of the two which reads less."""
+    """(k,) ray with the smaller range."""
 
     @property
     def farther(self) -> Ints:
-        """(k,) the other one."""
+        """(k,) ray with the larger range."""
         return np.where(self.nearer == self.right, self.left, self.right)
 
     def away(self, ray: Ints, edge: Floats) -> Floats:
-        """Return the angle (k,) [rad] between one of the rays and an edge, told from the right ray."""
+        """Return the angle (k,) [rad] between one of the rays and an edge; `edge` is measured from the right ray."""
         return np.where(ray == self.right, edge, self.gap - edge)
 
     def met_by(self, ray: Ints, beams: Beams) -> _Other:
-        """Return what one of the rays meets."""
+        """Return the surface that one of the rays meets."""
         return _Other(wall=beams.wall[self.scan, ray], ranges=beams.ranges[self.scan, ray])
 
 
 def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
-    """Find the rays next to a step in depth, and what they would read beyond it; of several steps the likeliest counts."""
+    """Find the rays next to a step in depth, and their range beyond it; each ray keeps its most likely step."""
     ranges, wall = beams.ranges, beams.wall
     rights, lefts = neighbouring_rays(data.sensor)
     rows = [_passed_by(data, beams, walls, rights, lefts)]
@@ -106,13 +111,13 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     index_scan, index_ray, beyond, spread, chance = (np.concatenate(part) for part in zip(*rows, strict=True))
     if len(chance) == 0:
         return None
-    order = np.argsort(chance, kind="stable")  # the last that is written counts
+    order = np.argsort(chance, kind="stable")  # the most likely one is written last and wins
     index = (index_scan[order], index_ray[order])
     return Edges(index=index, other=beyond[order], spread=spread[order], chance=chance[order])
 
 
 def _gap(data: ScanData, beams: Beams, scan: Ints, right: Ints, left: Ints) -> Floats:
-    """Return the angle [rad] from right rays to left ones, as they point: within a sweep a robot turns on."""
+    """Return the actual angle [rad] from right rays to left ones, which changes if the robot turns during the sweep."""
     told = (data.sensor.bearings[left] - data.sensor.bearings[right]) % (2 * np.pi)
     to_right, to_left = ((beams.ux[scan, ray], beams.uy[scan, ray]) for ray in (right, left))
     across = to_right[0] * to_left[1] - to_right[1] * to_left[0]
@@ -122,9 +127,9 @@ def _gap(data: ScanData, beams: Beams, scan: Ints, right: Ints, left: Ints) -> F
 
 
 def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
-    """Let each ray pass the end of its own surface, and the farther one meet the nearer surface."""
+    """Return rays that may pass the end of their surface, and far rays that may meet the nearer surface."""
     rows = list[Rows]()
-    for own in (steps.farther, steps.nearer):  # the nearer last: its end is the other rays' edge, too
+    for own in (steps.farther, steps.nearer):  # nearer last: its end is also the edge for the other ray
         edge = _end_angle(beams, walls, steps, own)
         blur = _blur_at(data.tolerances, beams.ranges[steps.scan, own])
         edge, last, beyond = _past_the_end(beams, walls, steps, own, edge, blur)
@@ -139,7 +144,7 @@ def _of_walls(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> lis
 
 
 def _is_drawn(data: ScanData) -> bool:
-    """Tell whether the walls of the map are whole: a map of pixels has steps, an identified one scraps that meet nowhere."""
+    """Return whether the map has connected walls, unlike an occupancy-grid map (steps) or an identified one (fragments)."""
     if data.grain > 0 or data.arena.is_identified:
         return False
     walls = data.arena.walls
@@ -148,9 +153,9 @@ def _is_drawn(data: ScanData) -> bool:
 
 
 def _of_scraps(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> list[Rows]:
-    """Let rays of both sides meet what the neighbour meets: where a scrap ends, no surface need end.
+    """Return the rays of both sides with the surface of their neighbour; a surface may continue where a fragment ends.
 
-    Of a map of pixels also those further from the edge, as a cell is wider than their gap.
+    In an occupancy-grid map, rays farther from the edge are included, because a cell is wider than the gap between rays.
     """
     edge = _end_angle(beams, walls, steps, steps.nearer)
     edge = np.where(np.isnan(edge), steps.gap / 2, edge)
@@ -176,7 +181,7 @@ def _beside(
     blur: Floats,
     some: Ints,
 ) -> Rows:
-    """Return the rows of some of the steps for one of the rays of each."""
+    """Return the rows of some of the steps, for one of the two rays of each."""
     away = steps.away(ray, edge)
     return _beside_edge(
         data, beams, walls, steps.scan[some], ray[some], other.of(some), away[some], blur[some]
@@ -184,9 +189,9 @@ def _beside(
 
 
 def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts: Ints) -> Rows:
-    """Return the rays beside which something stands that they pass, and their neighbours too: a leg between two rays.
+    """Return the rays that pass close to a corner between two rays, such as a table leg.
 
-    In a map of pixels the outline of a cell is no such thing, nor is a scrap; rays of several sensors have no common order.
+    This applies only to maps with connected walls. The rays of several sensors are excluded, because they have no common order.
     """
     sensor = data.sensor
     none = np.zeros(0, dtype=np.intp)
@@ -210,22 +215,22 @@ def _passed_by(data: ScanData, beams: Beams, walls: Floats, rights: Ints, lefts:
 
 
 def _blur(t: Tolerances) -> tuple[float, float]:
-    """Return by how much small errors turn a ray [rad], and move it against the map along each axis [m]."""
+    """Return the standard deviations of a ray's direction [rad] and of its place relative to the map, along each axis [m]."""
     return float(np.hypot(t.pose_yaw, t.mount_yaw)), float(np.sqrt(t.pose_xy**2 + t.map**2 + t.mount_xy**2))
 
 
 def _past_the_end(
     beams: Beams, walls: Floats, steps: _Steps, own: Ints, edge: Floats, blur: Floats
 ) -> tuple[Floats, Ints, _Other]:
-    """Follow the surfaces of rays to where they end for the eye; return that, the last walls, and what is met beyond.
+    """Follow the surfaces of rays to their visible end; return its angle, the last walls, and the surfaces beyond.
 
-    That is not always what the neighbour meets: between a leg and what stands beside it a wall may be seen.
+    The surface beyond is not always the one that the neighbour meets: a wall may be visible between a leg and the next object.
 
     Parameters
     ----------
-    own : (k,) the rays; where they are the nearer ones, their surfaces are followed however far away they end, as these ends
-    are the other rays' edges, too
-    edge : (k,) [rad] from the right ray to the end of the ray's wall; nan where it does not end between the rays
+    own : (k,) The rays. The surface of the nearer ray is followed at any distance, because its end is also the edge
+        for the other ray.
+    edge : (k,) [rad] Angle from the right ray to the end of the ray's wall; nan if it does not end between the rays.
     """
     mine = steps.met_by(own, beams)
     beyond = steps.met_by(np.where(own == steps.right, steps.left, steps.right), beams)
@@ -252,13 +257,13 @@ def _past_the_end(
 
 
 def _blur_at(t: Tolerances, ranges: Floats) -> Floats:
-    """Return by how much small errors turn the direction [rad] in which something stands at these ranges [m]."""
+    """Return the standard deviation of the direction [rad] of an object at these ranges [m]."""
     turn, place = _blur(t)
     return np.asarray(np.hypot(turn, place / np.maximum(ranges, MIN_END_RANGE)))
 
 
 def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
-    """Return the neighbour ahead of each ray (n_rays,), -1 where there is none."""
+    """Return the next ray (n_rays,) behind each one, away from the edge; -1 at the end."""
     out = np.full(n_rays, -1, dtype=np.intp)
     out[behind] = ahead
     return out
@@ -274,7 +279,7 @@ def _next_to(
     wall: Ints,
     bearings: Floats,
 ) -> tuple[Ints, Ints, _Other, Floats, Floats]:
-    """Return the rays one further from their edges, as far as they meet the same wall and the edge may be theirs."""
+    """Return the next rays away from their edges, if they meet the same wall and may still pass the edge."""
     further = onward[ray]
     is_near = ndtr(-away / blur) > SETTINGS.min_edge_chance
     some = np.flatnonzero((further >= 0) & (wall[scan, further] == wall[scan, ray]) & is_near)
@@ -292,7 +297,7 @@ def _beside_edge(
     away: Floats,
     blur: Floats,
 ) -> Rows:
-    """Return the rays that may be beyond an edge."""
+    """Return the rays that may see past an edge."""
     chance = np.minimum(ndtr(-away / blur), 0.5)
     beyond, cosine = _extended(beams, walls, scan, ray, other)
     turn, place = _blur(data.tolerances)
@@ -307,13 +312,13 @@ def _beside_edge(
             & (np.abs(beyond - own) > SETTINGS.min_edge_step * data.sensor.sigma)
             & np.isfinite(own)
             & (beyond > 0)
-            & (np.minimum(own, beyond) < data.sensor.range_max)  # else nothing comes back from either side
+            & (np.minimum(own, beyond) < data.sensor.range_max)  # otherwise neither side returns
         )
     return scan[keep], ray[keep], beyond[keep], spread[keep], chance[keep]
 
 
 def _end_angle(beams: Beams, walls: Floats, steps: _Steps, own: Ints) -> Floats:
-    """Return the angle [rad] from the right ray to the end of the wall of one of the rays; nan where it has none there."""
+    """Return the angle [rad] from the right ray to the end of the wall of one of the rays; nan if it is not between them."""
     scan, right, gap = steps.scan, steps.right, steps.gap
     index = beams.wall[scan, own]
     best = np.full(len(scan), np.nan)
@@ -334,8 +339,9 @@ def _end_angle(beams: Beams, walls: Floats, steps: _Steps, own: Ints) -> Floats:
 
 
 def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: _Other) -> tuple[Floats, Floats]:
-    """Return where a ray would meet the surface on the other side, extended, inf where that is nothing; and the cosine of
-    the incidence there.
+    """Return the range at which a ray would meet the extended surface on the other side, and the cosine of its incidence.
+
+    The range is inf where nothing is on the other side.
     """
     if len(walls) == 0:
         return other.ranges, np.ones(len(scan))

@@ -1,4 +1,4 @@
-"""The sensor of a run, as robot.yaml and the log describe it."""
+"""The sensor of a run, as described by robot.yaml and the log."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from sensorgraph.world.robot import Robot
 
 
 def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSensor:
-    """Return robot.yaml's sensor, its rays numbered as those of the run.
+    """Return the sensor of robot.yaml, with the ray order of the run.
 
     Parameters
     ----------
-    is_laser_frame : the poses are the laser's own, and its mount is none
+    is_laser_frame : Whether the poses are those of the laser; its mount is then zero.
 
     Raises
     ------
     SensorgraphError
-        The run is of another sensor, or the sensor has too few rays or no noise.
+        If the run is of another sensor, or the sensor has too few rays or no noise.
     """
     if robot.sensor.sigma <= 0:
         raise SensorgraphError(
-            "sensor.sigma of robot.yaml is 0, expected the standard deviation [m] of a reading, above 0: beside exact "
-            "readings any noise is an effect; write what the data sheet says, such as sigma: 0.01"
+            "sensor.sigma of robot.yaml is 0; expected the standard deviation [m] of a reading, above 0. Enter the value of "
+            "the data sheet, such as sigma: 0.01"
         )
     settings, recorded = SCAN.intake, run.sensor.bearings
     described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
     if described is None:
         raise SensorgraphError(
             "the run has other rays than robot.yaml describes "
-            f"({bearings_text(recorded, robot.sensor.bearings)}); give the robot that recorded it"
+            f"({bearings_text(recorded, robot.sensor.bearings)}); pass the robot that recorded it"
         )
     if described.n_rays < settings.min_rays:
         raise SensorgraphError(
-            f"the sensor has {described.n_rays} rays, expected {settings.min_rays} or more to tell effects apart"
+            f"the sensor has {described.n_rays} rays; effects can only be distinguished with {settings.min_rays} or more"
         )
     factor, slack = settings.range_max_slack
     returned = np.where(np.isfinite(run.ranges), run.ranges, 0.0)
@@ -47,14 +47,16 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
     if beyond > settings.max_share_beyond_range:
         raise SensorgraphError(
             f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
-            "robot.yaml; give the robot that recorded the run"
+            "robot.yaml; pass the robot that recorded the run"
         )
     several = run.sensor.is_composite or described.is_composite
-    if several:  # the places of the run: its transforms, or those of the robot file it was read with
+    if (
+        several
+    ):  # use the sensor poses of the run: its transforms, or those of the robot file it was read with
         described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
     if several or run.sensor.cones.any() or described.cones.any():
         described = replace(described, cones=run.sensor.cones)
-    # robot.yaml's default height is nobody's; 0: the log does not know it either
+    # the default height of robot.yaml carries no information; 0 means that the log does not contain it either
     if "sensor.height" not in robot.stated and run.sensor.height > 0:
         described = replace(described, height=run.sensor.height)
     mount = np.zeros(3) if is_laser_frame else described.mount

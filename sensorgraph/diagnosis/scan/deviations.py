@@ -1,8 +1,11 @@
-"""Where measured and simulated readings differ more than chance allows, before any effect is named.
+"""Deviations between measured and simulated readings that exceed chance.
 
-Residuals are summed over the bins of a dozen partitions (wall, bearing, range, …). A bin's z is clustered: its variance
-comes from the scatter between blocks of about a second, so that neighbouring rays and scans, which share their errors,
-count once.
+Residuals are summed over the bins of a dozen partitions (wall, bearing, range, …):
+
+    z = Σ s / sqrt(Σ_blocks (s_block - mean n_block)²).
+
+The z of a bin is clustered. Its variance is estimated from the scatter between blocks of about one second, so that
+neighbouring rays and scans, which share their errors, count once.
 """
 
 from __future__ import annotations
@@ -20,27 +23,27 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
 
 MAX_BINS_PER_KEY = 4
-"""Beyond so many bins for each key they are sorted, and not counted: a long run in a large building would fill the memory."""
+"""Maximum ratio of bins to keys for counting; above it the keys are sorted, because a large building would fill the memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scores:
-    """How every ray deviates from what the model expects, per kind of deviation; arrays (n_scans, n_rays)."""
+    """Deviation of every ray from the model, by kind; arrays (n_scans, n_rays)."""
 
     values: dict[str, Floats]
-    """0 expected."""
+    """Scores with the expected value 0."""
     counted: dict[str, Bools]
-    """Which rays have a score; elsewhere it is 0."""
+    """Whether a ray has a score; elsewhere the score is 0."""
 
 
 def scores(view: FitResiduals) -> Scores:
-    """Score every ray: clipped residual, its square, whether it is a stray, whether it is missing."""
+    """Score every ray: clipped residual, its square, whether it is an outlier, whether its return is missing."""
     settings, likelihood = SCAN.goodness_of_fit, SCAN.likelihood
     responsibilities, expected = view.fitted.solution.responsibilities, view.fitted.cast.expected
     is_stray = responsibilities.stray > likelihood.stray_responsibility
     off_edge = expected.p_alternative < likelihood.min_edge_chance
     clear = view.returned & view.aimed & off_edge & view.fitted.cast.jacobian.valid
-    clear &= responsibilities.weight > 0  # the mean of those that a limit of the sensor cuts tells nothing
+    clear &= responsibilities.weight > 0  # the mean of readings next to a limit of the sensor is biased
     if view.beams.straight is not None:
         bent = view.returned & view.aimed & ~view.beams.straight
         clear = clear | (bent & (responsibilities.stray < likelihood.stray_responsibility))
@@ -57,7 +60,7 @@ def scores(view: FitResiduals) -> Scores:
         + lattice_variance / np.square(view.sigma)
     )
     spread = np.where(explained, clipped**2 - expected_square, 0.0)
-    # what every bin has in common is the level of the noise, and no place, time or bearing
+    # the part that all bins share is the noise level, not a property of a place, time or bearing
     common = float(spread.sum() / max(explained.sum(), 1))
     spread -= explained * np.clip(common, -settings.max_common_spread, settings.max_common_spread)
     returned = view.returned & view.aimed & off_edge
@@ -85,7 +88,7 @@ def scores(view: FitResiduals) -> Scores:
 
 
 def clipped_variance(sigma: float, limit: float) -> float:
-    """Return the mean square of a normal variable of standard deviation `sigma` that is cut at +- `limit`."""
+    """Return the mean square of a normal variable with the standard deviation `sigma`, clipped at ±`limit`."""
     a = limit / sigma
     inside = float(erf(a / np.sqrt(2)))
     density = float(np.exp(-0.5 * a**2) / np.sqrt(2 * np.pi))
@@ -93,7 +96,7 @@ def clipped_variance(sigma: float, limit: float) -> float:
 
 
 def _outlines(view: FitResiduals) -> Bools | None:
-    """Tell which rays pass the outline of a free-standing unmapped obstacle, where a disc is a poor model."""
+    """Return which rays pass the outline of a free-standing unmapped obstacle, where a disc is a poor model."""
     aside = SCAN.goodness_of_fit.outline_distance
     arena, beams, out = view.data.arena, view.beams, None
     for a in view.fitted.model:
@@ -116,12 +119,12 @@ def deviations(
 ) -> list[Deviation]:
     """Return the bins of material size whose z exceeds `min_z`, largest first.
 
-    Spreads and shares count upward only.
+    For spreads and shares only positive deviations count.
 
     Parameters
     ----------
-    parts : partitions to look at; None: all
-    min_z : None: that of what is listed
+    parts : Partitions to test; None for all.
+    min_z : Minimum z; None for the z of listed deviations.
     """
     least = SCAN.goodness_of_fit.listed_z if min_z is None else min_z
     score = scores(view)
@@ -138,7 +141,7 @@ def deviations(
 def _in_partition(
     view: FitResiduals, part: Partition, score: Scores, blocks: Ints, min_z: float
 ) -> list[Deviation]:
-    """Return the deviating bins of one partition; `blocks` (n_scans,) tells the block of each scan."""
+    """Return the deviating bins of one partition; `blocks` (n_scans,) is the block index of each scan."""
     settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
     inside = part.index >= 0
     pairs, pair = numbered((blocks[:, None] * part.count + part.index)[inside])
@@ -169,8 +172,8 @@ def _in_partition(
         is_strong = (np.abs(z) > min_z) if family == "bias" else (z > min_z)
         unit = sigma if family == "bias" else 1.0
         least = np.full(part.count, settings.min_size[family])
-        if family in ("bias", "spread"):  # that the map may leave, in units of the scores
-            # a wall is half a pixel off, the borders of its cells stray by a whole one from it
+        if family in ("bias", "spread"):  # deviations that the map may cause, in units of the scores
+            # a wall is off by half a pixel, and the borders of its cells deviate from it by a whole one
             least = np.maximum(least, grain / sigma if family == "bias" else (2 * grain / sigma) ** 2)
         of_one_wall = view.data.grain > 0 and part.name not in OF_WALLS
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
@@ -191,9 +194,10 @@ def _in_partition(
 
 
 def numbered(keys: Ints) -> tuple[Ints, Ints]:
-    """Return the keys (n,) that occur, ascending, and the position of each key among them: np.unique, mostly without sorting.
+    """Return the keys (n,) that occur, ascending, and the position of each key among them.
 
-    A building has thousands of bins, each met in a few blocks: only the pairs that occur are summed.
+    Equivalent to `np.unique` with `return_inverse`, but usually without sorting. A building has thousands of bins, each
+    met in a few blocks, so only the pairs that occur are summed.
     """
     if not len(keys) or keys.max() > MAX_BINS_PER_KEY * len(keys):
         found = np.unique(keys, return_inverse=True)
@@ -203,12 +207,12 @@ def numbered(keys: Ints) -> tuple[Ints, Ints]:
 
 
 def _is_of_one_wall(view: FitResiduals, value: Floats, some: Bools, least: float) -> bool:
-    """Tell whether some rays (n_scans, n_rays) deviate on one wall alone: in a map of pixels that is where the wall lies.
+    """Return whether some rays (n_scans, n_rays) deviate only on one wall, as in an occupancy-grid map with an offset wall.
 
     Parameters
     ----------
-    value : (n_scans, n_rays) the scores
-    least : mean below which the other rays do not deviate
+    value : (n_scans, n_rays) Scores.
+    least : Minimum mean at which the other rays deviate.
     """
     wall = np.where(some, view.beams.wall, -1)
     n_walls = int(wall.max(initial=-1)) + 1
@@ -232,16 +236,16 @@ def largest_z(found: Sequence[Deviation]) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Dispersion:
-    """How much scans differ from each other."""
+    """Difference between scans, relative to the scatter of their rays."""
 
     ratio: float = 1.0
-    """Variance between the scans' mean squares over what their rays explain; 1 expected."""
+    """Ratio of the variance between the mean squares of scans to the variance that their rays explain; expected 1."""
     excess: float = 0.0
-    """Standard deviation of the scans' mean squares beyond that, over the square of the noise."""
+    """Standard deviation of the scans' mean squares in excess of that, relative to the squared noise."""
 
 
 def dispersion(view: FitResiduals) -> Dispersion:
-    """Return how much more the scans differ from each other than their rays explain."""
+    """Return by how much the scans differ from each other in excess of the scatter of their rays."""
     score = scores(view)
     value, counted = score.values["spread"], score.counted["spread"]
     n = counted.sum(axis=1)

@@ -1,4 +1,4 @@
-"""Check whether the effects of a model obey their own laws: what they absorb, where they are, which ones coincide."""
+"""Test whether the effects of a model satisfy their own assumptions: on the readings they absorb, place and combination."""
 
 from __future__ import annotations
 
@@ -27,50 +27,50 @@ from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools, Floats, Ints
 
 LEAST_CHANGE = 1e-4
-"""[m] by which an effect changes a reading at least, where it does."""
+"""[m] minimum change of a reading by an effect."""
 WIDENED = 2.0
-"""Times the stated noise, from which on most of it is an effect's."""
+"""Ratio of fitted to nominal noise above which an effect accounts for most of the noise."""
 FAR = 4.0
-"""Standard deviations within which its shape is asked: further off a reading is of something else."""
+"""Standard deviations within which the shape of the noise is tested; farther readings are outliers."""
 FLAT = -0.3
-"""Excess of the fourth moment, below which noise is no bell; 0 of a bell, -1.2 between two limits."""
+"""Maximum excess kurtosis of non-Gaussian noise: 0 for a normal distribution, -1.2 for a uniform one."""
 WALL_CAUSES: tuple[str, ...] = (
-    "furniture that leans at the wall, a door that stands open, a radiator",
-    "a reflector, which seems wider than it is",
+    "furniture that leans against the wall, an open door, a radiator",
+    "a reflector, which appears wider than it is",
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Doubt:
-    """One way in which a model is not enough."""
+    """A difference that a model does not explain."""
 
     statement: str
     misfit: float
-    """[nats] that it is worth, roughly."""
+    """[nats] approximate evidence for the difference."""
     statistic: float
     threshold: float
-    """Of the statistic."""
+    """Threshold of the statistic."""
     deviation: Deviation | None = None
-    """Where it shows."""
+    """Deviation that shows it."""
     failed: frozenset[int] = frozenset()
-    """Indices of the effects whose own law fails."""
+    """Indices of the effects whose assumptions are violated."""
     size: ScanError | None = None
-    """By how much a simulation without it is off; None where that has no number, and is taken to matter."""
+    """Error of a simulation without it; None if it cannot be quantified, which counts as material."""
     causes: tuple[str, ...] = ()
-    """What it may be, the likeliest first."""
+    """Possible causes, most likely first."""
     profile: Profile | None = None
-    """Its shape, where it is an error over bearing or range."""
+    """Error over bearing or range, if the difference is one."""
     is_of_building: bool = False
-    """Things stand where the map has none, or the other way round: that concerns few rays of a sensor that errs everywhere."""
+    """Whether the building differs from its map; this concerns few rays, unlike an error of the sensor."""
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -> list[Doubt]:
-    """List absorbing effects whose readings do not follow their law, and tell-tale combinations of effects.
+    """List effects that absorb readings contrary to their assumptions, and implausible combinations of effects.
 
     Parameters
     ----------
-    gains : [nats] that each effect of the model brings
-    gained : [nats] that all bring together; two that absorb the same readings bring little each
+    gains : [nats] Gain of each effect of the model.
+    gained : [nats] Gain of all effects together; two effects that absorb the same readings gain little each.
     """
     settings = SCAN.goodness_of_fit
     out = []
@@ -79,7 +79,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
     for index, a in enumerate(model):
         words, causes, odd_share = why_not_absorbed(view, a)
         if words:
-            # a fringe of a strong effect's own rays is no doubt
+            # a fringe of a strong effect's own readings is not a contradiction
             worth = settings.failed_law_share * max(gains[index], absorbed)
             out.append(
                 Doubt(
@@ -90,7 +90,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
                     failed=frozenset([index]),
                     size=ScanError(wrong=odd_share),
                     causes=causes,
-                    # a map of pixels lacks what moves and what is thin: such strays are not uniform
+                    # an occupancy-grid map lacks moving and thin objects, so these outliers are not uniform
                     is_of_building=causes == STANDING_CAUSES
                     or (a.effect.diagnostics.explains == "strays" and view.data.grain > 0),
                 )
@@ -101,7 +101,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
             i
             for i, a in enumerate(model)
             if a.effect.diagnostics.telltale == telltale
-            and a.ratio >= 1  # a trifle points to nothing
+            and a.ratio >= 1  # an immaterial effect is not evidence
             and not is_map_error(view.fitted, a)
         ]
         count = len({model[i].name for i in members}) if telltale.distinct else len(members)
@@ -119,14 +119,14 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
 
 
 def _flat_noise(view: FitResiduals, index: int, gain: float) -> Doubt | None:
-    """Doubt noise that lies between two limits: rounding to steps that are not all of one size is none.
+    """Report noise that is not normally distributed but bounded, as from rounding with unequal steps.
 
-    Where an effect makes most of the noise, the fourth moment of the residuals must be that of a bell; between limits it is
-    1.8 of the squared variance, in place of 3.
+    Where an effect accounts for most of the noise, the fourth moment of the residuals must be normal: 3 times the squared
+    variance. A uniform distribution has 1.8 times.
 
     Parameters
     ----------
-    gain : [nats] that the effect brings
+    gain : [nats] Gain of the effect.
     """
     effect, settings = view.fitted.model[index].effect, SCAN.goodness_of_fit
     if effect.stage != "noise" or effect.diagnostics.is_lattice or effect.diagnostics.explains:
@@ -142,7 +142,7 @@ def _flat_noise(view: FitResiduals, index: int, gain: float) -> Doubt | None:
     if excess + 3 * np.sqrt(24 / n) > FLAT:
         return None
     return Doubt(
-        statement="readings scatter between two limits, and not as noise does: as if they were rounded to steps that grow "
+        statement="readings are distributed between two limits instead of normally, as if rounded to steps that grow "
         "with the range",
         misfit=settings.failed_law_share * gain,
         statistic=excess,
@@ -150,16 +150,16 @@ def _flat_noise(view: FitResiduals, index: int, gain: float) -> Doubt | None:
         failed=frozenset([index]),
         size=ScanError(noise=float(np.median(view.sigma[wide])), affected=float(wide.mean())),
         causes=(
-            "ranges that are packed into few bits",
-            "a laser that counts in steps which grow with the range",
+            "ranges that are stored in few bits",
+            "a laser whose resolution step grows with the range",
         ),
     )
 
 
 def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, ...], float]:
-    """Return why the readings that an effect of the model absorbs are not its own, what they may be, and their share.
+    """Return why the readings that an effect absorbs contradict its assumptions, their possible causes and their share.
 
-    Empty where they may be, or where the effect absorbs none.
+    The reason is empty if they are consistent, or if the effect absorbs none.
     """
     explains = a.effect.diagnostics.explains
     responsibilities = view.fitted.solution.responsibilities
@@ -175,19 +175,20 @@ def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, 
 
 
 def _telltales() -> list[Telltale]:
-    """Return the combinations of effects that cast doubt on themselves, each once."""
+    """Return the combinations of effects that are implausible, each once."""
     found = [effect.diagnostics.telltale for effect in EFFECTS.values()]
     return list(dict.fromkeys(telltale for telltale in found if telltale is not None))
 
 
 def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
-    """Doubt something round whose middle lies in a wall of the map: what shows of it is a bulge of the wall.
+    """Report an unmapped disc whose centre is inside a wall of the map: only a bulge of the wall is visible.
 
-    At a site known by its good runs, maps are wrong at walls everywhere, and the clutter there has its price.
+    At a site with known-good runs the test is skipped. Maps are inaccurate at walls everywhere, and the clutter floor
+    accounts for it.
 
     Parameters
     ----------
-    gains : [nats] that each effect of the model brings
+    gains : [nats] Gain of each effect of the model.
     """
     data = view.data
     if data.clutter_nats:
@@ -202,8 +203,8 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         wall = data.arena.names[_nearest_wall(data.arena.walls, np.array([x, y]))]
         out.append(
             Doubt(
-                statement=f"readings end before {wall} about ({x:.1f}, {y:.1f}) m: something stands against the wall, or it "
-                "shines there",
+                statement=f"readings end in front of {wall} near ({x:.1f}, {y:.1f}) m: an object stands against the wall, "
+                "or the wall is reflective there",
                 misfit=gains[index],
                 statistic=gains[index],
                 threshold=SCAN.selection.threshold,
@@ -216,9 +217,9 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
 
 
 def _size_of(view: FitResiduals, index: int) -> ScanError:
-    """Return by how much readings are off that are simulated without one effect of the model."""
+    """Return the error of readings that are simulated without one effect of the model."""
     fitted, data = view.fitted, view.fitted.solver.data
-    # the fit's own cast may be of values that have moved since, and so differ by other effects
+    # cast both models again, because other effects may have moved since the cast of the fit
     whole, rest = (
         cast(data, model).expected.reading for model in (fitted.model, without(fitted.model, index))
     )
@@ -232,7 +233,7 @@ def _size_of(view: FitResiduals, index: int) -> ScanError:
 
 
 def _nearest_wall(walls: Floats, point: Floats) -> int:
-    """Return which of walls (n, 2, 2) [m] is nearest to a point (2,)."""
+    """Return the index of the wall, of (n, 2, 2) [m], that is nearest to a point (2,)."""
     way = walls[:, 1] - walls[:, 0]
     share = ((point - walls[:, 0]) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
     foot = walls[:, 0] + np.clip(share, 0.0, 1.0)[:, None] * way
@@ -240,7 +241,7 @@ def _nearest_wall(walls: Floats, point: Floats) -> int:
 
 
 def absences(view: FitResiduals) -> list[Doubt]:
-    """Doubt a fixed thing that is absent for one stretch of the run: it is a door, not a pane."""
+    """Report a fixed object that is absent for one part of the run: a door, for example, instead of a pane."""
     settings, data, fitted = SCAN.goodness_of_fit, view.data, view.fitted
     out = []
     for index, a in enumerate(fitted.model):
@@ -256,7 +257,7 @@ def absences(view: FitResiduals) -> list[Doubt]:
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(
-                    statement=f"{a.effect.title} at {a.place or 'its spot'} is not there from "
+                    statement=f"{a.effect.title} at {a.place or 'its spot'} is absent from "
                     f"{begin - data.begin:.0f} s to {end - data.begin:.0f} s of the run",
                     misfit=float(gain[0]),
                     statistic=float(gain[0]),
@@ -270,14 +271,14 @@ def absences(view: FitResiduals) -> list[Doubt]:
 
 
 def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
-    """Doubt a part of a wall that swallows rays where these are lost by the direction of the room in which they go.
+    """Report a wall segment without returns if the missing returns depend on the direction in the room instead.
 
-    In the directions in which rays to the part are lost, those to other walls are lost as well; in other directions rays to
-    the part come back. So it is with light from one side.
+    In these directions, returns from other walls are missing as well; in other directions rays to the segment return.
+    This is typical of light from one side.
 
     Parameters
     ----------
-    gains : [nats] that each effect of the model brings
+    gains : [nats] Gain of each effect of the model.
     """
     settings, beams = SCAN.goodness_of_fit, view.beams
     scene = view.fitted.cast.scene
@@ -294,14 +295,14 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
         on = is_near_enough & part_of_wall(scene, bare, a)
 
         def share(rays: Bools) -> tuple[Floats, Ints]:
-            """Return the share of rays that are lost in each direction (n,), and how many go there."""
+            """Return the share of missing returns in each direction (n,), and the number of rays."""
             count = np.bincount(direction[rays], minlength=n)
             lost = np.bincount(direction[rays & view.lost], minlength=n)
             return lost / np.maximum(count, 1), count
 
         (on_part, n_on), (elsewhere, n_elsewhere) = share(on), share(is_near_enough & ~on)
         both = (n_on >= settings.min_rays) & (n_elsewhere >= settings.min_rays)
-        # where the light begins, a direction is neither dark nor light
+        # at the edge of the light, a direction is neither dark nor light
         least = settings.min_light_share
         dark, light = both & (on_part > 0.5), both & (on_part < settings.max_light_share)
         if (
@@ -312,8 +313,8 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
         ):
             out.append(
                 Doubt(
-                    statement=f"rays are lost towards one side of the room ({np.degrees(_middle(dark)):.0f}° in the map), whichever "
-                    "wall they would meet",
+                    statement=f"returns are missing towards one side of the room ({np.degrees(_middle(dark)):.0f}° in the map), "
+                    "at every wall in that direction",
                     misfit=gains[index],
                     statistic=float(elsewhere[dark].mean()),
                     threshold=least,
@@ -326,13 +327,13 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
 
 
 def _middle(some: Bools) -> float:
-    """Return the middle direction [rad] of some of the equal bins of a full turn."""
+    """Return the mean direction [rad] of some of the equal bins of a full turn."""
     at = (np.flatnonzero(some) + 0.5) / len(some) * 2 * np.pi - np.pi
     return float(np.angle(np.exp(1j * at).mean()))
 
 
 def _why_not_random(view: FitResiduals, odd: Bools) -> tuple[str, tuple[str, ...]]:
-    """Return why stray readings are not uniform, and what they may be; empty: they may be random."""
+    """Return why outliers are not uniform, and their possible causes; empty if they may be random."""
     settings = SCAN.goodness_of_fit
     share = float(odd.mean())
     u = np.sort(view.z[odd] / view.range_max)
@@ -340,13 +341,13 @@ def _why_not_random(view: FitResiduals, odd: Bools) -> tuple[str, tuple[str, ...
     d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
     least, per_root = settings.max_uniform_distance
     constant, times = settings.max_clustered_strays
-    strays = f"{100 * share:.1f} % of the readings are strays"
+    strays = f"{100 * share:.1f} % of the readings are outliers"
     if d > max(least, per_root / np.sqrt(n)):
-        words = f"{strays}, but not from anywhere: their ranges are not uniform"
+        words = f"{strays}, but their ranges are not uniformly distributed"
     elif clustered(view, odd) > constant + times * share:
-        words = f"{strays} that come in clusters"
+        words = f"{strays} and form clusters"
     else:
         return "", ()
     if standing := where_things_stand(view, odd):
-        return f"{strays}, {standing}: the map is not as the building there", STANDING_CAUSES
+        return f"{strays}, {standing}: the map differs from the building there", STANDING_CAUSES
     return words, STRAY_CAUSES

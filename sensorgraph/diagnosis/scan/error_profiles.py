@@ -1,9 +1,15 @@
-"""Errors of the laser that depend on bearing or range in a way that no effect of the library has.
+"""Profiles of laser errors over bearing or range that no effect of the library has.
 
-Three profiles, piecewise linear: by how much rays point elsewhere than their bearings say, by how much they read wrong at
-each bearing, and at each range. Each is fitted together with poses, map and mount, and the likeliest is told. Where walls
-are met at a slant a wrong bearing moves readings either way, so that the mean over all that one bearing has read tells
-nothing of it, and noise would be taken for the cause.
+    reading += dr Σ_k errors_k hat_k(u).
+
+The piecewise linear hat_k is 1 at knot k and 0 at the others. There are three kinds of profile.
+
+- Bearing error: u is the bearing, and dr the derivative of the range by the bearing.
+- Bias by bearing: u is the bearing, and dr = 1.
+- Bias by range: u is the expected range, and dr = 1.
+
+Each is fitted together with poses, map and mount, and the most likely one is reported. At slanted walls a bearing error
+makes readings longer or shorter, so that it cancels in the mean residual of a bearing and would appear as noise.
 """
 
 from __future__ import annotations
@@ -24,48 +30,48 @@ from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 
 BEARING_ERROR, BIAS_BY_BEARING, BIAS_BY_RANGE = "bearing error", "bias by bearing", "bias by range"
-"""Kinds of profiles."""
+"""Kinds of profile."""
 STRETCHED = (
-    "a field of view other than stated: angle_min, angle_max or angle_increment of the driver",
-    "a scan with a ray more or fewer than the driver believes",
+    "a field of view other than specified: angle_min, angle_max or angle_increment of the driver",
+    "a scan with one ray more or fewer than the driver assumes",
 )
 UNEVEN = (
-    "a mirror or an encoder that is not centred, so that rays are not evenly spaced",
+    "a mirror or an encoder that is off centre, so that the rays are unevenly spaced",
     "bearings that were calibrated for another unit",
 )
 MOST_RANGES = 0.99
-"""Quantile of the ranges up to which their profile reaches."""
+"""Quantile of the ranges at which their profile ends."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorProfile:
-    """An error over bearing or range, as a run tells it."""
+    """An error over bearing or range, as estimated from a run."""
 
     kind: str
     """BEARING_ERROR, BIAS_BY_BEARING or BIAS_BY_RANGE."""
     knots: Floats
     """(k,) [rad or m] bearings or ranges, ascending."""
     errors: Floats
-    """(k,) [rad] by which rays point further to the left, or [m] by which they read more; the mean over all rays is 0."""
+    """(k,) [rad] error of the bearing, positive to the left, or [m] error of the reading; the mean over all rays is 0."""
     stderr: Floats
-    """(k,) of the errors, by the scatter between parts of the run."""
+    """(k,) standard errors, from the scatter between parts of the run."""
     gain: float
-    """[nats] that they make the readings likelier."""
+    """[nats] gain of the profile."""
     amplitude_z: float
-    """Size of the errors as a whole over its standard error, by the scatter between parts of the run."""
+    """Amplitude of the whole profile over its standard error, from the scatter between parts of the run."""
     offset: float
-    """[m] root mean square of what they do to readings."""
+    """[m] root mean square of its contribution to the readings."""
     affected: float
-    """Share of readings."""
+    """Share of the readings."""
 
     @property
     def stretch(self) -> float:
-        """Return the slope of the errors over the knots: of bearing errors, how much wider the true field of view is."""
+        """Slope of the errors over the knots; for bearing errors, the relative widening of the field of view."""
         return float(np.polyfit(self.knots, self.errors, 1)[0])
 
     @property
     def is_stretched(self) -> bool:
-        """Tell whether a wider or narrower field of view is nearly all of it."""
+        """Whether a wider or narrower field of view accounts for nearly all of the profile."""
         if self.kind != BEARING_ERROR:
             return False
         left = self.errors - np.polyval(np.polyfit(self.knots, self.errors, 1), self.knots)
@@ -73,14 +79,14 @@ class ErrorProfile:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Return what it may be, the likeliest first."""
+        """Possible causes, most likely first."""
         if self.kind == BEARING_ERROR:
             return STRETCHED if self.is_stretched else UNEVEN
         return (CAUSES["bearing" if self.kind == BIAS_BY_BEARING else "range", "bias"],)
 
     @property
     def profile(self) -> Profile:
-        """Return the numbers for the report."""
+        """The numbers for the report."""
         return Profile(
             of="bearing" if self.kind == BEARING_ERROR else "reading",
             over="range" if self.kind == BIAS_BY_RANGE else "bearing",
@@ -90,46 +96,44 @@ class ErrorProfile:
         )
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the profile as a statement."""
         worst = int(np.abs(self.errors).argmax())
         most, at = abs(float(self.errors[worst])), float(self.knots[worst])
         if self.is_stretched:
             width = float(np.degrees(self.knots[-1] - self.knots[0]))
             wider = "wider" if self.stretch > 0 else "narrower"
             return (
-                f"the field of view is {100 * abs(self.stretch):.2g} % {wider} than stated, {width * (1 + self.stretch):.1f}° "
-                f"in place of {width:.1f}°"
+                f"the field of view is {100 * abs(self.stretch):.2g} % {wider} than specified, {width * (1 + self.stretch):.1f}° "
+                f"instead of {width:.1f}°"
             )
         if self.kind == BEARING_ERROR:
             return (
-                f"bearings are off by up to {np.degrees(most):.2g}°, most at {np.degrees(at):.0f}°, in a way that depends on the "
+                f"bearings are off by up to {np.degrees(most):.2g}°, most at {np.degrees(at):.0f}°; the error depends on the "
                 "bearing"
             )
         if self.kind == BIAS_BY_BEARING:
-            where = f"most at {np.degrees(at):.0f}°, in a way that depends on the bearing as no single sector does"
+            where = f"most at {np.degrees(at):.0f}°; the error depends on the bearing, and no single sector explains it"
         else:
-            where = (
-                f"most at {at:.1f} m, in a way that depends on the range as neither a bias nor a scale does"
-            )
+            where = f"most at {at:.1f} m; the error depends on the range, and neither a bias nor a scale explains it"
         return f"readings are off by up to {length(most)}, {where}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Columns:
-    """A profile before it is fitted."""
+    """A profile before the fit."""
 
     kind: str
     knots: Floats
     columns: Floats
-    """(n_scans, k, n_rays) by its value at each knot."""
+    """(n_scans, k, n_rays) derivative of the readings by the value at each knot."""
 
 
 def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
-    """Fit each profile beside the effects and nuisances of a fit, where it is likely to first order; the likeliest first.
+    """Fit each profile in addition to effects and nuisances if it is likely to first order; most likely first.
 
     Parameters
     ----------
-    least : [nats] to first order, below which a profile is not fitted; its price at least
+    least : [nats] Minimum first-order gain for a fit; at least the complexity penalty.
     """
     least = max(least, _price())
     found = [_fitted(fitted, one) for one in _profiles(fitted) if _screened(fitted, one) > least]
@@ -137,12 +141,12 @@ def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
 
 
 def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Doubt a laser of which a profile of errors is sure.
+    """Report a significant error profile of the laser.
 
     Parameters
     ----------
-    null : the fit without effects: where a profile alone explains more than all effects do, with a profile beside them, it
-    stands for them
+    null : The fit without effects. If a profile alone explains more than all effects together with a profile, the
+        effects only imitate it.
     """
     found, failed = _sure(fitted), frozenset[int]()
     if fitted.model and null is not None:
@@ -167,7 +171,7 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
 
 
 def _sure(fitted: Fitted, least: float = 0.0) -> ErrorProfile | None:
-    """Return the likeliest profile if likelihood and parts of the run speak for it; None where none does."""
+    """Return the most likely profile if the likelihood and the parts of the run support it; None otherwise."""
     profiles = error_profiles(fitted, least=least)
     found = next((one for one in profiles if not _is_of_walls(one, fitted.solver.data.grain)), None)
     if found is None or found.gain - _price() < SCAN.selection.threshold:
@@ -176,7 +180,7 @@ def _sure(fitted: Fitted, least: float = 0.0) -> ErrorProfile | None:
 
 
 def _is_of_walls(found: ErrorProfile, grain: float) -> bool:
-    """Tell whether an error over range is within a pixel of the map: of near walls and far ones, each half a pixel off."""
+    """Return whether an error over range is within a pixel of the map, as from walls that are each off by half a pixel."""
     return found.kind == BIAS_BY_RANGE and float(np.abs(found.errors).max()) < 2 * grain
 
 
@@ -185,13 +189,13 @@ def _price() -> float:
 
 
 def _least_z() -> float:
-    """Return what the size must exceed in standard errors, though its direction was chosen among so many."""
+    """Return the minimum amplitude in standard errors, given that its direction was chosen from k dimensions."""
     k, n = SCAN.profiles.n_knots, SCAN.constancy.n_parts
     return float(np.sqrt(k * fdtri(k, n - 1, SCAN.constancy.confidence)))
 
 
 def _profiles(fitted: Fitted) -> list[_Columns]:
-    """Return the profiles that may be asked for; none where rays or scans are too few."""
+    """Return the profiles that can be tested; none if there are too few rays or scans."""
     data, solver = fitted.solver.data, fitted.solver
     settings, bearings = SCAN.profiles, data.sensor.bearings
     if data.sensor.is_composite or measures_cones(data.sensor):
@@ -216,12 +220,12 @@ def _profiles(fitted: Fitted) -> list[_Columns]:
 
 
 def _used(fitted: Fitted) -> Bools:
-    """Tell which readings (n_scans, n_rays) tell a size."""
+    """Return which readings (n_scans, n_rays) contribute to the size."""
     return fitted.solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
 
 
 def _screened(fitted: Fitted, profile: _Columns) -> float:
-    """Return how much likelier a profile makes the readings to first order [nats]."""
+    """Return the gain of a profile to first order [nats]."""
     solver, solution = fitted.solver.with_columns(profile.columns), fitted.solution
     system = solver.assemble(solution.responsibilities.weight, fitted.state.pose_scale)
     k = len(profile.knots)
@@ -232,7 +236,7 @@ def _screened(fitted: Fitted, profile: _Columns) -> float:
 
 
 def _fitted(fitted: Fitted, profile: _Columns) -> ErrorProfile:
-    """Fit a profile together with all else."""
+    """Fit a profile jointly with all other unknowns."""
     knots, columns = profile.knots, profile.columns
     got = fit_columns(fitted, columns, np.zeros(len(knots)), rounds=SCAN.profiles.rounds)
     used = _used(fitted)

@@ -1,7 +1,7 @@
-"""What the rays of a run have met, and how much evidence they would bring for an effect.
+"""Evidence that the rays of a run would provide for an effect.
 
-Smooth changes: half the squared length of their columns after projection, in the normal equations of the fit (the
-Fisher information with poses and nuisances eliminated). Rays that would be lost: the likelihood ratio of their losses.
+The expected evidence of a smooth change x is ½ xᵀ M x, minus the part that bounded nuisances absorb. M is the Fisher
+information with the poses eliminated. For missing returns it is the expected log-likelihood ratio of the losses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sensorgraph.types import Bools, Floats
 
 
 class RunExposure:
-    """What the rays of a run have met (see `sensorgraph.effects.interfaces.Exposure`)."""
+    """Surfaces, ranges and angles that the rays of a run met (see `sensorgraph.effects.interfaces.Exposure`)."""
 
     def __init__(self, data: ScanData, fitted: Fitted, threshold: float) -> None:
         self.data, self.fitted, self.threshold = data, fitted, threshold
@@ -50,26 +50,26 @@ class RunExposure:
         self._projected: dict[frozenset[Nuisance], Floats] = {}
 
     def need(self, amendment: Amendment) -> float:
-        """Return the nats that the name takes."""
+        """Return the evidence [nats] that is required to name an effect."""
         return self.threshold + price(amendment, self.data)
 
     def need_of(self, effect: Effect) -> float:
-        """Return the nats that the name takes with all its parameters."""
+        """Return the evidence [nats] that is required to name an effect with all its parameters."""
         return self.need(effect(**{p.name: 1.0 for p in effect.parameters}))
 
     @cached_property
     def hypotheses(self) -> list[Hypothesis]:
-        """Smooth effects as directions among the nuisances."""
+        """Smooth effects as directions in the space of the nuisances."""
         return hypotheses(self.data, self.fitted)
 
     def locked(self, own: Sequence[Nuisance]) -> Bools:
-        """Return which nuisances are held when these copies are, (n_g,)."""
+        """Return which nuisances (n_g,) are held if those of an effect, `own`, are held."""
         held = self.solver.locked.copy()
         held[list(own)] = True
         return held
 
     def projected(self, own: Sequence[Nuisance]) -> Floats:
-        """Return the information (n_g, n_g) after the nuisances are projected out; the copies `own` are held."""
+        """Return the information (n_g, n_g) with the nuisances projected out, except for `own`, which are held."""
         key = frozenset(own)
         if key not in self._projected:
             free = ~self.locked(own)
@@ -85,11 +85,11 @@ class RunExposure:
         return self._projected[key]
 
     def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[Nuisance] = ()) -> float:
-        """Return the evidence expected if the truth is off by `shift` (n_g,) and a model lacks it.
+        """Return the expected evidence if the truth differs by `shift` (n_g,) from a model without it.
 
         Parameters
         ----------
-        free : (n_g, k) directions that the other model may take instead, their copies `own` held
+        free : (n_g, k) Directions that the other model may use instead, with the nuisances `own` held.
         """
         matrix = self.system.matrix
         k = len(matrix)
@@ -97,12 +97,12 @@ class RunExposure:
         return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.locked(own), free)
 
     def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
-        """Return the evidence [nats] expected of each of several smooth changes of the readings, nuisances refitted.
+        """Return the expected evidence [nats] of each of several smooth changes of the readings, with nuisances refitted.
 
         Parameters
         ----------
-        columns : (n_scans, k, n_rays) change of the readings per unit
-        size : of the change, in units
+        columns : (n_scans, k, n_rays) Change of the readings per unit.
+        size : Size of the change, in units.
         """
         old, n = self.solver, self.n
         solver = Solver(
@@ -125,7 +125,7 @@ class RunExposure:
         ]
 
     def nats_alone(self, effect: Effect, times: float) -> float:
-        """Return the least evidence [nats] of a smooth effect that no nuisance spans, at so many materialities."""
+        """Return the minimum evidence [nats] over the parameters of a smooth effect at `times` its materiality."""
         columns = columns_of(self.data, self.fitted, effect.at_neutral())
         typical = effect.typical(times)
         sizes = [typical[name] for name in effect.steps]
@@ -134,7 +134,12 @@ class RunExposure:
         )
 
     def lost(self, chance: Floats | float, some: Bools) -> float:
-        """Return the evidence expected if rays `some` return by `chance` only (array or number), losses refitted."""
+        """Return the expected evidence if rays `some` return with probability `chance`, with the loss refitted.
+
+        It is the Kullback-Leibler divergence, with the probability q of a return and the refitted loss `taken`.
+
+            Σ q log(q / (1 - taken)) + (1 - q) log((1 - q) / taken).
+        """
         p = np.clip(np.broadcast_to(chance, some.shape)[some], 1e-6, 1.0)
         loss = self.fitted.state.noise.loss
         taken = min(self.loss, loss + float((1 - p).sum()) / max(self.n_seen, 1))
@@ -150,7 +155,7 @@ class RunExposure:
 def _missing(
     matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools, free: Floats | None
 ) -> float:
-    """Return half the squared length that bounded nuisances and the directions `free` leave."""
+    """Return half of the squared length that bounded nuisances and the directions `free` do not absorb."""
     n = len(tau)
     if free is not None:
         k = len(right)

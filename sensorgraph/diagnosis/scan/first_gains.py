@@ -1,4 +1,4 @@
-"""Gains that were expected of effects before the model had any: what still stands mends no rim of what was found since."""
+"""Expected gains of effects in the bare model; a candidate with an unchanged gain is not a remainder of an accepted effect."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from sensorgraph.effects import Amendment
 
 
 class FirstGains:
-    """What each start of an effect was to gain [nats] in the bare model, as long as as much is expected of one.
+    """Expected gains [nats] of each start of an effect in the bare model, as long as they are still expected.
 
-    An effect may begin at several starts: a ray that a part of the robot hides has a gain of its own beside a sector that seems
-    hidden until an obstacle is in the model.
+    An effect may have several starts. For example, a ray that a part of the robot hides has a separate gain; next to it, a
+    sector appears hidden until an obstacle is in the model.
     """
 
     def __init__(self) -> None:
         self._gains: dict[str, list[float]] = {}
 
     def compare(self, candidates: Sequence[Candidate], *, is_first: bool) -> None:
-        """Note what is expected in the bare model; later, forget what is no longer expected of any start."""
+        """Store the gains expected in the bare model; later, drop those that are no longer expected of any start."""
         for key in {name_at_place(c.amendment) for c in candidates}:
             now = [c.gain for c in candidates if name_at_place(c.amendment) == key]
             noted = self._gains.get(key, [])
             self._gains[key] = [*noted, *now] if is_first else [g for g in noted if _is_among(g, now)]
 
     def has(self, candidate: Candidate) -> bool:
-        """Tell whether as much was expected of one start of this effect, and still was when last compared."""
+        """Return whether the same gain was expected of a start of this effect, also at the last comparison."""
         return _is_among(candidate.gain, self._gains.get(name_at_place(candidate.amendment), []))
 
     def still_has(self, amendment: Amendment) -> bool:
-        """Tell whether anything of what was expected of an effect is still."""
+        """Return whether any of the first gains of an effect is still expected."""
         return bool(self._gains.get(name_at_place(amendment)))
 
 
 def name_at_place(amendment: Amendment) -> str:
-    """Return what an effect is called with where it sits: `glass@hall/edge_2`."""
+    """Return the name of an effect with its place: `glass@hall/edge_2`."""
     return f"{amendment.name}@{amendment.place}"
 
 

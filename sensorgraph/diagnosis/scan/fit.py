@@ -1,4 +1,4 @@
-"""Fit a set of effects to the evidence: cast, differentiate, solve, cast again."""
+"""Fit a set of effects to the scans: cast, differentiate, solve, and cast again."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ from sensorgraph.world.cast_memory import Recent
 from sensorgraph.world.scene import Scene
 
 MAX_EDGES = 12
-"""So many casts' edges are kept."""
+"""Number of casts whose edges are kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cast:
-    """The simulator run with some effects, and all that a fit needs of it."""
+    """The simulator's output with some effects, and its derivatives."""
 
     scene: Scene
     beams: Beams
@@ -58,7 +58,7 @@ class Cast:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """A set of effects with nuisances, fitted."""
+    """A fitted set of effects, with nuisances."""
 
     model: tuple[Amendment, ...]
     solution: Solution
@@ -81,7 +81,7 @@ class Fitted:
 
 
 def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
-    """Run the simulator on the poses of the evidence."""
+    """Run the simulator at the poses of the data."""
     scene = data.scene()
     beams = data.up_to_horizon(scene.run((*data.known, *model)))
     jacobian = linearise(data, beams, scene.walls, scene.mount, bent_columns(data, model, beams))
@@ -94,7 +94,7 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
 
 
 def _edges(data: ScanData, scene: Scene) -> Edges | None:
-    """Find the edges of the bare cast; kept as long as geometry and timing stay."""
+    """Find the edges of the bare cast; the result is kept as long as geometry and timing are unchanged."""
     parts = (scene.walls, scene.mount, scene.delay, scene.discs, np.array(scene.dip))
     key = b"|".join(part.tobytes() for part in parts)
     edges: Recent[Edges | None] = data.kept(b"edges", lambda: Recent(MAX_EDGES))
@@ -102,7 +102,7 @@ def _edges(data: ScanData, scene: Scene) -> Edges | None:
 
 
 def bare_cast(scene: Scene) -> Beams:
-    """Cast without what surfaces do to rays."""
+    """Cast without the effects of surfaces on rays."""
     kept, scene.surfaces = scene.surfaces, []
     try:
         return scene.shoot()
@@ -111,7 +111,7 @@ def bare_cast(scene: Scene) -> Beams:
 
 
 def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
-    """Return nuisances at zero, and poses where the casts have them."""
+    """Return nuisances at zero, and the poses at which the casts are made."""
     corners = corners_of(data)
     state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=data.pose_start)
     state.pose_scale = noise_bounds.min_pose_scale
@@ -124,9 +124,9 @@ def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
 
 
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
-    """Return which nuisances are held at 0: copies of effects in the model, the mount of a bare laser, corners that stay."""
+    """Return which nuisances are held at 0: those of effects in the model, the mount of a bare laser, fixed corners."""
     out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
-    whole = [a for a in model if a.effect.place is not None or not a.place]  # not of one of several sensors
+    whole = [a for a in model if a.effect.place is not None or not a.place]  # not on one of several sensors
     held = [nuisance for a in whole for nuisance in a.effect.nuisances]
     if data.laser_frame or data.from_scans:
         held += MOUNT
@@ -137,14 +137,14 @@ def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bool
 
 
 def columns_of(data: ScanData, fitted: Fitted, amendment: Amendment) -> Floats:
-    """Differentiate the readings of a fit by a further effect that changes nothing yet, (n_scans, k, n_rays)."""
+    """Differentiate the readings of a fit by an additional effect at zero strength, (n_scans, k, n_rays)."""
     model = (*fitted.model, amendment)
     data = as_cast(data, fitted.state)
     return np.stack(_difference_quotients(data, model, len(model) - 1, fitted.cast), axis=1)
 
 
 def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
-    """Return the change of the readings (n_scans, n_rays) with a step of a parameter; 0 where a reading jumps."""
+    """Return the derivative of the readings (n_scans, n_rays) by a parameter; 0 where a reading jumps."""
     with np.errstate(invalid="ignore"):
         slope = (beams.reading - at.beams.reading) / step
     same = (beams.wall == at.beams.wall) & at.jacobian.valid & np.isfinite(slope) & (np.abs(slope) < jump)
@@ -154,8 +154,8 @@ def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
 def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int, at: Cast) -> list[Floats]:
     """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps.
 
-    Where casts are made at likely poses, a mount and a delay move the laser as pose errors do, and have their columns from the
-    same derivatives, at edges, too: a fit of both goes in one step along what they share.
+    Where casts are made at likely poses, mount and delay use the derivatives of the pose errors, also at edges. A joint fit
+    then moves along their common direction in a single step.
     """
     amendment, out = model[index], []
     for name, step in amendment.steps.items():
@@ -172,7 +172,7 @@ def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int
 
 
 def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
-    """Cast, and differentiate by the effects' smooth parameters."""
+    """Cast the scene, and differentiate by the effects' smooth parameters."""
     at = cast(data, model) if at is None else at
     corners = corners_of(data)
     quotients = [q for index in range(len(model)) for q in _difference_quotients(data, model, index, at)]
@@ -184,7 +184,7 @@ def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = Non
 
 
 def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, ...]:
-    """Add increments to the smooth parameters."""
+    """Return a model with increments added to its smooth parameters."""
     out, k = [], 0
     for amendment in model:
         values = {}
@@ -205,19 +205,19 @@ def fit(
     inner: int = 4,
     **held: bool,
 ) -> Fitted:
-    """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
+    """Fit the smooth parameters, nuisances and noise; cast again until the objective no longer increases."""
     best: Fitted | None = None
     model = tuple(model)
     noise_bounds, state = strays_taken(model, noise_bounds), for_model(data, state.copy(), model)
     state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
-    if data.posed is not None:  # the laser stays where it is: the poses take what mount and delay were off
+    if data.posed is not None:  # the laser keeps its place: the poses absorb the errors of mount and delay
         state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
     is_laid = data.grain > 0
     for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
-        laid = as_cast(data, state)  # a further effect begins at the same cast
+        laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
         solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
@@ -235,13 +235,13 @@ def fit(
     final = with_increments(best.model, best.solution.p)
     state = best.solution.state
     state.effects = pose_like(final)
-    if state.posed is not None:  # the laser stays where it was cast from, now that effects have moved it
+    if state.posed is not None:  # the laser stays where it was cast from, although effects have moved it
         state.posed = state.posed - as_pose_errors(data, state.effects - pose_like(best.model))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
 
 
 def _settled(solution: Solution) -> bool:
-    """Tell whether the last step was far below the standard errors."""
+    """Return whether the last step was much smaller than the standard errors."""
     sd = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-18))
     return bool((np.abs(solution.p) < SCAN.fit.settled_step * sd).all())
 
@@ -253,7 +253,7 @@ def log_p_at(
 
     Parameters
     ----------
-    noise_bounds : the noise is estimated again within it; None: it stays
+    noise_bounds : Bounds within which the noise is estimated again; None keeps the noise.
     """
     data = as_cast(data, state)
     at = cast(data, model)
@@ -281,7 +281,7 @@ def log_likelihood(
 
 
 def strays_taken(model: Sequence[Amendment], noise_bounds: NoiseBounds) -> NoiseBounds:
-    """Leave no strays to the noise where random_outliers is in the model: its share is all of them."""
+    """Set the noise's share of outliers to its minimum if `random_outliers` is in the model, which explains all of them."""
     if not any(a.effect.diagnostics.explains == "strays" for a in model):
         return noise_bounds
     low = noise_bounds.stray[0]
@@ -298,15 +298,15 @@ def polish(
     rounds: int,
     first: float,
 ) -> tuple[Amendment, ...]:
-    """Improve the rough parameters of one effect at frozen nuisances.
+    """Improve the rough parameters of one effect, with fixed nuisances.
 
-    What widens or mixes the readings has one parameter and shares its freedom with the noise, which is estimated again
-    at every value; the others are improved one after another by a pattern search.
+    An effect that widens or mixes the readings has one parameter and is correlated with the noise, so the noise is
+    estimated again at every value. The parameters of other effects are improved one after another by a pattern search.
 
     Parameters
     ----------
-    rounds : over all parameters; further ones, as long as one strides
-    first : scale of the first steps
+    rounds : Number of rounds over all parameters; more are made while a step still grows.
+    first : Scale of the first steps.
     """
     amendment = model[index]
     steps = {k: first * step for k, step in amendment.search_steps.items()}
@@ -347,7 +347,7 @@ def _peaked(
     *,
     factor: float,
 ) -> tuple[Amendment, ...]:
-    """Move the one rough parameter of an effect to its most likely value, at most `factor` times up or down."""
+    """Move the single rough parameter of an effect to its most likely value, by a factor of at most `factor`."""
     (name,) = model[index].search_steps
     start = model[index][name]
 
@@ -366,14 +366,14 @@ def _peaked(
 
 
 def thin(data: ScanData, every: int) -> ScanData:
-    """Return every n-th scan; the same data each time, with its casts."""
+    """Return every n-th scan; repeated calls return the same object, which keeps its casts."""
     if every == 1:
         return data
     return data.kept(b"every %d" % every, lambda: data.subset(np.arange(0, data.n_scans, every)))
 
 
 def thin_state(state: State, every: int) -> State:
-    """Return the state for every n-th scan."""
+    """Return the state of every n-th scan."""
     posed = None if state.posed is None else state.posed[::every]
     return replace(
         state, g=state.g.copy(), delta=state.delta[::every].copy(), posed=posed, noise=replace(state.noise)

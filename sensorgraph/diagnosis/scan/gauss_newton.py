@@ -1,8 +1,16 @@
-"""Joint fit of effects and nuisances: Gauss-Newton on the mixture, the pose error of every scan eliminated.
+"""Joint fit of effects and nuisances: Gauss-Newton on the mixture, with the pose error of every scan eliminated.
 
-The unknowns are the effects' smooth parameters p, the nuisances g (sensorgraph.diagnosis.scan.nuisance) and a pose error
-delta_s per scan. Given the responsibilities of the mixture all enter linearly; the 3 x 3 blocks of the scans are
-eliminated by the Schur complement (Triggs, McLauchlan, Hartley and Fitzgibbon 2000, bundle adjustment, section 6).
+The residuals y of a scan depend on its pose error delta, the nuisances g and the effects' smooth parameters p.
+
+    y = B delta + S [g, p],    delta ~ N(0, P),    g ~ N(0, tau²).
+
+Given the responsibilities of the mixture, each Gauss-Newton step solves weighted normal equations with weights W. The pose
+error of each scan is eliminated by the Schur complement (Triggs, McLauchlan, Hartley and Fitzgibbon 2000, bundle
+adjustment, section 6; see `normal_equations`). The objective integrates poses and nuisances out (Laplace approximation).
+
+    J = Σ log p - ½ Σ deltaᵀ P⁻¹ delta - ½ Σ log |I + P BᵀWB| - ½ Σ (g / tau)² - ½ log |I + tau M tau|.
+
+M is the block of the nuisances in the normal matrix, after elimination of the poses.
 """
 
 from __future__ import annotations
@@ -31,46 +39,46 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 
 CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
-"""Medians of chi-squared with one and with three degrees of freedom."""
+"""Medians of the chi-squared distribution with one and with three degrees of freedom."""
 
 
 @dataclass(eq=False)
 class State:
-    """Where nuisances stand."""
+    """Values of the nuisances."""
 
     g: Floats
-    """(8 + 2 n_corners,) every Nuisance, then x and y of each corner."""
+    """(8 + 2 n_corners,) one value for each Nuisance, then x and y of each corner."""
     delta: Floats
     """(n_scans, 3) [m, m, rad] pose errors."""
     noise: BeamNoise = field(default_factory=BeamNoise)
     pose_scale: float = 1.0
-    """By how much the tolerances of the reference are too tight."""
+    """Factor by which the tolerances of the reference pose are too tight."""
     map_scale: float = 1.0
-    """By how much the tolerance of the map is too tight."""
+    """Factor by which the tolerance of the map is too tight."""
     laid: Floats | None = None
-    """(2 n_corners,) [m] where the corners of a map of pixels were in the cast that this was found with."""
+    """(2 n_corners,) [m] shifts of the corners of an occupancy-grid map in the cast of this state."""
     posed: Floats | None = None
-    """(n_scans, 3) [m, m, rad] by what the poses of that cast were off the reference, where its tolerances are wide."""
+    """(n_scans, 3) [m, m, rad] pose errors in that cast, where the tolerances of the reference pose are wide."""
     effects: Floats = field(default_factory=lambda: np.zeros(4))
-    """(4,) [m, m, rad, s] what the effects of its model say of mount and delay (`nuisance.POSE_LIKE`)."""
+    """(4,) [m, m, rad, s] mount and delay according to the effects in the model (`nuisance.POSE_LIKE`)."""
 
     @property
     def corners(self) -> Floats:
-        """Shifts of the corners (2 n_corners,) [m]."""
+        """(2 n_corners,) [m] shifts of the corners."""
         return self.g[len(Nuisance) :]
 
     @property
     def stretch(self) -> float:
-        """By how much the tolerances of reference or map are too tight, whichever is more."""
+        """Larger of the factors by which the tolerances of reference pose and map are too tight."""
         return max(self.pose_scale, self.map_scale)
 
     def copy(self) -> State:
-        """Return a copy that may be changed."""
+        """Return a copy that can be modified."""
         return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
 
 
 class Solver:
-    """The linear part at one cast: what the readings do to first order."""
+    """The linearised problem at one cast: readings as a first-order function of the unknowns."""
 
     def __init__(
         self,
@@ -87,7 +95,7 @@ class Solver:
         self.n_effects = effects.shape[1]
         self.shape = expected.reading.shape
         self.laid = np.zeros(self.shape)
-        is_met = np.zeros(len(walls) + 1, dtype=np.bool_)  # of a building one run meets a part
+        is_met = np.zeros(len(walls) + 1, dtype=np.bool_)  # a run usually meets only a part of a building
         is_met[jacobian.wall] = True
         met = np.flatnonzero(is_met)
         self.wall = (np.cumsum(is_met) - 1)[jacobian.wall]
@@ -113,7 +121,7 @@ class Solver:
         self.y[~np.isfinite(self.y)] = 0.0
 
     def of_scans(self, rows: Ints) -> Solver:
-        """Return the linear part of some scans alone, to assemble their equations."""
+        """Return the linearised problem of some scans only, to assemble their normal equations."""
         j, out = self.jacobian, copy(self)
         out.data, out.stack = self.data.subset(rows), self.stack[rows]
         out.y, out.laid = self.y[rows], self.laid[rows]
@@ -127,7 +135,7 @@ class Solver:
         return out
 
     def with_columns(self, columns: Floats) -> Solver:
-        """Return the linear part with further columns (n_scans, k, n_rays), after those of the effects."""
+        """Return the linearised problem with additional columns (n_scans, k, n_rays) after those of the effects."""
         out = copy(self)
         out.effects = np.concatenate([self.effects, columns], axis=1)
         out.stack = np.concatenate([self.stack, columns], axis=1)
@@ -135,7 +143,7 @@ class Solver:
         return out
 
     def shift(self, state: State, p: Floats) -> Floats:
-        """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""
+        """Return the contribution of nuisances, poses and effect increments to the readings, (n_scans, n_rays)."""
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
         if self.corners.count:
@@ -143,13 +151,16 @@ class Solver:
         return np.asarray(out - self.laid)
 
     def _by_corners(self, g: Floats) -> Floats:
-        """Return what shifts (2 n_corners,) [m] of the corners add to the readings, (n_scans, n_rays)."""
+        """Return the contribution of corner shifts (2 n_corners,) [m] to the readings, (n_scans, n_rays)."""
         shifts = g.reshape(-1, 2)[self.corner_ends]  # (n_walls, 2 ends, 2)
         first, last = np.matmul(shifts, self.normals[:, :, None])[..., 0].T
         return np.asarray(self.ends[0] * first[self.wall] + self.ends[1] * last[self.wall])
 
     def assemble(self, weight: Floats, pose_scale: float) -> System:
-        """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
+        """Build the normal equations for weights (n_scans, n_rays) [1/m²], with the poses eliminated.
+
+        Blocks for each scan: h = BᵀWB + P⁻¹, c = BᵀWS, b = BᵀWy. Sums over all scans: g = SᵀWS, r = SᵀWy.
+        """
         prior = pose_prior(self.data, pose_scale)
         w = np.where(self.jacobian.valid, weight, 0.0)
         y = self.y + self.laid
@@ -168,7 +179,7 @@ class Solver:
     def _with_corners(
         self, w: Floats, y: Floats, c: Floats, g: Floats, r: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Insert the corners between the nuisances and the effects."""
+        """Insert the corners between the nuisances and the effects (blocks cv, gv, vv, rv of `corner_sums`)."""
         k = len(Nuisance)
         cv, gv, vv, rv = corner_sums(
             w, self.jacobian.pose, self.stack, self.ends, self.wall, y, self.normals, self.corner_ends,
@@ -182,21 +193,21 @@ class Solver:
 
     @property
     def n_g(self) -> int:
-        """Count of nuisances."""
+        """Number of nuisances."""
         return len(self.tau)
 
     def maximise(self, system: System, state: State, like: BoundedOptimum | None = None) -> BoundedOptimum:
-        """Solve for (g, p) under prior and boxes; the active bounds of a similar optimum are tried first."""
+        """Solve for (g, p) with priors and bounds; the active bounds of a similar optimum `like` are tried first."""
         return boxed_optimum(
             system.matrix, system.right, self.scaled(state), self.box(state), self.locked, like
         )
 
     def box(self, state: State) -> Floats:
-        """Return how large each nuisance may become."""
+        """Return the bound of each nuisance's absolute value."""
         return np.asarray(SCAN.nuisance.max_tolerances * self.scaled(state))
 
     def scaled(self, state: State) -> Floats:
-        """Return the prior widths, widened where tolerances are too tight."""
+        """Return the prior standard deviations, widened where the tolerances are too tight."""
         tau = self.tau.copy()
         tau[len(Nuisance) :] *= state.map_scale
         tau[: len(Nuisance)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
@@ -205,7 +216,7 @@ class Solver:
     def objective(
         self, system: System, state: State, responsibilities: Responsibilities, delta_prior: Floats
     ) -> float:
-        """Return J: log-likelihood, priors and the volume of what was integrated out [nats]."""
+        """Return J [nats]; see the module."""
         tau = self.scaled(state)
         free = ~self.locked
         n = self.n_g
@@ -223,7 +234,7 @@ class Solver:
 
 @dataclass(eq=False)
 class Solution:
-    """A fit at one cast."""
+    """The optimum at one cast."""
 
     state: State
     p: Floats
@@ -233,7 +244,7 @@ class Solution:
     responsibilities: Responsibilities
     system: System
     covariance: Floats
-    """(k, k) of p, nuisances integrated out."""
+    """(k, k) covariance of p, with the nuisances integrated out."""
 
 
 def iterate(
@@ -248,7 +259,7 @@ def iterate(
     noise_free: bool = True,
     scales_free: bool = True,
 ) -> Solution:
-    """Alternate responsibilities and the linear solve; return the best J seen."""
+    """Alternate between responsibilities and the linear solve; return the solution with the best J."""
     state, p = state.copy(), p.copy()
     best: Solution | None = None
     optimum: BoundedOptimum | None = None
@@ -296,7 +307,7 @@ def iterate(
             state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         if scales_free:
             state.pose_scale, state.map_scale = _scales(solver, system, state, noise_bounds)
-            box = solver.box(state)  # it may have shrunk since g was solved for
+            box = solver.box(state)  # the bounds may have shrunk since g was solved for
             state.g = np.clip(state.g, -box, box)
     assert best is not None
     return best
@@ -305,8 +316,8 @@ def iterate(
 def fitted_noise(
     solver: Solver, responsibilities: Responsibilities, noise: BeamNoise, noise_bounds: NoiseBounds
 ) -> BeamNoise:
-    """Update scale, tail, loss and stray share from the responsibilities (EM, closed form)."""
-    is_whole = responsibilities.weight > 0  # no limit of the sensor has cut what comes back
+    """Update the scale and the shares of tail, missing returns and outliers from the responsibilities (M step of EM, in closed form)."""
+    is_whole = responsibilities.weight > 0  # not truncated by a limit of the sensor
     count = max(float((responsibilities.core + responsibilities.tail)[is_whole].sum()), 1.0)
     e2 = np.where(is_whole, responsibilities.residual / solver.expected.sigma, 0.0) ** 2
     variance = (
@@ -325,9 +336,13 @@ def fitted_noise(
 
 
 def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBounds) -> tuple[float, float]:
-    """Estimate by how much the tolerances of reference and map are too tight.
+    """Estimate the factors by which the tolerances of reference pose and map are too tight.
 
-    Medians are used, so that an effect does not widen them."""
+        pose_scale ← pose_scale sqrt(median(q) / CHI2_MEDIAN_3),    q = deltaᵀ (P - h⁻¹)⁻¹ delta.
+
+    P - h⁻¹ is the covariance of the estimated delta under the prior. The corners of the map are treated in the same way.
+    Medians are used, because an effect then does not widen the tolerances.
+    """
     prior = pose_prior(solver.data, state.pose_scale)
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior
@@ -340,9 +355,7 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
         tau = solver.scaled(state)
         a = with_prior(system.matrix[:n, :n], tau)
         rows, _ = dtrtri(np.linalg.cholesky(a), lower=1)  # a^-1 = rows' rows
-        left = (rows**2).sum(axis=0)[corners] / tau[
-            corners
-        ] ** 2  # share of the prior's variance that is left
+        left = (rows**2).sum(axis=0)[corners] / tau[corners] ** 2  # remaining share of the prior variance
         seen = left < SCAN.fit.max_prior_share
         if seen.sum() >= SCAN.fit.min_known_corners:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
@@ -352,7 +365,7 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
 
 
 def _covariance(system: System, solver: Solver, state: State) -> Floats:
-    """Return the covariance of p with the nuisances integrated out."""
+    """Return the covariance of p, with the nuisances integrated out."""
     n = solver.n_g
     k = len(system.right) - n
     if k == 0:

@@ -1,7 +1,7 @@
-"""Goodness of fit: deviations against replicates, scans against each other, effects against their own laws.
+"""Goodness of fit: deviations compared with replicates, scans with each other, and effects with their assumptions.
 
-The largest deviation of each kind is compared with that of replicates drawn from the model, a parametric bootstrap
-(Efron and Tibshirani 1993, chapter 6).
+The largest deviation of each kind is compared with that of simulated replicates, which are sampled from the model
+(parametric bootstrap; Efron and Tibshirani 1993, chapter 6).
 """
 
 from __future__ import annotations
@@ -36,50 +36,52 @@ from sensorgraph.types import Progress
 from sensorgraph.world.robot import Tolerances
 
 OF_SCANS = ("time", "omega", "speed", "acceleration", "robot place")
-"""Partitions that sort whole scans."""
+"""Partitions whose bins consist of whole scans."""
 POSE_CAUSES = (
-    "a reference that is worse than stated: a poor calibration, a slow filter, lost markers",
+    "a reference pose that is less accurate than specified: a poor calibration, a slow filter, lost markers",
     "stamps of scans or poses that are late or jitter",
 )
 STAMP_CAUSES = (
     "stamps of scans or poses that are late or jitter",
-    "a laser that moves on the robot: a bracket with play, a mast that sways",
+    "a laser that moves relative to the robot: a bracket with play, a swaying mast",
 )
-HEADING_CAUSES = ("a reference whose heading is worse than stated: a slow filter, a course over ground",)
+HEADING_CAUSES = (
+    "a reference whose heading is less accurate than specified: a slow filter, a course over ground",
+)
 MAP_CAUSES = (
-    "a map that was measured more coarsely than stated",
-    "things that have moved since the map was made",
+    "a map that is less accurate than specified",
+    "objects that have moved since the map was made",
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GoodnessOfFit:
-    """Whether a model leaves something unexplained."""
+    """Result of the test whether a model leaves anything unexplained."""
 
     statement: str = ""
-    """What is left, in words; empty: the model is enough."""
+    """Statement of the unexplained difference; empty if the model is sufficient."""
     deviation: Deviation | None = None
-    """The strongest deviation that replicates do not show."""
+    """Strongest deviation that exceeds the replicates."""
     statistic: float = 0.0
     threshold: float = 0.0
     misfit: float = 0.0
-    """[nats] that the unexplained part is worth, roughly."""
+    """[nats] approximate evidence for the unexplained part."""
     failed: frozenset[int] = frozenset()
-    """Effects of the model whose own law fails: they are clutter without a name."""
+    """Indices of effects of the model whose assumptions are violated; they are clutter and not named."""
     size: ScanError | None = None
-    """By how much a simulation without the unexplained part is off; None where that has no number."""
+    """Error of a simulation without the unexplained part; None if it cannot be quantified."""
     causes: tuple[str, ...] = ()
-    """What it may be, the likeliest first."""
+    """Possible causes, most likely first."""
     immaterial: tuple[str, ...] = ()
-    """What is left and significant, but too small for a user to mind."""
+    """Differences that are significant, but smaller than a user tolerates."""
     profile: Profile | None = None
-    """Its shape, where it is an error over bearing or range."""
+    """Error over bearing or range, if the difference is one."""
     is_of_building: bool = False
-    """All that is left is that the building is not as its map."""
+    """Whether the only difference is between the building and its map."""
 
     @property
     def is_doubted(self) -> bool:
-        """Tell whether something is left."""
+        """Whether a difference is unexplained."""
         return bool(self.statement)
 
 
@@ -98,9 +100,9 @@ def check(
 
     Parameters
     ----------
-    gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
-    gains : [nats] that each effect of the model brings
-    null : the fit without effects
+    gained : [nats] Gain of the model over the one without effects; a difference must exceed a share of it.
+    gains : [nats] Gain of each effect of the model.
+    null : The fit without effects.
     """
     nominal, sigma = data.tolerances, data.sensor.sigma
     data, fitted = _widened(data, fitted)
@@ -110,7 +112,7 @@ def check(
     found = deviations(view, parts)
     laws = broken_laws(view, gains, gained)
     at_walls = in_walls(view, gains)
-    # a fringe of another effect's readings is no doubt, and no name; nor has a bulge of a wall one, be it small
+    # a fringe of another effect's readings, or a small bulge of a wall, is neither a difference nor a named effect
     fringes = frozenset(i for d in laws for i in d.failed if fitted.model[i].effect.diagnostics.explains)
     fringes |= frozenset(i for d in at_walls for i in d.failed)
     doubts = [
@@ -125,9 +127,8 @@ def check(
     whole = [*changes(fitted, null), *profile_doubts(fitted, null), *odd_scan_doubts(fitted, null, rng=rng)]
     share = SCAN.goodness_of_fit.min_share_of_gain
     inexact = sum((a.effect.diagnostics.misfit_share or share) * gains[i] for i, a in enumerate(fitted.model))
-    least = max(
-        share * gained, inexact
-    )  # an effect excuses the share of its evidence by which its model is coarse
+    # each effect allows for the share of its evidence by which its model is inexact
+    least = max(share * gained, inexact)
     doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > least]
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
@@ -139,9 +140,10 @@ def check(
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:
-    """Order by misfit, but what changed once, or the bearings, before all that they bring with them.
+    """Order by misfit, with changes in time, error profiles and odd scans before their consequences.
 
-    One place that holds more than the change explains is none of that: readings are off there, and the change stands for it.
+    They do not come first if a single place has a larger misfit: readings are then off at that place, and the change only
+    imitates it.
     """
     at_places = [d.deviation.z for d in doubts if d.deviation is not None and d.deviation.xy is not None]
     most = max((0.5 * z**2 for z in at_places), default=0.0)
@@ -151,7 +153,7 @@ def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Do
 
 
 def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
-    """Fit again with wider tolerances where they proved too tight, and find the edges anew."""
+    """Fit again with wider tolerances if the specified ones are too tight, and find the edges again."""
     state = fitted.state
     if state.stretch < SCAN.nuisance.stretched_scale:
         return data, fitted
@@ -170,7 +172,7 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
 
 
 def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
-    """Doubt a model that needs tolerances far wider than the nominal ones."""
+    """Report a model that needs tolerances far wider than the nominal ones."""
     state, t = view.fitted.state, view.data.tolerances
     poses = state.pose_scale * t.pose_xy / max(nominal.pose_xy, 1e-9)
     walls = state.map_scale * t.map / max(nominal.map, 1e-9)
@@ -181,7 +183,7 @@ def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
 def _beyond_tolerances(
     poses: float, walls: float, nominal: Tolerances, n_scans: int, limit: float
 ) -> list[Doubt]:
-    """Doubt poses and walls that are at least `limit` times worse than their tolerances."""
+    """Report poses and walls that are at least `limit` times worse than their tolerances."""
     return [
         Doubt(
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
@@ -200,10 +202,10 @@ def _beyond_tolerances(
 
 
 def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
-    """Return what a fit's tolerances alone say of the set-up where they are far wider than stated; None where they are not.
+    """Report tolerances of a fit that are far wider than specified; None if they are not.
 
-    Where effects have taken much of the readings, nothing else would say it: a room that is longer than its plan along one
-    side is a scale of the map to a good part, and the rest is left to its corners.
+    Where effects explain much of the residuals, no other test would detect this. For example, a room that is longer than in
+    its plan is partly explained by a map scale, and its corners absorb the rest.
     """
     data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
     limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
@@ -215,7 +217,7 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
 
 
 def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
-    """Doubt stamps, or a heading, that are far worse than stated beside places that are not."""
+    """Report stamps or a heading that are far less accurate than specified, while the positions are not."""
     data, limit = fitted.solver.data, SCAN.goodness_of_fit.max_tolerance_scale
     speed, turn = np.hypot(*data.twists[:, :2].T), np.abs(data.twists[:, 2])
     far = float(np.median(data.ranges[data.returned])) if data.returned.any() else 0.0
@@ -230,7 +232,7 @@ def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
             HEADING_CAUSES,
         ),
     )
-    # where the robot turns, jitter of stamps is an error of the heading
+    # where the robot turns, jitter of the stamps is equivalent to an error of the heading
     worse = sorted((part for part in parts if part[1] >= limit), key=lambda part: -part[1])
     if not worse:
         return []
@@ -238,7 +240,7 @@ def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
     names = " or the ".join(name for name, *_ in worse)
     return [
         Doubt(
-            statement=f"the {names} would have to be {scale:.1f} times worse than stated",
+            statement=f"the {names} would have to be {scale:.1f} times worse than specified",
             misfit=(scale - 1) * data.n_scans,
             statistic=scale,
             threshold=limit,
@@ -251,7 +253,7 @@ def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
 def _of_doubts(
     first: Doubt, doubts: Sequence[Doubt], causes: tuple[str, ...], immaterial: tuple[str, ...]
 ) -> GoodnessOfFit:
-    """Tell the first of some doubts."""
+    """Return the result for the first of several differences."""
     return GoodnessOfFit(
         statement=first.statement,
         deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
@@ -268,17 +270,17 @@ def _of_doubts(
 
 
 def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
-    """Doubt a model under which scans differ more from each other than within."""
+    """Report a model under which scans differ from each other more than the rays within a scan do."""
     scatter, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
     noise = excess_noise(scatter.excess, view.data.sensor.sigma)
-    is_of_walls = noise < view.data.grain  # scans at several places see walls with errors of their own
+    is_of_walls = noise < view.data.grain  # scans at different places see walls with different errors
     if scatter.ratio <= limit or is_of_walls:
         return []
     where = next((d for d in found if d.family == "spread" and d.partition in OF_SCANS), None)
     place = "" if where is None else f", most at {where.partition} {where.label}"
     return [
         Doubt(
-            statement=f"scans differ from each other {scatter.ratio:.1f} times more than their rays do within a scan"
+            statement=f"scans differ from each other {scatter.ratio:.1f} times more than the rays within a scan explain"
             + place,
             misfit=(scatter.ratio - 1) / 2 * view.data.n_scans,
             statistic=scatter.ratio,
@@ -298,7 +300,7 @@ def _against_replicates(
     count: int,
     tick: Progress | None,
 ) -> list[Doubt]:
-    """Compare the largest deviation of each kind with replicates, which are drawn only where one is suspect."""
+    """Compare the largest deviation of each kind with replicates, which are simulated only for suspect kinds."""
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
     suspects = {family: z for family, z in largest_z(found).items() if z > settings.min_z[family]}
     if not suspects:
@@ -336,7 +338,7 @@ def _largest_z_of_replicates(
     count: int,
     tick: Progress | None,
 ) -> dict[str, list[float]]:
-    """Return, per kind of deviation, the largest |z| of each replicate."""
+    """Return the largest |z| of each replicate, by kind of deviation."""
     out: dict[str, list[float]] = {family: [] for family in SCAN.goodness_of_fit.min_z}
     for done in range(count):
         if tick is not None:

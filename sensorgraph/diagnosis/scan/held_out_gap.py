@@ -1,4 +1,4 @@
-"""The gap between simulator and measurement on rays that no fit and no choice has seen."""
+"""The gap between simulator and measurement on rays that are excluded from every fit and choice."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sensorgraph.types import Bools, Floats
 
 
 def held_out(data: ScanData) -> Bools:
-    """Return the scans (n_scans,) that are kept from every fit and choice: one block of a second in eight."""
+    """Return which scans (n_scans,) are excluded from every fit and choice: one block of a second in eight."""
     every = SCAN.held_out.every
     block = np.floor((data.stamps - data.begin) / SCAN.held_out.block).astype(np.intp)
     held = block % every == every // 2
@@ -31,11 +31,11 @@ def held_out(data: ScanData) -> Bools:
 
 
 class _HeldOutFit:
-    """One model on the held-out scans: poses from every other ray, likelihood on the rays between."""
+    """A model on the held-out scans: poses are fitted to every other ray, and the likelihood is computed on the others."""
 
     def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
         data = as_cast(data, fitted.state, same_scans=False)
-        if data.posed is not None:  # the likely poses hold a mount and a delay of the model
+        if data.posed is not None:  # the likely poses include the mount and delay of the model
             data = data.posed_by(data.posed - as_pose_errors(data, pose_like(model)))
         at, self.begin = cast(data, model), data.pose_start
         corners = corners_of(data)
@@ -47,11 +47,11 @@ class _HeldOutFit:
         self.fitted, self.noise = fitted, noise
 
     def e_step(self, data: ScanData, begin: Floats | None = None) -> tuple[Responsibilities, Floats]:
-        """Return responsibilities and expected readings (n_scans, n_rays) [m], poses fitted to the even rays.
+        """Return responsibilities and expected readings (n_scans, n_rays) [m], with poses fitted to the even rays.
 
         Parameters
         ----------
-        begin : (n_scans, 3) pose errors to begin with; default: where the casts are
+        begin : (n_scans, 3) Initial pose errors; by default those of the casts.
         """
         solver, expected = self.solver, self.expected
         solver.data = data
@@ -85,19 +85,20 @@ def held_out_gap(
     rng: np.random.Generator,
     n_replicates: int = SCAN.held_out.n_replicates,
 ) -> Gap:
-    """Measure the gap before and after on held-out scans, beside what a perfect model would leave.
+    """Measure the gap before and after on held-out scans, and the noise floor of a perfect model.
 
-    Before: the nominal simulator; after: with the named effects. Both have the small corrections of the set-up (map,
-    mount, clocks within tolerance) of the final fit, so that they differ in the effects alone.
+    "Before" is the nominal simulator; "after" includes the named effects. Both include the small setup corrections (map,
+    mount, clocks within tolerance) of the final fit, so that they differ only in the effects.
 
-    The pose error of each scan is estimated on its even rays, and the gap is measured on the odd ones. The RMS leaves
-    out strays of the amended model, rays beside an edge in depth and rays that graze their wall; the nats count all.
+    The pose error of each scan is estimated on its even rays, and the gap is measured on the odd ones. The RMS excludes
+    outliers of the amended model, rays next to an edge in depth, and rays at grazing incidence. The log-likelihood
+    includes all readings.
 
     Parameters
     ----------
-    null, final : fits without effects and of the accepted model, to other scans
-    named : the effects of the amended simulator
-    n_replicates : that the noise floor is averaged over
+    null, final : Fits without effects and of the accepted model, to the other scans.
+    named : Effects of the amended simulator.
+    n_replicates : Number of simulated replicates that the noise floor is averaged over.
     """
     before = _HeldOutFit(data, (), final, null.state.noise)
     after = _HeldOutFit(data, named, final, final.state.noise if named else null.state.noise)
@@ -116,7 +117,7 @@ def held_out_gap(
         floors = []
         for _ in range(n_replicates):
             drawn, errors = _drawn(data, side, side.fitted, draws)
-            # measured scans begin at their likely poses, too
+            # as for the measured scans, start at the likely poses
             responsibilities, mu = side.e_step(drawn, None if data.posed is None else errors)
             clear = seen & (responsibilities.stray <= stray)
             floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
@@ -126,7 +127,10 @@ def held_out_gap(
             nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
         )
 
-    stated, same = _as_stated(final), copy.deepcopy(rng)  # the same draws: what differs is the tolerances
+    stated, same = (
+        _as_stated(final),
+        copy.deepcopy(rng),
+    )  # the same samples, so that only the tolerances differ
     return Gap(
         before=_fit(data, mu_before, judged_before, seen, odd, sigma),
         after=_fit(data, mu_after, judged_after, seen, odd, sigma),
@@ -137,7 +141,7 @@ def held_out_gap(
 
 
 def _as_stated(fitted: Fitted) -> Fitted | None:
-    """Return a fit with the tolerances that robot.yaml states; None where it did not widen them."""
+    """Return a fit with the tolerances that robot.yaml specifies; None if the fit did not widen them."""
     state = fitted.state
     if state.stretch < SCAN.nuisance.stretched_scale:
         return None
@@ -161,7 +165,7 @@ def _fit(
 def _drawn(
     data: ScanData, side: _HeldOutFit, final: Fitted, rng: np.random.Generator
 ) -> tuple[ScanData, Floats]:
-    """Draw readings of the held-out scans from the final model; return the pose errors (n_scans, 3), too."""
+    """Sample readings of the held-out scans from the final model; return the data and its pose errors (n_scans, 3)."""
     expected, state = side.expected, final.state
     prior = pose_prior(data, state.pose_scale)
     delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(data.n_scans, 3)))

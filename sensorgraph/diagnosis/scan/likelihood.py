@@ -1,4 +1,4 @@
-"""How likely measured readings are under expected ones: the beam mixture, and draws from it."""
+"""Likelihood of measured readings given the expected ones: the beam mixture, and samples from it."""
 
 from __future__ import annotations
 
@@ -39,26 +39,26 @@ SETTINGS = SCAN.likelihood
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectedReadings:
-    """What each reading is compared with; arrays (n_scans, n_rays)."""
+    """Quantities that each reading is compared with; arrays (n_scans, n_rays)."""
 
     reading: Floats
-    """[m] expected, before nuisances; inf where nothing can be seen."""
+    """[m] expected range before nuisances; inf where no return is possible."""
     sigma: Floats
-    """[m] nominal, with what slanting rays have in addition."""
+    """[m] nominal standard deviation, including the additional error of slanting rays."""
     p_return: Floats
-    """Chance that the ray returns."""
+    """Probability that the ray returns."""
     alternative: Floats
-    """[m] on the other side of an edge; nan where there is none."""
+    """[m] expected range on the other side of an edge; nan without an edge."""
     spread: Floats
-    """[m] standard deviation of that, the noise of a reading aside."""
+    """[m] standard deviation of `alternative`, without the noise of a reading."""
     p_alternative: Floats
-    """Chance of being there."""
+    """Probability that the ray reads `alternative`."""
     stray: float
-    """Chance of a stray reading that effects add."""
+    """Probability of an outlier that effects add."""
     short: float
-    """Chance of a short reading that effects add."""
+    """Probability of a short reading that effects add."""
     lattice: float
-    """[m] step that effects put readings on; 0: none."""
+    """[m] step to which effects round the readings; 0 without rounding."""
 
 
 def expected_readings(
@@ -70,15 +70,15 @@ def expected_readings(
     lattice: float,
     horizon: Floats | None = None,
 ) -> ExpectedReadings:
-    """Collect what the likelihood needs of a cast.
+    """Collect the quantities of a cast that the likelihood needs.
 
     Parameters
     ----------
-    steep : (n_scans, n_rays) [m] further standard deviation of slanting rays
-    edges : None: there are none
-    stray, short : chance of a stray and of a short reading that effects add
-    lattice : [m] step that effects put readings on; 0: none
-    horizon : (n_scans, n_rays) [m] from where on nothing is known of a ray; None: it always is
+    steep : (n_scans, n_rays) [m] Additional standard deviation of slanting rays.
+    edges : Edges in depth; None without edges.
+    stray, short : Probabilities of an outlier and of a short reading that effects add.
+    lattice : [m] Step to which effects round the readings; 0 without rounding.
+    horizon : (n_scans, n_rays) [m] Range beyond which the map is unknown along a ray; None if it is known everywhere.
     """
     shape = beams.reading.shape
     alternative, spread, chance = np.full(shape, np.nan), np.zeros(shape), np.zeros(shape)
@@ -107,37 +107,37 @@ def expected_readings(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responsibilities:
-    """Log-likelihood of every reading, and the chance that each component made it; arrays (n_scans, n_rays)."""
+    """Log-likelihood of every reading, and the posterior probability of each component; arrays (n_scans, n_rays)."""
 
     log_p: Floats
-    """[nats] 0 where the reading is broken; beyond the horizon that of having got there."""
+    """[nats] 0 for a broken reading; for a ray beyond its horizon, the log-probability of passing the horizon."""
     weight: Floats
-    """[1/m²] with which the residual counts."""
+    """[1/m²] weight of the residual."""
     residual: Floats
-    """[m] measured - expected; 0 where either is not a number."""
+    """[m] measured - expected; 0 where either is not finite."""
     core: Floats
-    """Chance that the core made the reading."""
+    """Probability that the core produced the reading."""
     tail: Floats
-    """Chance that the tail did."""
+    """Probability that the tail produced the reading."""
     lost: Floats
-    """Chance that a ray without a return was lost by chance."""
+    """Probability that a missing return is missing by chance."""
     stray: Floats
-    """Chance that the reading is a stray."""
+    """Probability that the reading is an outlier."""
 
 
 def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Responsibilities:
-    """Return the responsibilities of the mixture's components for every reading (the E step of EM).
+    """Return the responsibilities of the mixture's components for every reading (E step of EM).
 
     Parameters
     ----------
-    shift : (n_scans, n_rays) [m] added to the expected readings by nuisances and effects
+    shift : (n_scans, n_rays) [m] Contribution of nuisances and effects to the expected readings.
     """
     z, sensor = data.ranges, data.sensor
     found = mixture(
         z.ravel(),
         (expected.reading + shift).ravel(),
         (noise.core * expected.sigma).ravel(),
-        np.require(expected.p_return.ravel(), requirements="W"),  # one compiled version serves all
+        np.require(expected.p_return.ravel(), requirements="W"),  # numba then compiles a single version
         expected.alternative.ravel(),
         expected.spread.ravel(),
         expected.p_alternative.ravel(),
@@ -168,8 +168,8 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
 def log_p_beyond(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Floats:
     """Return the log-likelihoods (n,) [nats] of the rays that nothing stopped before their horizon.
 
-    What they read beyond it is unknown, and their chance is that of all such readings together. So a thing before the
-    horizon is judged by the rays that it would stop as well as by those that it stops.
+    The map beyond the horizon is unknown, so the likelihood is the total probability of all readings there. An object
+    before the horizon is thus judged both by the rays that it stops and by those that it should have stopped.
     """
     assert data.horizon is not None and data.beyond is not None
     some = data.beyond
@@ -192,7 +192,7 @@ def log_p_beyond(data: ScanData, expected: ExpectedReadings, shift: Floats, nois
 def plain_e_step(
     data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise
 ) -> Responsibilities:
-    """Return what `e_step` does, in numpy; tests hold the compiled kernel against it."""
+    """Return the same as `e_step`, computed in numpy; tests compare the compiled kernel with it."""
     z, sensor = data.ranges, data.sensor
     returned = data.returned
     mu = expected.reading + shift
@@ -201,7 +201,7 @@ def plain_e_step(
     e = np.where(both, z - np.where(aimed, mu, 0.0), 0.0)
     e[~both] = 0.0
     sigma = noise.core * expected.sigma
-    p_back = expected.p_return * (1 - noise.loss)  # the density holds that it is within the limits
+    p_back = expected.p_return * (1 - noise.loss)  # the density already includes that z is within the limits
     cell = max(sensor.resolution, SETTINGS.min_resolution)
     core, tail = (
         _density(e, sigma, expected.lattice, cell),
@@ -264,7 +264,7 @@ def plain_e_step(
 def _plain_without_return(
     data: ScanData, expected: ExpectedReadings, mu: Floats, sigma: Floats, loss: float, stray: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the chances that a ray is lost, that it does not come back at all, and that it reads too near."""
+    """Return the probabilities that a ray is missing by chance, that it does not return, and that it reads too near."""
     sensor, there = data.sensor, expected.p_alternative
     aimed, edge = np.isfinite(mu), there > 0
     beyond = np.where(np.isfinite(expected.alternative) & edge, expected.alternative, np.inf)
@@ -281,7 +281,7 @@ def _plain_without_return(
 
 
 def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
-    """Return the density [1/m] of a residual; on a lattice, the mass of its step over the resolution's cell."""
+    """Return the density [1/m] of a residual; on a lattice, the probability of its step divided by the resolution."""
     if lattice <= 0:
         return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (SQRT_TAU * sigma))
     half = lattice / 2
@@ -291,9 +291,9 @@ def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
 def sample(
     data: ScanData, expected: ExpectedReadings, mu: Floats, noise: BeamNoise, rng: np.random.Generator
 ) -> Floats:
-    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture of `e_step`; broken ones stay broken.
+    """Sample readings (n_scans, n_rays) [m] around `mu` from the mixture of `e_step`; broken readings stay broken.
 
-    A ray beside an edge reads either side; what lies between, and what is lost there, is not drawn.
+    A ray next to an edge reads one of the two sides. Readings between the sides, and missing ones there, are not sampled.
     """
     shape, sensor = mu.shape, data.sensor
     other = (rng.random(shape) < expected.p_alternative) & ~np.isnan(expected.alternative)

@@ -1,4 +1,4 @@
-"""The likely poses of a run whose reference may be off by much: where its casts begin."""
+"""Most likely poses of a run whose reference is inaccurate; its casts are made there."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sensorgraph.world.ray_order import neighbouring_rays
 
 
 def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: bool = False) -> ScanData:
-    """Return scans whose casts are made where a fit without effects has the laser, if the reference is that wide.
+    """Return scans that are cast at the poses of a fit without effects, if the reference is wide.
 
     Parameters
     ----------
-    even_rays : the poses are found from every other ray, and the others judge them
+    even_rays : Whether the poses are estimated only from every other ray, so that the others can test them.
     """
     if not is_reference_wide(data):
         return data
@@ -36,9 +36,9 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
 
 
 def is_reference_wide(data: ScanData) -> bool:
-    """Tell whether a usual error of the reference is more than the noise of a reading, or the way from a ray to the next.
+    """Return whether the typical pose error exceeds the noise of a reading, or the spacing of the rays.
 
-    Then outlines are met by other rays than at the reference.
+    In this case other rays meet the outlines than at the reference poses.
     """
     t, far = data.tolerances, data.ranges[data.returned]
     if not len(far):
@@ -50,7 +50,7 @@ def is_reference_wide(data: ScanData) -> bool:
 
 
 def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:
-    """Part scans into those that fits see and those (n_scans,) that prove them, each at its likely poses."""
+    """Split scans into those for fits and the held-out ones (n_scans,), each at its most likely poses."""
     return (
         at_likely_poses(data.subset(~held), noise_bounds),
         at_likely_poses(data.subset(held), noise_bounds, even_rays=True),

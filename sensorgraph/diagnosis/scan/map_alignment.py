@@ -1,4 +1,4 @@
-"""Does the arena fit the run at all? If not, the rigid motion or the scale of the map that would make it fit."""
+"""Test whether the arena fits the run; if not, find the rigid motion or the scale of the map that corrects it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 
 SETTINGS = SCAN.alignment
 SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
-"""Of the map, that are tried."""
+"""Scales of the map that are tried."""
 UNITS = {
     100.0: "centimetres",
     1000.0: "millimetres",
@@ -28,48 +28,46 @@ UNITS = {
     1 / 0.3048: "feet",
     0.001: "kilometres",
 }
-"""Scale of a map -> the unit that its coordinates are perhaps in."""
+"""Scale of a map -> possible unit of its coordinates."""
 UNIT_SCALES = (*UNITS, 0.01, 0.0254, 0.3048)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """How many rays end at walls, as the map lies and as it would have to lie."""
+    """Share of the rays that end at walls, for the map as it is and after the best correction."""
 
     share: float
-    """Of the returns that end at a wall."""
+    """Share of the returns that end at a wall."""
     best_share: float
-    """The same after the motion below."""
+    """The same share after the motion below."""
     dx: float = 0.0
-    """[m] to be added to the poses, after turning them about their middle."""
+    """[m] translation of the poses along x, after their rotation about their mean."""
     dy: float = 0.0
     dphi: float = 0.0
-    """[rad] by which the poses are to be turned about their middle."""
+    """[rad] rotation of the poses about their mean."""
     matching: float = 1.0
-    """Share of the returns that are about as long as the arena makes them."""
+    """Share of the returns with approximately the range that the arena predicts."""
     scale: float = 1.0
-    """How many times as large as the place the arena is drawn; then it, not the poses, is to be mended."""
+    """Ratio of the size of the arena to that of the place; unless it is 1, the arena is to be corrected, not the poses."""
 
     @property
     def is_good(self) -> bool:
-        """Tell whether the map may stay where it is."""
+        """Whether the map can be used as it is."""
         is_lost = (
             max(self.share, self.best_share) < SETTINGS.min_share or self.matching < SETTINGS.min_matching
         )
         return not is_lost and self.best_share < max(self.share + SETTINGS.min_gain, SETTINGS.poor_share)
 
     def sentence(self) -> str:
-        """Say how well the arena fits the run, and what would mend it."""
+        """Return a statement of the fit of arena and run, and of its correction."""
         now = f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"
         if self.is_good and self.share >= SETTINGS.good_share:
             return now
         if self.is_good:
-            return (
-                f"the arena fits the run only in part: {now}; it lacks something, or holds what is not there"
-            )
+            return f"the arena fits the run only in part: {now}; the map lacks objects, or contains objects that are absent"
         if self.best_share < self.share + SETTINGS.min_gain:
-            longs = f"{100 * self.matching:.0f} % of the readings are as long as the arena would make them"
-            return f"the arena does not fit the run: {now}, {longs}; no turn, shift or scale of it would mend that"
+            longs = f"{100 * self.matching:.0f} % of the readings have the length that the arena predicts"
+            return f"the arena does not fit the run: {now}; {longs}; no rotation, shift or scale of the map corrects that"
         if self.scale != 1.0:
             dx, dy = (round(-d / self.scale, 2) + 0.0 for d in (self.dx, self.dy))
             times = (
@@ -79,30 +77,30 @@ class Alignment:
                 if self.scale < 10
                 else f"{self.scale:.1f}"
             )
-            lead = f"the arena does not fit the run, it is drawn {times} times as large as the place{self._unit()}"
+            lead = f"the arena does not fit the run, because it is {times} times as large as the place{self._unit()}"
             mend = f"with its coordinates divided by {times} and moved by ({dx:.2f}, {dy:.2f}) m"
         else:
             lead = "the arena does not fit the run"
             mend = (
-                f"with the poses turned by {np.degrees(self.dphi):.1f} degrees about their middle and moved by "
+                f"with the poses turned by {np.degrees(self.dphi):.1f} degrees about their mean and moved by "
                 f"({self.dx:.2f}, {self.dy:.2f}) m"
             )
         if self.best_share < SETTINGS.good_share:
-            return f"{lead}: {now}; it may be of another place: even {mend} it would be {100 * self.best_share:.0f} %"
-        return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
+            return f"{lead}: {now}; it may belong to another place; even {mend}, it would be {100 * self.best_share:.0f} %"
+        return f"{lead}: {now}; {mend}, it would be {100 * self.best_share:.0f} %"
 
     def _unit(self) -> str:
         near = [unit for scale, unit in UNITS.items() if abs(self.scale / scale - 1) < SETTINGS.scale_step]
-        return f" ({near[0]} for metres?)" if near else ""
+        return f" ({near[0]} instead of metres?)" if near else ""
 
 
 def align(data: ScanData, rng: np.random.Generator) -> Alignment:
-    """Lay the ends of the measured rays over the walls; where few meet, look for a better place."""
+    """Compare the end points of the measured rays with the walls; if few match, search for a better placement."""
     points = _ends(data, rng)
     if len(points) < SETTINGS.min_points:
         return Alignment(share=1.0, best_share=1.0)
     raster = _Raster(data.arena.walls)
-    is_coarse = raster.cell > SETTINGS.coarse_cell  # of a map in millimetres
+    is_coarse = raster.cell > SETTINGS.coarse_cell  # for example a map in millimetres
     at_walls = Barriers(data.arena).distances(points) < SETTINGS.wall_distance if is_coarse else None
     share = raster.share(points) if at_walls is None else float(at_walls.mean())
     matching = _matching_share(data)
@@ -123,7 +121,7 @@ def align(data: ScanData, rng: np.random.Generator) -> Alignment:
 
 
 def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | None:
-    """Return why the run cannot be compared with the arena, and what would mend that; None where it can."""
+    """Return why the run cannot be compared with the arena, and the correction; None if it can."""
     statement = _wrong_orientation(alignment, run, data)
     if not statement and alignment.is_good:
         return None
@@ -135,7 +133,7 @@ def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | No
 
 
 def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
-    """Say that the scan is mirrored or turned, if that is why few rays end at walls; else nothing."""
+    """Return a statement that the scan is mirrored or turned, if this explains the few rays at walls; else empty."""
     if alignment.share > SETTINGS.poor_share:
         return ""
     found = orientation(replace(run, sensor=data.sensor), data.arena)
@@ -145,15 +143,15 @@ def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
     if then > min(SETTINGS.max_orientation_error, 0.5 * now):
         return ""
     return (
-        f"the scan fits the arena {found.best}: median error {100 * then:.0f} cm instead of {100 * now:.0f} cm; check "
-        "the sign of angle_increment, the mount's yaw and the driver's `inverted` setting"
+        f"the scan fits the arena if it is {found.best}: the median error is then {100 * then:.0f} cm instead of "
+        f"{100 * now:.0f} cm; check the sign of angle_increment, the mount's yaw and the driver's `inverted` setting"
     )
 
 
 def _matching_share(data: ScanData) -> float:
-    """Return the share of the returns that are about as long as the arena makes them.
+    """Return the share of the returns with approximately the range that the arena predicts.
 
-    In an arena full of walls, rays end at some wall by chance. They are not as long as the first wall allows by chance.
+    In an arena full of walls, many rays end at some wall by chance, but not at the range of the first wall.
     """
     n = min(data.n_scans, SETTINGS.matching_scans)
     some = np.linspace(0, data.n_scans - 1, n).astype(np.intp)
@@ -172,7 +170,7 @@ def _matching_share(data: ScanData) -> float:
 
 
 def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Alignment:
-    """Look for the rigid motion of the poses that lays most ends of rays on walls."""
+    """Search for the rigid motion of the poses that puts most end points on walls."""
     middle = data.poses[:, :2].mean(axis=0)
     points = points - middle
     turns = np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False)
@@ -190,7 +188,7 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
 
 
 def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
-    """Find the scale of the measurements, about the origin and then moved, that lays most ray ends on walls."""
+    """Find the scale of the measurements about the origin, with a shift, that puts most end points on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
     if max(counts) < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
         return Alignment(share=share, best_share=share)
@@ -204,10 +202,10 @@ def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
 
 
 def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
-    """Find the scale of a map that is far from what it should be, as another unit makes it; verified by casts.
+    """Find a scale of the map that is far from 1, as with another unit, and verify it by casts.
 
-    A map is about as wide as what a run has seen of it, or wider. It is shrunk, so that a wall is as near as in the place;
-    small maps hold many walls, which most rays may meet by chance, but not with the right length.
+    A map is at least about as wide as the part that the run has seen. The map is shrunk, so that the wall distance stays
+    the same. In a small map most rays may meet some wall by chance, but not at the right range.
     """
     seen = np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0)
     walls = data.arena.walls
@@ -240,9 +238,9 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
 
 
 def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> tuple[float, float, Floats]:
-    """Improve a scale by small steps about the middle of the points; return score, scale, shift.
+    """Improve a scale by small steps about the mean of the points; return score, scale, shift.
 
-    It stays near where it began: all points on one spot of a wall would be a perfect fit.
+    The scale stays close to its start, because all points on one spot of a wall would be a perfect fit.
     """
     low, high = (factor * scale for factor in SETTINGS.scale_reach)
     middle = points.mean(axis=0)
@@ -262,13 +260,13 @@ def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> t
 
 
 def _ends(data: ScanData, rng: np.random.Generator) -> Floats:
-    """Return where some of the measured rays end, (n, 2) [m, map]."""
+    """Return the end points of some of the measured rays, (n, 2) [m, map]."""
     scan, ray = np.nonzero(data.returned)
     if len(scan) > SETTINGS.n_points:
         some = rng.choice(len(scan), SETTINGS.n_points, replace=False)
         scan, ray = scan[some], ray[some]
     r = data.ranges[scan, ray]
-    if not _is_one_laser(data.sensor):  # where the arena makes the nearest surface of a cone
+    if not _is_one_laser(data.sensor):  # for cones, in the direction of the nearest surface of the arena
         beams = data.scene().shoot()
         x, y = (np.broadcast_to(o, data.ranges.shape)[scan, ray] for o in (beams.ox, beams.oy))
         return np.stack([x + r * beams.ux[scan, ray], y + r * beams.uy[scan, ray]], axis=1)
@@ -287,7 +285,7 @@ def _rotation(turn: float) -> Floats:
 
 
 class _Raster:
-    """Walls in a grid, with the distance to the nearest."""
+    """Grid of the walls, with the distance to the nearest one."""
 
     def __init__(self, walls: Floats) -> None:
         low = walls.reshape(-1, 2).min(axis=0) - 1.0
@@ -305,13 +303,13 @@ class _Raster:
         self.middle = (low + high) / 2
 
     def score(self, points: Floats) -> float:
-        """Return how near the points are to walls: 1 on them, falling over the wall distance."""
+        """Return the mean proximity of points to walls: 1 on a wall, decreasing over the wall distance."""
         at = (points - self.low) / self.cell
         distance = map_coordinates(self.distance, at.T, order=1, mode="nearest")
         return float(np.exp(-0.5 * (distance / (0.5 * SETTINGS.wall_distance)) ** 2).mean())
 
     def share(self, points: Floats) -> float:
-        """Return the share of points that end at a wall."""
+        """Return the share of points at a wall."""
         at = ((points - self.low) / self.cell).round().astype(int)
         inside = ((at >= 0) & (at < self.near.shape)).all(axis=1)
         got = np.zeros(len(points))
@@ -319,8 +317,10 @@ class _Raster:
         return float(got.mean())
 
     def correlated(self, points: Floats) -> tuple[Floats, float]:
-        """Return the shift [m] that lays most points on walls, and how many."""
-        from scipy.signal import fftconvolve  # 0.3 s to import, for a map that fits badly only
+        """Return the shift [m] that puts most points on walls, and the number of these points."""
+        from scipy.signal import (
+            fftconvolve,
+        )  # 0.3 s to import; needed only if a map fits badly
 
         low = points.min(axis=0)
         at = ((points - low) / self.cell).round().astype(int)
@@ -335,14 +335,14 @@ class _Raster:
 
 
 def _refined(raster: _Raster, points: Floats, turn: float, shift: Floats) -> tuple[float, float, Floats]:
-    """Improve a placement by small steps; return share, turn, shift."""
+    """Improve a placement by small steps; return share, rotation, shift."""
     best = (raster.score(points @ _rotation(turn).T + shift), turn, shift)
     step, size = SETTINGS.turn_step, SETTINGS.shift_step
     for _ in range(40):
         before = best[0]
         for dt, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
             t, s = best[1] + dt * step, best[2] + np.array([dx, dy]) * size
-            if dt:  # turn about the middle of the points
+            if dt:  # rotate about the mean of the points
                 centre = points.mean(axis=0)
                 s = s + (_rotation(best[1]) - _rotation(t)) @ centre
             score = raster.score(points @ _rotation(t).T + s)

@@ -1,4 +1,4 @@
-"""Whether an effect is more than the set-up may hide, by the tolerances that the fit has found."""
+"""Test whether an effect exceeds the errors that the setup may have, given the tolerances of the fit."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from sensorgraph.world.robot import Tolerances
 
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether a change of the building is no more than the map may be wrong there.
+    """Return whether a change of the building is within the errors of the map.
 
-    An obstacle stands out of a mapped one by so little, or is a wall: a disc that may be as large as discs are has been fitted
-    to something flat. In a map of pixels, something moves by less than a cell, a part of a wall is short, what is said to be
-    gone stops most rays. A wall or an obstacle has moved by no more than the map is stated to be off.
+    This holds in three cases:
+
+    - A wall or an obstacle moved by no more than the specified tolerance of the map.
+    - A disc stands out of a mapped object by a small distance. A disc that may be as large as the largest disc also counts,
+      because it was fitted to a flat object.
+    - In an occupancy-grid map, an object moved by less than a cell, a wall segment is short, or an object that is
+      reported missing stops most rays.
     """
     data, values = fitted.solver.data, amendment.parameters
     if amendment.effect.place != "spot":
@@ -40,9 +44,9 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
 
 
 def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a move is within the stated tolerance of the map, at the confidence at which one number is bounded.
+    """Return whether a move is within the specified map tolerance, at the confidence level of a single parameter's bound.
 
-    Of a map of many things the one that is off the most is asked about, so each may be off by more (Bonferroni).
+    In a map of many objects the one with the largest error is tested, so each may be off by more (Bonferroni).
     """
     effect = amendment.effect
     if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
@@ -54,12 +58,12 @@ def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
 
 
 def _bulge(data: ScanData) -> float:
-    """Return how far a thing may stand out of the walls of a map of pixels and be no more than its cells leave open [m]."""
+    """Return the maximum distance [m] by which an object may stand out of the walls of an occupancy-grid map."""
     return SCAN.naming.map_pixels * 2 * data.grain
 
 
 def _seen_before_walls(fitted: Fitted, amendment: Amendment) -> float:
-    """Return how far from mapped walls readings end on a disc at most [m]; where none does, it may have any shape."""
+    """Return the maximum distance [m] from mapped walls of readings on a disc; 0 without such readings."""
     data, values = fitted.solver.data, amendment.parameters
     scene = data.scene()
     scene.run((*data.known, *(a for a in fitted.model if a != amendment)))
@@ -75,9 +79,9 @@ def _seen_before_walls(fitted: Fitted, amendment: Amendment) -> float:
 
 
 def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a change of the walls in a map of pixels is of the size of its cells, or not surely of more.
+    """Return whether a change of the walls in an occupancy-grid map is within the size of its cells or its standard errors.
 
-    A wall and what stands beside it may be off by half a cell each.
+    A wall and the object next to it may each be off by half a cell.
     """
     values, pixel, effect = amendment.parameters, 2 * data.grain, amendment.effect
     if effect.on_part_of_wall:
@@ -93,7 +97,7 @@ def _is_within_pixels(data: ScanData, amendment: Amendment) -> bool:
 
 
 def _is_where_another_is(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a wall has moved to where the map has another one, within a pixel, along most of it."""
+    """Return whether most of a moved wall coincides, within a pixel, with another wall of the map."""
     scene = data.scene()
     amendment(scene)
     first, last = scene.walls[data.arena.names.index(amendment.place)]
@@ -102,13 +106,13 @@ def _is_where_another_is(data: ScanData, amendment: Amendment) -> bool:
 
 
 def is_short_of_pixels(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether a part of a wall in a map of pixels is no longer than an error at a corner looks."""
+    """Return whether a wall segment in an occupancy-grid map is as short as an error at a corner."""
     values = amendment.parameters
     return amendment.effect.on_part_of_wall and values["b"] - values["a"] < 2 * _bulge(data)
 
 
 def _farthest_corner(data: ScanData, amendment: Amendment) -> float:
-    """Return how far a change of the whole map moves a corner along x or y at most [m], but for a shift of all of them."""
+    """Return the maximum displacement [m] of a corner along x or y by a change of the whole map, without the mean shift."""
     scene = data.scene()
     before = scene.walls.copy()
     amendment(scene)
@@ -117,7 +121,7 @@ def _farthest_corner(data: ScanData, amendment: Amendment) -> float:
 
 
 def _passed_share(data: ScanData, place: str) -> float:
-    """Return the share of the rays aimed at an obstacle of the map that read farther."""
+    """Return the share of the rays aimed at an obstacle of the map that read a larger range."""
     own = np.array([name.split("/")[0] == place for name in data.arena.names])
     expected, wall = data.plain_cast
     aimed = (wall >= 0) & own[wall] & ~np.isnan(data.ranges)
@@ -126,7 +130,7 @@ def _passed_share(data: ScanData, place: str) -> float:
 
 
 def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect without a size explains fewer readings than a user would mind: a cut-off next to the stated one."""
+    """Return whether an effect without a size explains too few readings, as with a cut-off next to the specified one."""
     if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
         return False
     data = fitted.solver.data
@@ -137,7 +141,7 @@ def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
 
 
 def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
-    """Return how many materialities an effect must have: more, where tolerances are stated wider, or proved too tight."""
+    """Return the minimum size of an effect in materialities: more for wide specified tolerances, or if the fit widened them."""
     scale = max(fitted.state.map_scale, fitted.state.pose_scale)
     is_stretched = scale > SCAN.nuisance.stretched_scale
     proved = SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)

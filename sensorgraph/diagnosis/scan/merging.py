@@ -1,7 +1,7 @@
-"""Two effects of a model that are one: parts of a wall that touch, and two sectors of which the rest is the one that differs.
+"""Merge two effects of a model that are one: touching segments of a wall, or two sectors around an undisturbed one.
 
-Effects are added one at a time, and so the search may cut in two what is one. Of a pane the first half explains most, and a
-black part beside it explains the rest; of a bias of all rays but some, the sectors on either side do.
+Effects are added one at a time, so the search may split a single effect. For a pane, the first half may explain most, and
+a black segment next to it the rest. For a bias of all rays except some, two sectors around these may be found.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from sensorgraph.effects.sector_bias import SECTOR_BIAS
 
 Model = tuple[Amendment, ...]
 MAX_GAP = 0.2
-"""[m] between two parts of a wall that may be one: the rays there meet both."""
+"""[m] maximum gap between two segments of a wall that may be one; rays that end in the gap meet both."""
 
 
 def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]:
-    """Yield models with fewer effects, or simpler ones, that may stand for this one; what is new comes last."""
+    """Yield models with fewer or simpler effects that may replace this one; new effects come last."""
     for i, j in permutations(range(len(model)), 2):
         if (whole := _whole_part(model[i], model[j])) is not None:
             yield (*without(model, i, j), whole)
@@ -38,7 +38,7 @@ def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]
 
 
 def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
-    """Return the first effect on its own part of a wall and on the other's, too; None where they do not touch."""
+    """Return the first effect on both segments of a wall; None if they do not touch."""
     if one.place != other.place or not (one.effect.on_part_of_wall and other.effect.on_part_of_wall):
         return None
     gap = max(one["a"], other["a"]) - min(one["b"], other["b"])
@@ -48,7 +48,7 @@ def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
 
 
 def _all_but_the_rest(one: Amendment, other: Amendment, data: ScanData) -> tuple[Amendment, Amendment] | None:
-    """Return a bias of all rays, and a sector that takes it back, for two sectors with biases of one sign; None: no sectors."""
+    """Replace two sectors with biases of the same sign by a bias of all rays and one opposite sector; None otherwise."""
     if one.effect is not SECTOR_BIAS or other.effect is not SECTOR_BIAS or one["b"] * other["b"] <= 0:
         return None
     bearings = data.sensor.bearings

@@ -1,4 +1,4 @@
-"""Forward selection of effects by evidence: add one at a time, refit all together, remove superfluous ones."""
+"""Forward selection of effects by evidence: add one effect at a time, refit all jointly, remove superfluous ones."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One round of the search: what was tried, with its gain in nats."""
+    """A round of the search: the effects that were tried, with their gains [nats]."""
 
     tried: tuple[tuple[Amendment, float], ...]
     chosen: str
     became: tuple[Amendment, ...] = ()
-    """The model, where the one chosen and an earlier one became one, or something simpler."""
+    """The model, if the chosen effect was merged with an earlier one or simplified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explained:
-    """The accepted model with its fit, and the way to it."""
+    """The accepted model with its fit, and the steps of the search."""
 
     null: Fitted
     final: Fitted
-    """Its effects carry their standard errors."""
+    """Fit of the accepted model; its effects include their standard errors."""
     gains: dict[int, float]
-    """Index in the final model -> evidence [nats] that is lost without it."""
+    """Index in the final model -> evidence [nats] that is lost without this effect."""
     steps: tuple[Step, ...] = field(default_factory=tuple)
     rivals: dict[int, tuple[Amendment, float]] = field(default_factory=dict)
-    """Index in the final model -> the second best explanation and how many nats it falls short."""
+    """Index in the final model -> the second best explanation and its deficit [nats]."""
 
 
 def explain(
@@ -68,7 +68,7 @@ def explain(
     most: int = SCAN.selection.max_effects,
     progress: ProgressBars = no_progress,
 ) -> Explained:
-    """Search for the effects that the evidence asks for, at most so many; each round has a bar."""
+    """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
     casts = 1 if data.posed is None else SCAN.fit.pose_casts
     with progress("fitting the simulator", ""):
         null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=casts, inner=7)
@@ -100,7 +100,7 @@ def explain(
             )
         )
         if not enough and current.j > begun + SCAN.selection.min_refit_gain:
-            continue  # all were measured against a fit that had not come to its end
+            continue  # the gains refer to a fit that had not converged
         if not enough:
             break
         mine = best.model[-1]
@@ -118,7 +118,7 @@ def explain(
         if is_same and current.j < before.j + threshold:
             break
         n_small += small
-        if n_small == 2:  # what is left is smaller still
+        if n_small == 2:  # the remaining effects are smaller still
             break
     current = _without_usual(data, current, noise_bounds)
     gains, n = {}, len(current.model)
@@ -137,9 +137,10 @@ def explain(
 
 
 def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
-    """Take out numbers of the sensor that lie within what good runs of the site show, the last found first.
+    """Remove sensor effects that are within the known-good runs of the site, the last found first.
 
-    Beside a bias that is news, a drift that is none would take half of it. One that stands alone takes from nobody.
+    Next to a bias that exceeds the known-good runs, a drift within them would absorb half of it. A single effect is kept,
+    because it absorbs nothing of another one.
     """
     for index in range(len(current.model) - 1, -1, -1):
         if len(current.model) > 1 and is_within_baseline(current, current.model[index]):
@@ -156,11 +157,12 @@ def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amend
 
 
 def _least(model: Sequence[Amendment], candidate: Amendment, gained: float, stood: bool) -> float:
-    """Return the gain [nats] below which a candidate only mends what the model has.
+    """Return the gain [nats] below which a candidate is only a remainder of the effects in the model.
 
     Parameters
     ----------
-    stood : as much was expected of it before: it does not mend the rim of what the model has, at most a model that is coarse
+    stood : Whether the same gain was expected in the bare model. The candidate is then not a remainder, except of an
+        effect with a coarse model.
     """
     known = [a.effect.diagnostics for a in model]
     by_name = [0.0 if stood and not d.leftover_share else d.leftovers.get(candidate.name, 0.0) for d in known]
@@ -179,8 +181,8 @@ def _try(
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
     """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
 
-    All are fitted on a part of the scans, the best of them with their rough parameters searched; only those that
-    come near the best of these are fitted to all scans.
+    All candidates are fitted to a part of the scans. The rough parameters of the best ones are searched, and only those
+    that come close to the best are fitted to all scans.
     """
     noise = current.state.noise
     stretched = current.state.stretch > SCAN.nuisance.stretched_scale
@@ -188,7 +190,7 @@ def _try(
         stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
     )
     short = shortlist(data, current, struck, gained, first)
-    if strained:  # tolerances that stretch may hide an effect: look again with the ones told
+    if strained:  # widened tolerances may hide an effect, so search again with the specified ones
         told = replace(noise_bounds, max_scale=1.0)
         tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
         more = shortlist(data, tight, struck, gained, first)
@@ -247,7 +249,7 @@ def _try(
 
 
 def is_rough(amendment: Amendment) -> bool:
-    """Tell whether an effect has parameters that are searched, not solved for."""
+    """Return whether an effect has parameters that are found by search instead of the linear solve."""
     return bool(amendment.search_steps)
 
 
@@ -256,8 +258,8 @@ def searched(
 ) -> Fitted:
     """Search the rough parameters of the last effect, then fit again.
 
-    Tolerances that have stretched may hide by how much the parameters are wrong, or hold what another effect does: then
-    nuisances that begin anew are tried, too.
+    Widened tolerances may hide the error of these parameters or absorb another effect. In this case, nuisances that
+    restart at zero are tried as well.
     """
     for _ in range(turns):
         is_strained = got.state.stretch > SCAN.nuisance.stretched_scale
@@ -282,13 +284,13 @@ def shortlist(
     gained: float,
     first: FirstGains | None = None,
 ) -> list[Candidate]:
-    """Return the candidates worth fitting, best first.
+    """Return the candidates to fit, best first.
 
     Parameters
     ----------
-    struck : effects and places that were taken back
-    gained : [nats] by the model so far; what it may leave is a share of that
-    first : what was expected before any effect was in the model, filled then; what has changed is taken out
+    struck : Effects and places that were removed from the model.
+    gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
+    first : Gains expected in the bare model. They are stored there, and dropped when they change.
     """
     sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
     broad = [
@@ -316,7 +318,7 @@ def shortlist(
             if not data.may_show(c.amendment.effect, c.amendment.place):
                 continue
             if data.from_scans and _stretches(c.amendment) and any(map(_stretches, current.model)):
-                continue  # poses have stretched with the map, so that its scale and the laser's are one
+                continue  # the poses have been scaled with the map, so the scales of map and laser are equivalent
             if c.gain < _least(current.model, c.amendment, gained, first.has(c)):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
@@ -338,7 +340,7 @@ def _stretches(amendment: Amendment) -> bool:
 
 
 def _same(a: Amendment, b: Amendment) -> bool:
-    """Tell whether two starts are so near that one fit does for both."""
+    """Return whether two starts are so close that a single fit is sufficient."""
     if a.name != b.name or a.place != b.place:
         return False
     sizes = a.effect.sizes
@@ -351,7 +353,7 @@ def _same(a: Amendment, b: Amendment) -> bool:
 def _pruned(
     data: ScanData, best: Fitted, noise_bounds: NoiseBounds, threshold: float, struck: set[tuple[str, str]]
 ) -> Fitted:
-    """Take back earlier effects that the model can do without."""
+    """Remove earlier effects that the model no longer needs."""
     index = 0
     while len(best.model) > 1 and index < len(best.model) - 1:
         rest = fit(data, without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
@@ -366,7 +368,7 @@ def _pruned(
 
 
 def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
-    """Let fewer effects stand for two of them, where they do that as well."""
+    """Replace two effects by fewer where these explain as much."""
 
     def net(fitted: Fitted) -> float:
         return fitted.j - sum(price(a, data) for a in fitted.model)

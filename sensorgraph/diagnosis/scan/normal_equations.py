@@ -1,4 +1,16 @@
-"""The normal equations of a fit, and their optimum under the tolerances of the nuisances."""
+"""Normal equations of a fit, and their optimum under the tolerances of the nuisances.
+
+The unknowns are x = (g, p), the nuisances and effect parameters, and the pose error delta_s of each scan s.
+
+    [ G    C_sᵀ ] [ x       ]   [ r   ]
+    [ C_s  H_s  ] [ delta_s ] = [ b_s ].
+
+Eliminating every delta_s by the Schur complement gives M x = right.
+
+    M = G - Σ C_sᵀ H_s⁻¹ C_s,    right = r - Σ C_sᵀ H_s⁻¹ b_s,    delta_s = H_s⁻¹ (b_s - C_s x).
+
+Triggs, McLauchlan, Hartley and Fitzgibbon 2000, bundle adjustment, section 6.
+"""
 
 from __future__ import annotations
 
@@ -12,34 +24,37 @@ from sensorgraph.types import Bools, Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class System:
-    """The normal equations with the poses eliminated: unknowns are nuisances, corners, effects."""
+    """Normal equations with the poses eliminated; the unknowns are nuisances, corners and effect parameters."""
 
     matrix: Floats
-    """(k, k)"""
+    """(k, k) M"""
     right: Floats
     """(k,)"""
     poses: Floats
-    """(n_scans, 3, 3) H_s"""
+    """(n_scans, 3, 3) H_s, including the prior of the pose"""
     across: Floats
     """(n_scans, 3, k) C_s"""
     start: Floats
     """(n_scans, 3) H_s^-1 b_s"""
     logdet: float
-    """Sum over scans of log |I + P_s B'WB|."""
+    """Sum over scans of log |P_s H_s| = log |I + P_s BᵀWB|, with P_s the prior covariance of the pose."""
 
     def poses_at(self, x: Floats) -> Floats:
-        """Return the pose errors (n_scans, 3) that are likeliest beside x (k,)."""
+        """Return the most likely pose errors (n_scans, 3) given x (k,)."""
         return np.asarray(self.start - np.linalg.solve(self.poses, (self.across @ x)[..., None])[..., 0])
 
 
 def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: Floats) -> System:
-    """Eliminate the poses of scans: the Schur complement of their 3 x 3 blocks.
+    """Eliminate the pose errors of all scans by the Schur complement of their 3 x 3 blocks.
+
+        M = g - Σ cᵀ h⁻¹ c,    right = r - Σ cᵀ h⁻¹ b.
 
     Parameters
     ----------
-    g, r : (k, k), (k,) normal equations at fixed poses
-    h, c, b : (n_scans, 3, 3), (n_scans, 3, k), (n_scans, 3) blocks of the poses with their prior, beside g and r
-    prior : (n_scans, 3, 3) covariance of the poses
+    g, r : (k, k), (k,) Normal equations at fixed poses.
+    h, c, b : (n_scans, 3, 3), (n_scans, 3, k), (n_scans, 3) Blocks of the poses with their prior, their coupling to the
+        other unknowns, and their right-hand side.
+    prior : (n_scans, 3, 3) Prior covariance of the pose errors.
     """
     lower = np.linalg.cholesky(h)
     inverse = np.linalg.inv(lower)
@@ -58,13 +73,13 @@ def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: 
 
 
 def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
-    """Maximise right'x - x'Mx/2 - |g/tau|²/2 with |g| <= box; return g and the other unknowns, which are free.
+    """Maximise rightᵀx - ½ xᵀMx - ½ |g/tau|² subject to |g| <= box; return g and the other, unbounded unknowns.
 
     Parameters
     ----------
-    matrix, right : (k, k), (k,) normal equations; the first n unknowns are the nuisances g
-    tau, box : (n,) prior standard deviations and bounds
-    locked : (n,) nuisances that stay 0
+    matrix, right : (k, k), (k,) Normal equations M x = right; the first n unknowns are the nuisances g.
+    tau, box : (n,) Prior standard deviations and bounds.
+    locked : (n,) Nuisances that are held at 0.
     """
     x = boxed_optimum(matrix, right, tau, box, locked).x
     return x[: len(tau)], x[len(tau) :]
@@ -73,7 +88,7 @@ def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools
 def boxed_optimum(
     matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools, like: BoundedOptimum | None = None
 ) -> BoundedOptimum:
-    """Return what `boxed` does, and which unknowns are at a bound; those of a similar problem are tried first."""
+    """Return the optimum of `boxed` with its active bounds; those of a similar problem `like` are tried first."""
     limit = limits(len(right), box, locked)
     if like is not None:
         like = replace(like, x=np.where(like.is_free, 0.0, np.sign(like.x) * np.minimum(limit, 1e300)))
@@ -81,7 +96,7 @@ def boxed_optimum(
 
 
 def with_prior(matrix: Floats, tau: Floats) -> Floats:
-    """Return normal equations (k, k) with the prior of the nuisances, their first n unknowns; tau (n,)."""
+    """Return the normal matrix (k, k) plus the prior of the nuisances, its first n unknowns; tau (n,)."""
     n, k = len(tau), len(matrix)
     a = matrix.copy()
     a[np.arange(n), np.arange(n)] += 1 / tau**2
@@ -90,5 +105,5 @@ def with_prior(matrix: Floats, tau: Floats) -> Floats:
 
 
 def limits(k: int, box: Floats, locked: Bools) -> Floats:
-    """Return how large each of k unknowns may become: those of box (n,), locked ones 0, the others without end."""
+    """Return the bounds of k unknowns: `box` (n,) for nuisances, 0 if locked; infinite for the others."""
     return np.concatenate([np.where(locked, 0.0, box), np.full(k - len(box), np.inf)])

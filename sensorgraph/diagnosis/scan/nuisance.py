@@ -1,8 +1,8 @@
-"""What a careful set-up may hide: small errors of map, mount, clock and pose, and the noise of a reading.
+"""Nuisances: small errors of map, mount, clock and pose that a careful setup has, and the noise of a reading.
 
-Every tolerance is a Gaussian parameter in a box: prior N(0, tau²), and |g| <= `max_tolerances` tau. The box keeps a
-large effect visible, which the prior alone would let the data absorb. The unknowns g are one number per `Nuisance`,
-then x and y of each corner of the map.
+Every tolerance is a Gaussian parameter with bounds: g ~ N(0, tau²) and |g| <= `max_tolerances` tau. The bounds keep large
+effects visible; with the prior alone, the data could absorb them. The unknowns g are one value for each `Nuisance`, then
+x and y of each corner of the map.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.nuisance
 MIN_COSINE = 1e-3
-"""Of the incidence, as a divisor."""
+"""Minimum cosine of the incidence as a divisor."""
 MIN_BENT_RANGE = 0.1
-"""[m] range of a ray that a surface has bent, as a divisor."""
+"""[m] minimum range of a bent ray as a divisor."""
 
 
 def prior_widths(tolerances: Tolerances) -> Floats:
-    """Return the prior standard deviations of each Nuisance, (8,) [m, m, rad, m, 1, m, s, s]."""
+    """Return the prior standard deviation of each Nuisance, (8,) [m, m, rad, m, 1, m, s, s]."""
     return np.array(
         [
             tolerances.mount_xy,
@@ -45,13 +45,13 @@ def prior_widths(tolerances: Tolerances) -> Floats:
 
 
 def effects_with_nuisances() -> list[Effect]:
-    """Return the effects whose parameters have a tolerance-sized copy among the nuisances, in their order."""
+    """Return the effects whose parameters also exist as nuisances, in the order of the nuisances."""
     own = [effect for effect in EFFECTS.values() if effect.nuisances]
     return sorted(own, key=lambda effect: effect.nuisances[0])
 
 
 def corners_of(data: ScanData) -> Corners:
-    """Return the corners of the map that may shift; none where there are too many."""
+    """Return the corners of the map that may shift; an empty set if there are too many."""
     corners = Corners.of(data.arena.walls) if data.corners is None else data.corners
     if corners.count > SETTINGS.max_corners:
         return Corners(ends=corners.ends * 0, count=0)
@@ -60,23 +60,23 @@ def corners_of(data: ScanData) -> Corners:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Jacobian:
-    """How the readings of one cast change with poses, nuisances and effects (first order)."""
+    """First-order derivatives of the readings of one cast by poses, nuisances and wall ends."""
 
     pose: Floats
-    """(n_scans, 3, n_rays) by x, y, phi of the scan's pose."""
+    """(n_scans, 3, n_rays) derivatives by x, y, phi of the scan's pose."""
     nuisances: Floats
-    """(n_scans, 8, n_rays) by Nuisance."""
+    """(n_scans, 8, n_rays) derivatives by each Nuisance."""
     ends: Floats
-    """(2, n_scans, n_rays) by a shift of the first and second end of the wall along the ray's normal."""
+    """(2, n_scans, n_rays) derivatives by a shift of the first and second end of the wall along the ray's normal."""
     wall: Ints
-    """(n_scans, n_rays) wall index, 0 where there is none (then `ends` is 0)."""
+    """(n_scans, n_rays) wall index; 0 without a wall (then `ends` is 0)."""
     nx: Floats
     """(n_scans, n_rays) normal of the wall."""
     ny: Floats
     valid: Bools
-    """(n_scans, n_rays) the columns hold; elsewhere they are 0."""
+    """(n_scans, n_rays) whether the derivatives are valid; elsewhere they are 0."""
     steep: Floats
-    """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting, or one whose corners stay."""
+    """(n_scans, n_rays) [m] additional standard deviation of rays at grazing incidence or on walls with fixed corners."""
 
 
 def linearise(
@@ -88,10 +88,17 @@ def linearise(
 ) -> Jacobian:
     """Differentiate the readings of one cast.
 
+    A straight ray has the length r and the direction u. It meets a wall with the normal n at the incidence a.
+
+        dr/dx = n_x / cos a,    dr/dy = n_y / cos a,
+        dr/dphi = r (n_y u_x - n_x u_y) / cos a + l_x dr/dy - l_y dr/dx.
+
+    Here l is the lever arm from base_link to the laser.
+
     Parameters
     ----------
-    bent : which rays (n_scans, n_rays) do not follow from their straight path, their columns by the pose
-    (n_scans, 3, n_rays), by difference quotients, and how steeply (n_scans, n_rays) [m/rad] they change with phi
+    bent : Which rays (n_scans, n_rays) are bent, their columns by the pose (n_scans, 3, n_rays) from difference
+        quotients, and the slope (n_scans, n_rays) [m/rad] by phi.
     """
     cosine, nx, ny = _facing(beams)
     hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
@@ -106,7 +113,7 @@ def linearise(
     phi = data.poses[:, 2]
     c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
     lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
-    if data.sensor.is_composite:  # each ray turns about the mount, and with it about base_link
+    if data.sensor.is_composite:  # each ray turns about the mount, which turns about base_link
         ox, oy = beams.ox - data.poses[:, :1] - lx, beams.oy - data.poses[:, 1:2] - ly
         turn = turn + ox * dy - oy * dx
     pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
@@ -162,11 +169,13 @@ def linearise(
 
 
 def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
-    """Return the further standard deviation [m] of readings by errors of the map that no unknown stands for.
+    """Return the additional standard deviation [m] of readings on walls with fixed corners.
+
+    Their map errors are not among the unknowns.
 
     Parameters
     ----------
-    ends : (2, n_scans, n_rays) change of the readings with shifts of the ends of their walls, along the normal
+    ends : (2, n_scans, n_rays) Derivatives of the readings by shifts of the ends of their walls, along the normal.
     """
     if data.corners is None or data.corners.rest < 0:
         return np.zeros(wall.shape)
@@ -176,9 +185,9 @@ def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
 
 
 def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:
-    """Return the cosine of the incidence and the normal (n_scans, n_rays) by which readings change with the pose.
+    """Return the cosine of the incidence and the normal (n_scans, n_rays) for the derivatives by the pose.
 
-    The nearest surface within a cone changes them along the ray alone, as a wall does that faces it.
+    A cone reads the nearest surface within it. Its reading changes only along the ray, as at a wall that faces the sensor.
     """
     if beams.within is None:
         return beams.cosine, beams.nx, beams.ny
@@ -187,7 +196,7 @@ def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:
 
 
 def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:
-    """Return how far along its wall each ray hits, 0 at the first end, 1 at the second."""
+    """Return the position along its wall at which each ray hits: 0 at the first end, 1 at the second."""
     if len(walls) == 0:
         return np.zeros(wall.shape)
     a, d = walls[:, 0], walls[:, 1] - walls[:, 0]
@@ -200,24 +209,26 @@ def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:
 
 @dataclass(eq=False)
 class BeamNoise:
-    """The noise of a reading, as free as a careful set-up leaves it."""
+    """Noise of a reading, within the bounds of a careful setup."""
 
     core: float = 1.0
     """Scale of the nominal standard deviation."""
     tail: float = 0.03
     """Share of returns with the wide standard deviation."""
     loss: float = 1e-3
-    """Chance that a ray which should return does not."""
+    """Probability that a ray which should return is missing."""
     stray: float = 1e-3
-    """Share of readings from anywhere."""
+    """Share of outliers, which are uniform over the range."""
 
 
 def pose_prior(data: ScanData, scale: float) -> Floats:
-    """Return the prior covariance of the pose errors (n_scans, 3, 3): the reference's own, and a stamp's along the velocity.
+    """Return the prior covariance of the pose errors (n_scans, 3, 3).
+
+        P = scale² (diag(pose_xy², pose_xy², pose_yaw²) + stamp² u uᵀ),    with u the velocity of the base.
 
     Parameters
     ----------
-    scale : of the tolerances
+    scale : Factor of the tolerances.
     """
     t = data.tolerances
     own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
