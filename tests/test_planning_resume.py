@@ -104,7 +104,7 @@ def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -
     graph = graph_of(room, sensor)
     assert other_place_warnings(graph, room) == []
     (line,) = other_place_warnings(graph, outlined(shapely.box(10, 10, 14, 13)))
-    assert line.startswith("0 % of the walls that the sensorgraph knows")
+    assert line.startswith("0 % of the sensorgraph's walls are in this arena")
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
         (["--topic", "pose=/mocap/pose"], "/mocap/pose"),
         (["--duration", "-1"], "expected seconds above 0"),
         (["--wait", "0"], "--wait is 0, expected seconds above 0"),
-        (["--until-covered", "nowhere"], "nowhere holds no trajectory.csv"),
+        (["--until-covered", "nowhere"], "nowhere has no trajectory.csv"),
         (["--graph", "some.sensorgraph"], "--graph is for the embedded robot"),
     ],
     ids=lambda value: value[0].strip("-") if isinstance(value, list) else "",

@@ -1,1 +1,1 @@
-"""Shipped arenas and robots."""
+"""Shipped arenas, robots and scripts."""

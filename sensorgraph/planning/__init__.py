@@ -1,1 +1,1 @@
-"""Plan folders, priorities and resumed drives: what planning takes from logs and sensorgraphs."""
+"""Planning with logs and sensorgraphs: plan folders, priorities and resumed drives."""

@@ -1,4 +1,4 @@
-"""Plan a drive for a robot in an arena: what the `plan` command and `sensorgraph.plan` share."""
+"""Plan a drive for a robot in an arena; used by the `plan` command and `sensorgraph.plan`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from sensorgraph.world.robot import Robot, load_robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CoveragePlan:
-    """A planned drive with the arena and the robot that it was planned for."""
+    """A planned drive with its arena and robot."""
 
     drive: planners.Plan
     arena: Arena
@@ -47,11 +47,11 @@ class CoveragePlan:
         return self.drive.trajectory
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `plan.json` holds: coverage, time, clearance, settings; plain data."""
+        """Return the content of `plan.json` as plain data: coverage, time, clearance, settings."""
         return dict(self.drive.report)
 
     def save(self, folder: Path | str) -> Path:
-        """Write trajectory, waypoints, MCAP, report and pictures into a folder; all of it or nothing."""
+        """Write trajectory, waypoints, MCAP, report and pictures into a folder, completely or not at all."""
         folder = Path(folder)
         if folder.exists() and not folder.is_dir():
             raise SensorgraphError(f"{folder} is a file; give a folder to write the plan to")
@@ -70,7 +70,7 @@ class CoveragePlan:
         )
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: coverage, time and way."""
+        """Return an HTML table for notebooks: coverage, time and path length."""
         report = self.drive.report
         rows = [
             ("planner", str(report["planner"])),
@@ -112,35 +112,39 @@ def plan(
     progress: Progress | None = None,
     status: Callable[[str], None] | None = None,
 ) -> CoveragePlan:
-    """Plan a drive that fills (x, y, phi): every reachable place, in every heading.
+    """Plan a drive that covers (x, y, phi): every reachable place, in every heading.
 
     Parameters
     ----------
-    arena : an arena, its file, or the name of a shipped one
-    robot : a robot or its robot.yaml; None: the shipped robot
-    planner : `coverage`, `stop_and_spin`, or one of the baselines `random_bounce` and `wall_following`
-    cell : [m] side of a position cell
-    headings : count of heading bins of a full turn
-    start, end : (3,) [m, m, rad] pose of base_link; None: where it suits the planner
-    views : visit only so many poses, those that show most surface, instead of filling (x, y, phi)
-    no_go : polygons [m, map] that the robot may not enter and its laser sees through
-    resume : a run already driven, or its file, or several; their bins need no visit
-    priority : first the places that this sensorgraph does not know, then those where it is unsure
-    budget : [s] within which the drive ends
-    battery : [s] of one run; the drive is parted into runs from `dock` (3,) [m, m, rad] and back to it
-    duration : [s] of the baselines; None: the reference time of the coverage planner
-    margin : [m] that the robot's rim keeps from walls
-    join_planner : the planner of OMPL that finds ways round obstacles, by name, or one of your own as `module:Class`
-    order : `fast`, the shortest drive; or `anytime`, of which every prefix is worth most. None: anytime for a robot that
-        turns in place if a `budget` or a `graph` is given and no `priority`, else fast
-    graph : for the order anytime: look first where this sensorgraph would not answer or be wrong
-    seed : the same seed gives the same plan, byte for byte
-    progress : is called with (bins done, bins in all)
-    status : is told in a few words what is being planned, and how good it is already
+    arena : An arena, its file, or the name of a shipped one.
+    robot : A robot or its robot.yaml; None: the shipped robot.
+    planner : `coverage`, `stop_and_spin`, or one of the baselines `random_bounce` and `wall_following`.
+    cell : [m] Side of a position cell.
+    headings : Number of heading bins of a full turn.
+    start, end : (3,) [m, m, rad] Pose of base_link; None: chosen by the planner.
+    views : Visit only this number of poses, those that show most surface, instead of covering (x, y, phi).
+    no_go : Polygons [m, map] that the robot must not enter; its laser sees through them.
+    resume : One or several runs already driven, or their files; their bins need no visit.
+    priority : Sensorgraph; bins with the highest expected error come first, unobserved ones before all
+        others.
+    budget : [s] Maximum duration of the drive.
+    battery : [s] Maximum duration of one run; the drive is divided into runs from `dock` (3,) [m, m, rad]
+        back to it.
+    duration : [s] Duration of the baselines; None: the reference time of the coverage planner.
+    margin : [m] Minimum distance between the footprint and walls.
+    join_planner : Name of the OMPL planner that finds paths around obstacles, or your own as `module:Class`.
+    order : `fast`, the shortest drive; or `anytime`, where every prefix is as useful as possible. None:
+        anytime for a robot that turns in place if a `budget` or a `graph` is given and no `priority`;
+        otherwise fast.
+    graph : Sensorgraph for the order anytime: look first where its expected error is highest.
+    seed : The same seed gives the same plan, byte for byte.
+    progress : Called with (bins done, total bins).
+    status : Called with a short text about the current step and the plan so far.
 
     Raises
     ------
-    SensorgraphError : the robot does not fit, a pose is in a wall, nothing is within reach, or two arguments contradict
+    SensorgraphError : The robot does not fit, a pose is in a wall, no bin is reachable, or two arguments
+        contradict.
     """
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
@@ -150,9 +154,9 @@ def plan(
     )  # fmt: skip
     visited = None if resume is None else _driven(resume, world)
     if order is None:
-        has_own = priority is not None or views is not None
-        order = _usual_order(
-            planner, machine, is_cut=budget is not None or graph is not None, has_own=has_own
+        has_other_order = priority is not None or views is not None
+        order = _default_order(
+            planner, machine, is_cut=budget is not None or graph is not None, has_other_order=has_other_order
         )
     drive = planners.plan(
         without(world, no_go), machine, planner=planner if views is None else "views", cell=cell, headings=headings,
@@ -162,24 +166,24 @@ def plan(
         order=order, survey=_survey(order, world, machine, graph, visited), join_planner=join_planner, progress=progress,
         status=status,
     )  # fmt: skip
-    _note(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
+    _add_notes(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
 
 
-def _usual_order(planner: str, machine: Robot, *, is_cut: bool, has_own: bool) -> str:
-    """Return anytime where the drive may be cut short or has a graph to ask, if it has no order of its own, else fast."""
-    can = planner == "coverage" and machine.drive == "diff" and not has_own
+def _default_order(planner: str, machine: Robot, *, is_cut: bool, has_other_order: bool) -> str:
+    """Return anytime if the drive may be cut short or has a graph, and nothing else defines its order; otherwise fast."""
+    can = planner == "coverage" and machine.drive == "diff" and not has_other_order
     return "anytime" if can and is_cut else "fast"
 
 
-def _note(
+def _add_notes(
     report: dict[str, Any],
     arena: Arena | Path | str,
     world: Arena,
     graphs: Sequence[Sensorgraph],
     no_go: Sequence[Zone],
 ) -> None:
-    """Note in plan.json what the planner does not know: the arena's name, graphs of other places, zones."""
+    """Add to plan.json what the planner does not know: name of the arena, warnings about graphs, and zones."""
     if not isinstance(arena, Arena):
         report["arena"] = Path(arena).name
     for known in graphs:
@@ -191,13 +195,16 @@ def _note(
 def _survey(
     order: str, world: Arena, machine: Robot, graph: Sensorgraph | None, visited: Floats | None
 ) -> LaserSurvey | None:
-    """Return what the order anytime asks where to look: what no pose has seen, and of that what a graph does not know.
+    """Return the survey for the order anytime: unobserved space, weighted by the expected error of a graph if given.
 
-    Rays that a graph cannot know, as those that graze edges, would draw every run to the same places if poses did not count.
+    Poses already driven count as observed. Otherwise rays that a graph cannot learn, such as those grazing
+    edges, would attract every run to the same places.
     """
     if order != "anytime":
         if graph is not None:
-            raise PlanError("a graph says where to look first in the order anytime; or give it as priority")
+            raise PlanError(
+                "`graph` requires the order anytime; use `order` anytime, or give the graph as `priority`"
+            )
         return None
     survey = survey_of(world, machine.sensor, graph)
     if visited is not None:
@@ -206,16 +213,16 @@ def _survey(
 
 
 def _check_views(views: int | None, planner: str, resume: object | None) -> None:
-    """Refuse what contradicts a plan of views."""
+    """Reject arguments that contradict a plan of views."""
     if views is None:
         if planner == "views":
-            raise PlanError("the planner views needs to know how many; give `views`")
+            raise PlanError("the planner views needs the number of poses; give `views`")
         return
     if planner not in ("coverage", "views"):
-        raise PlanError(f"`views` has a planner of its own; leave out `planner` {planner}")
+        raise PlanError(f"`views` excludes `planner` {planner}; leave out one of them")
     if resume is not None:
         raise PlanError(
-            "`views` cannot resume a run; leave out `resume`, build a graph from that run, and give it as `priority`"
+            "`views` excludes `resume`; build a sensorgraph from that run, and give it as `priority`"
         )
 
 

@@ -1,7 +1,7 @@
-"""A plan's folder; a folder in it per run of a battery.
+"""Folder of a plan, with a subfolder for each run of a battery.
 
-What a robot drives by (trajectory.csv, cmd_vel.csv, waypoints.yaml, plan.mcap), what is known of it (plan.json,
-holes.csv), and what it looks like (plan.png, headings.png, reach.png).
+Files for driving are trajectory.csv, cmd_vel.csv, waypoints.yaml and plan.mcap. Files with results are
+plan.json and holes.csv; pictures are plan.png, headings.png and reach.png.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "pl
 
 
 def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
-    """Write a plan into a folder, with the arena and the robot that made it; each file is whole or not there."""
+    """Write a plan with its arena and robot into a folder; each file is written completely or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
     attached = {name: text.encode() for name, text in kept.items()}
@@ -43,7 +43,7 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
     reach_picture(plan, arena, folder / "reach.png")
     headings_picture(plan, arena, folder / "headings.png")
     left_out = holes_csv(plan.coverage, plan.reach, plan.lost)
-    repeated = plan.report | {"planning_s": 0.0}  # the key is promised; the time stands in timing.json
+    repeated = plan.report | {"planning_s": 0.0}  # the key is documented; the time is in timing.json
     _write(folder, kept | {"holes.csv": left_out, "plan.json": _json(repeated)})
     write_timing(folder, {"planning_s": plan.report["planning_s"]})
     logged = np.zeros((0, 3))
@@ -57,7 +57,7 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
 
 
 def drop_runs(folder: Path) -> None:
-    """Remove the runs of an older plan from a folder that a newer one is about to fill."""
+    """Remove the runs of an older plan from a folder."""
     for run in folder.glob("run_[0-9]*"):
         for name in RUN_FILES:
             (run / name).unlink(missing_ok=True)
@@ -73,7 +73,7 @@ def _save_drive(
     world: OccupancyMap,
     attached: dict[str, bytes],
 ) -> None:
-    """Write what a robot drives by: the trajectory, commands, waypoints, and the path and grids for viewers."""
+    """Write the files for driving: trajectory, commands, waypoints, and an MCAP with path and grids for viewers."""
     trajectory = curve.trajectory()
     trajectory.write_csv(folder / "trajectory.csv")
     write_plan(
@@ -105,7 +105,7 @@ def _json(report: dict[str, Any]) -> str:
 
 
 def _report_of_run(plan: Plan, number: int) -> dict[str, Any]:
-    """Return plan.json of one run: what is measured of it, and what it shares with the whole."""
+    """Return plan.json of one run: its own measures, and those shared with the whole plan."""
     shared = ("grid", "seed", "planner", "robot", "rate", "clearance", "reachable_cells", "dock", "warnings")
     run = plan.report["sessions"][number]
     covered = round(run["coverage"] * plan.report["reachable_cells"])
@@ -119,7 +119,7 @@ def _report_of_run(plan: Plan, number: int) -> dict[str, Any]:
 
 
 def coverage_map(coverage: Coverage) -> OccupancyMap:
-    """Return the share of the reachable headings visited in each cell, 0 to 100; -1 where none is reachable."""
+    """Return the share of the reachable headings visited in each cell, 0 to 100; -1 without a reachable heading."""
     reachable = coverage.reachable.sum(axis=2)
     share = 100 * coverage.covered.sum(axis=2) / np.maximum(reachable, 1)
     data = np.where(reachable > 0, np.floor(share), -1).astype(np.int8).T
@@ -127,7 +127,7 @@ def coverage_map(coverage: Coverage) -> OccupancyMap:
 
 
 def counted(coverage: Coverage, poses: Floats) -> Coverage:
-    """Count logged poses (n, 3) alone, on the grid of a plan."""
+    """Return the coverage of logged poses (n, 3) alone, on the grid of a plan."""
     fresh = Coverage.empty(
         origin=coverage.origin,
         cell=coverage.cell,

@@ -1,4 +1,4 @@
-"""Where to drive next: how little a sensorgraph knows of each (x, y, phi) bin."""
+"""Priority of the next drive: expected error of a sensorgraph in each (x, y, phi) bin."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from sensorgraph.types import Floats
 
 POSES_PER_BLOCK = 4096  # poses predicted at a time
 UNKNOWN = 1.0
-"""Of a ray that the graph does not answer; an answered ray counts its chance of being off, which is less."""
+"""Expected error of a ray that the graph does not answer; that of an answered ray is smaller."""
 
 
 def uncertainty(graph: Sensorgraph, grid: Coverage, *, max_rays: int | None = None) -> Floats:
-    """Return the mean doubt (nx, ny, n_phi) over rays at the middle of each reachable bin, 0 to 1; 0 elsewhere.
+    """Return the expected error (nx, ny, n_phi) at the middle of each reachable bin, from 0 to 1; 0 elsewhere.
 
-    An unanswered ray counts 1, an answered one half its said chance of being more than 5 cm off: where nobody
-    has looked comes before where the equations are poor.
+    It is the mean over the rays of 1 for an unanswered ray, and p_off / 2 for an answered one. Here p_off is
+    the probability of an error above 5 cm. So unobserved places come before places with inaccurate equations.
 
     Parameters
     ----------
-    max_rays : ask every n-th ray only, so that these are not many more; None: all
+    max_rays : Query every n-th ray only, so that their number is about this; None: all.
     """
     rays = np.arange(0, graph.sensor.n_rays, max(1, graph.sensor.n_rays // (max_rays or graph.sensor.n_rays)))
     bins = np.argwhere(grid.reachable)
@@ -32,9 +32,9 @@ def uncertainty(graph: Sensorgraph, grid: Coverage, *, max_rays: int | None = No
     out = np.zeros(grid.counts.shape)
     score = np.empty(len(bins))
     for start in range(0, len(bins), POSES_PER_BLOCK):
-        said = graph.predict(poses[start : start + POSES_PER_BLOCK], rays=rays)
-        score[start : start + POSES_PER_BLOCK] = np.where(said.answered, 0.5 * said.p_off, UNKNOWN).mean(
-            axis=1
-        )
+        prediction = graph.predict(poses[start : start + POSES_PER_BLOCK], rays=rays)
+        score[start : start + POSES_PER_BLOCK] = np.where(
+            prediction.answered, 0.5 * prediction.p_off, UNKNOWN
+        ).mean(axis=1)
     out[tuple(bins.T)] = score
     return out

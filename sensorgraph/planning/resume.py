@@ -1,4 +1,4 @@
-"""What was driven or identified before, for a plan of the rest: refused or doubted where it is of another place."""
+"""Earlier runs and sensorgraphs for a new plan; they are rejected, or a warning is given, if they are of another place."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import walls_of
 
 WALL_STEP, SAME_WALL_DISTANCE = 0.05, 0.10
-"""[m] between points of a wall, and how near a wall of the other arena must be to be the same."""
+"""[m] Spacing of points on a wall, and maximum distance to a wall of the other arena that counts as the same."""
 MIN_SHARED = 0.5
-"""Of the walls of a run's own arena, and of its poses: fewer in this arena, and the run is of another."""
+"""Minimum share of the run's walls, and of its poses, in this arena; with less, the run is of another arena."""
 
 
 def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
@@ -25,11 +25,11 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
 
     Raises
     ------
-    PlanError : the run has no poses of base_link, or was driven in another arena
+    PlanError : The run has no poses of base_link, or was driven in another arena.
     """
     if run.pose_frame != "base_link":
         raise PlanError(
-            f"{name}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
+            f"{name}: its poses are those of {run.pose_frame}, expected base_link; resume from another run"
         )
     pairing = pair(run)
     if not pairing.paired.any():
@@ -37,8 +37,8 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
     own = _own_arena(run)
     if own is not None and (share := shared_walls(own.walls, arena)) < MIN_SHARED:
         raise PlanError(
-            f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
-            f"one, of {_extent(arena)}; give the arena of that run, or a run of this one"
+            f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls are in this arena, "
+            f"of {_extent(arena)}; give the arena of that run, or a run in this arena"
         )
     poses = pairing.poses[pairing.paired]
     share = float(arena.contains(poses[:, :2]).mean())
@@ -51,7 +51,7 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
 
 
 def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
-    """Return a warning if the walls that a sensorgraph has identified do not stand in an arena, else nothing."""
+    """Return a warning if the walls identified by a sensorgraph are not in an arena; otherwise nothing."""
     try:
         own = walls_of(graph)
     except SensorgraphError:
@@ -59,7 +59,7 @@ def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
     if (share := shared_walls(own, arena)) >= MIN_SHARED:
         return []
     return [
-        f"{100 * share:.0f} % of the walls that the sensorgraph knows stand in this arena; is it of another place?"
+        f"{100 * share:.0f} % of the sensorgraph's walls are in this arena; check that it is of the same place"
     ]
 
 
@@ -69,12 +69,12 @@ def _own_arena(run: Run) -> Arena | None:
         return None
     try:
         return geojson.loads(text.decode(errors="replace"))
-    except PlanError:  # what cannot be read cannot tell that the run is of another place
+    except PlanError:  # an unreadable arena is no evidence for another place
         return None
 
 
 def shared_walls(walls: Floats, other: Arena) -> float:
-    """Return the share of the length of walls (n, 2, 2) [m] that stands in an arena, too."""
+    """Return the share of the length of walls (n, 2, 2) [m] that is also in another arena."""
     if not len(walls):
         return 1.0
     starts, ends = walls[:, 0], walls[:, 1]
@@ -82,7 +82,7 @@ def shared_walls(walls: Floats, other: Arena) -> float:
     owner = np.repeat(np.arange(len(walls)), counts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     share = ((number + 0.5) / counts[owner])[:, None]
-    points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) even steps along the walls
+    points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) points at even steps along the walls
     return float((Barriers(other).distances(points) < SAME_WALL_DISTANCE).mean())
 
 

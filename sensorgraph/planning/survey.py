@@ -1,4 +1,4 @@
-"""What a drive has shown so far, and what a scan would add: an anytime plan asks where to look next."""
+"""Space and surface observed so far, and the gain of another scan, for the order anytime."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast, laser_poses
 
 Worth = Callable[[Floats], Floats]
-"""Poses (n, 3) of base_link -> what each ray counts (n, n_rays), 0 or more."""
+"""Poses (n, 3) of base_link -> weight of each ray (n, n_rays), 0 or more."""
 
 
 class LaserSurvey:
-    """Space crossed and surface hit by the scans that a map lets expect; keeps to `planners.task.Survey`."""
+    """Space crossed and surface hit by the expected scans in a map; implements `planners.task.Survey`."""
 
     def __init__(self, arena: Arena, sensor: RangeSensor, worth: Worth | None = None) -> None:
-        """Start from nothing seen.
+        """Start with nothing observed.
 
         Parameters
         ----------
-        worth : what each ray counts; None: 1
+        worth : Weight of each ray; None: 1.
         """
         self.arena, self.sensor, self.worth = arena, sensor, worth
         far = sensor.range_max + float(np.hypot(*sensor.mount[:2])) + 1.0
@@ -37,22 +37,22 @@ class LaserSurvey:
         self._weights: dict[bytes, Floats] = {}
 
     def gain(self, poses: Floats) -> Floats:
-        """Return (n,) what a scan at each pose (n, 3) [m, m, rad] alone would add."""
+        """Return the gain (n,) of one scan at each pose (n, 3) [m, m, rad] (see `views.gain_of_scan`)."""
         return self._scan(poses, self._weight(poses), False)
 
     def mark(self, poses: Floats) -> None:
-        """Count what scans at poses (n, 3) [m, m, rad] show as seen."""
+        """Mark the space and surface of scans at poses (n, 3) [m, m, rad] as observed."""
         self._scan(poses, np.ones((len(poses), self.sensor.n_rays)), True)
 
     def copy(self) -> LaserSurvey:
-        """Return one that can be marked without marking this one."""
+        """Return a copy that can be marked independently."""
         other = LaserSurvey.__new__(LaserSurvey)
         other.__dict__.update(self.__dict__)
         other.space, other.surface = self.space.copy(), self.surface.copy()
         return other
 
     def _weight(self, poses: Floats) -> Floats:
-        """Return what each ray counts (n, n_rays); a sensorgraph is asked once for each pose."""
+        """Return the weight of each ray (n, n_rays); a sensorgraph is queried once per pose."""
         if self.worth is None:
             return np.ones((len(poses), self.sensor.n_rays))
         keys = [pose.tobytes() for pose in poses]
@@ -80,11 +80,11 @@ class LaserSurvey:
 
 
 def survey_of(arena: Arena, sensor: RangeSensor, graph: Sensorgraph | None = None) -> LaserSurvey:
-    """Return a survey that has seen nothing.
+    """Return a survey with nothing observed.
 
     Parameters
     ----------
-    graph : a ray counts by how little it knows of it; None: all count the same
+    graph : Sensorgraph; the weight of a ray is its expected error. None: equal weights.
     """
     if graph is None:
         return LaserSurvey(arena, sensor)

@@ -1,8 +1,13 @@
-"""Views: the few poses that show most surface, chosen greedily; where to scan when time is short.
+"""Views: the poses that show most surface, chosen greedily, for scans when time is short.
 
-A pose is worth what its rays would add: space that no chosen ray has crossed, and surface that few have hit.
-Both saturate, so the gain of a pose only falls as others are chosen (it is submodular) and a heap of stale gains
-gives the greedy choice without rescoring every candidate (Minoux 1978).
+The gain of a pose is the sum over its rays k of
+
+    weight_k (SPACE_WORTH min(unknown_k, 1) + hit_k / (1 + surface_k)).
+
+Here unknown_k [m] is the length of the ray in space that fewer than `MIN_RAYS` chosen rays have crossed, and
+surface_k is the number of earlier hits on its surface cell. The gain of a pose can only decrease when others
+are chosen (it is submodular). So a heap of outdated gains gives the greedy choice without a new evaluation of
+every candidate (Minoux 1978).
 """
 
 from __future__ import annotations
@@ -24,16 +29,16 @@ from sensorgraph.types import Floats, Ints, Progress
 from sensorgraph.world.raycast import cast as cast_arena
 from sensorgraph.world.raycast import laser_poses
 
-SPACE_CELL = 0.05  # [m] cell of crossed space
-SURFACE_CELL = 0.02  # [m] cell of surface
-MIN_RAYS = 3  # rays through a cell of space that make it known
-SPACE_WORTH = 2.0  # of a metre of unknown space on a ray, up to one metre
-N_CANDIDATES = 2500  # poses to choose from, or
-CANDIDATES_PER_VIEW = 5  # so many for each view, if that is more
-MIN_RAY_WEIGHT = 0.02  # what a ray counts at least, of one that nobody can answer yet
+SPACE_CELL = 0.05  # [m] side of a cell of space
+SURFACE_CELL = 0.02  # [m] side of a cell of surface
+MIN_RAYS = 3  # number of rays through a cell of space after which it is known
+SPACE_WORTH = 2.0  # gain per metre of unknown space on a ray, up to one metre
+N_CANDIDATES = 2500  # number of candidate poses, or
+CANDIDATES_PER_VIEW = 5  # this number per view, if larger
+MIN_RAY_WEIGHT = 0.02  # minimum weight of an answered ray; an unanswered one has 1
 
 Caster = Callable[[Floats], Floats]
-"""Poses (n, 3) of base_link -> ranges (n, n_rays) [m]; inf where nothing would be seen."""
+"""Poses (n, 3) of base_link -> ranges (n, n_rays) [m]; inf without a hit."""
 
 
 def views_within(
@@ -46,14 +51,15 @@ def views_within(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Floats:
-    """Choose n poses (n, 3) [m, m, rad] of base_link where the robot can be, the most telling first.
+    """Choose n poses (n, 3) [m, m, rad] of base_link that the robot can reach, in order of decreasing gain.
 
     Parameters
     ----------
-    graph : expect to see what it says, and let a ray count by how little it knows of it; None: cast from `arena`
+    graph : Sensorgraph that predicts the scans and weights each ray by its expected error; None: scans are
+        cast in `arena`.
     """
     if n < 1:
-        raise PlanError(f"{n} views are asked for, expected 1 or more")
+        raise PlanError(f"`views` is {n}, expected 1 or more")
     rng = np.random.default_rng(seed)
     nodes = np.nonzero(reach.mask)
     pick = rng.integers(len(nodes[0]), size=max(N_CANDIDATES, CANDIDATES_PER_VIEW * n))
@@ -66,23 +72,25 @@ def views_within(
         return candidates[chosen]
     known = graph
 
-    def said(poses: Floats) -> Prediction:
+    def predicted(poses: Floats) -> Prediction:
         return known.predict(poses_for(known, "base_link", known.sensor.mount, poses))
 
     chosen = choose_views(
         candidates,
-        lambda poses: said(poses).ranges,
+        lambda poses: predicted(poses).ranges,
         known.sensor,
         n,
-        worth=lambda poses: uncertainty_of(said(poses)),
+        worth=lambda poses: uncertainty_of(predicted(poses)),
         progress=progress,
     )
     return candidates[chosen]
 
 
-def uncertainty_of(said: Prediction) -> Floats:
-    """Return (n_poses, n_rays) what a look along each ray is worth: 1 where unanswered, else its chance of being off."""
-    return np.asarray(np.where(said.answered, np.maximum(said.p_off, MIN_RAY_WEIGHT), 1.0), dtype=np.float64)
+def uncertainty_of(prediction: Prediction) -> Floats:
+    """Return the weight (n_poses, n_rays) of each ray: 1 if unanswered, otherwise its probability of an error."""
+    return np.asarray(
+        np.where(prediction.answered, np.maximum(prediction.p_off, MIN_RAY_WEIGHT), 1.0), dtype=np.float64
+    )
 
 
 def choose_views(
@@ -94,12 +102,12 @@ def choose_views(
     worth: Caster | None = None,
     progress: Progress | None = None,
 ) -> Ints:
-    """Choose n of the candidates (n_candidates, 3), the most telling first; return their indices.
+    """Return the indices of n of the candidates (n_candidates, 3), in order of decreasing gain.
 
     Parameters
     ----------
-    cast : what is expected to be seen: of the map, or the mode of a sensorgraph
-    worth : what a ray counts, poses (n, 3) -> (n, n_rays), 0 or more; None: 1
+    cast : Expected ranges, from the map or as the mode of a sensorgraph.
+    worth : Weight of each ray, poses (n, 3) -> (n, n_rays), 0 or more; None: 1.
     """
     n = min(n, len(candidates))
     ranges = np.clip(cast(candidates), 0.0, sensor.range_max)
@@ -149,7 +157,7 @@ def gain_of_scan(
     surface: Floats,
     mark: bool,
 ) -> float:
-    """Add up what the rays of one pose would add; note them if `mark`."""
+    """Return the gain of the scan at one pose; update space and surface if `mark`."""
     total = 0.0
     for k in range(len(ranges)):
         steps = int(ranges[k] / SPACE_CELL)

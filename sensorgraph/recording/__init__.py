@@ -1,1 +1,1 @@
-"""Drive the embedded robot and record what it perceives."""
+"""Drive the simulated robot and record what it perceives."""

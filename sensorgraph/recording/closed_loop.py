@@ -1,4 +1,4 @@
-"""Controllers driven one after another in the same arena or identified world, so that their drives compare."""
+"""Drive controllers one after another in the same arena or identified world, for a comparison of their drives."""
 
 from __future__ import annotations
 
@@ -24,36 +24,38 @@ from sensorgraph.world.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopDrive:
-    """What one controller drove."""
+    """Drive of one controller."""
 
     label: str
     run: Run
     n_rays: int | None
-    """Rays drawn in the identified world; None: driven in an arena."""
+    """Number of rays drawn in the identified world; None: driven in an arena."""
     n_unanswered: int | None
-    """Of those, rays that the sensorgraph does not answer; drawn all the same."""
+    """Number of these rays that the sensorgraph does not answer; they are drawn nevertheless."""
 
 
 def files_of_controllers(controllers: Sequence[str], path: Path) -> dict[str, Path]:
-    """Return the file of each controller's run: `path` of the first, beside it the others by their labels.
+    """Return the file of each controller's run: `path` for the first, and next to it one per label for the others.
 
     Parameters
     ----------
-    controllers : each `plan`, one of CONTROLLERS, or a MODEL.json of `identify`
+    controllers : Each `plan`, one of CONTROLLERS, or a MODEL.json of `identify`.
 
     Raises
     ------
-    SensorgraphError : a controller is not known, is named twice, or two share a label
+    SensorgraphError : A controller is unknown or given twice, or two share a label.
     """
     known = (PLAN_CONTROLLER, *CONTROLLERS)
     for name in controllers:
         if (name not in known and not name.endswith(".json")) or controllers.count(name) > 1:
             raise SensorgraphError(
-                f"controller is {name!r}, expected each of {', '.join(known)}, or a MODEL.json, at most once"
+                f"controller is {name!r}, expected {', '.join(known)}, or a MODEL.json, each at most once"
             )
     labels = [controller_label(name) for name in controllers]
     if len(set(labels)) < len(labels):
-        raise SensorgraphError(f"controllers {', '.join(controllers)} share a name; rename one of the files")
+        raise SensorgraphError(
+            f"controllers {', '.join(controllers)} share a file name; rename one of the files"
+        )
     return {
         name: path if i == 0 else path.with_suffix(f".{label}.mcap")
         for i, (name, label) in enumerate(zip(controllers, labels, strict=True))
@@ -71,14 +73,14 @@ def drive_closed_loop(
     seed: int = 0,
     progress: ProgressBars = no_progress,
 ) -> Iterator[ClosedLoopDrive]:
-    """Let each controller drive from the start of a plan for as long as the plan takes; all meet the same noise.
+    """Let each controller drive from the start of a plan for its duration; all have the same noise.
 
     Parameters
     ----------
-    files : controller -> run to write, as `files_of_controllers` returns them
-    arena : what stops the robot's body
-    graph : readings are drawn from it; None: cast in the arena
-    graph_name : what the runs call the graph
+    files : Controller -> run to write, as returned by `files_of_controllers`.
+    arena : Walls that stop the robot's body.
+    graph : Sensorgraph from which readings are drawn; None: cast in the arena.
+    graph_name : Name of the graph in the metadata of the runs.
     """
     for name, file in files.items():
         world = ArenaWorld(arena, robot, seed) if graph is None else IdentifiedWorld(graph, robot, seed)

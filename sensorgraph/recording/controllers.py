@@ -1,7 +1,7 @@
-"""Controllers that steer by what the sensor perceives, scan by scan; registry CONTROLLERS.
+"""Controllers that steer by the sensor's readings, scan by scan; registry CONTROLLERS.
 
-A controller can also be a polynomial that `sensorgraph identify` has found, the `MODEL.json` of a command; or two,
-`TURN.json,SPEED.json`.
+A controller can also be a polynomial identified by `sensorgraph identify`: the `MODEL.json` of a command, or
+two, `TURN.json,SPEED.json`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from sensorgraph.world.robot import Robot
 Controller = Callable[[Floats], tuple[float, float]]
 """Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]."""
 TURN_AWAY_DISTANCE = 0.35
-"""[m] beyond the footprint at which a robot turns away from what is ahead."""
+"""[m] Distance from the footprint to an obstacle ahead at which the robot turns away."""
 FOLLOW_DISTANCE = 0.30
-"""[m] beyond the footprint at which a wall is followed."""
+"""[m] Distance from the footprint to a followed wall."""
 LOST_DISTANCE = 0.50
-"""[m] beyond the distance of a followed wall from which on there is none beside the robot."""
+"""[m] Excess over the distance of a followed wall above which the wall is lost."""
 MAX_SEARCH_TURN = 1.5 * np.pi
-"""[rad] that it turns to the right for a wall that it has lost, at most: round the end of one, but not in circles."""
-AHEAD_HALF_WIDTH = np.radians(30.0)  # half width of what counts as ahead
-CRUISE_SHARE = 0.75  # of the largest speed
+"""[rad] Maximum turn to the right in search of a lost wall: enough to pass its end, but not to circle."""
+AHEAD_HALF_WIDTH = np.radians(30.0)  # half width of the sector ahead
+CRUISE_SHARE = 0.75  # of the maximum speed
 
 
 class _ReactiveController:
-    """What both controllers share: the way ahead, as the nearest reading in a sector."""
+    """Common part of the reactive controllers: free distance as the nearest reading in a sector."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         self.limits, self.radius = robot.limits, robot.footprint_radius
@@ -46,26 +46,26 @@ class _ReactiveController:
         self.rng = np.random.default_rng([seed, 4])
 
     def nearest(self, readings: Floats, sector: Bools) -> float:
-        """Return the nearest reading [m] of a sector, its second lowest: one stray ray steers nothing."""
+        """Return the second lowest reading [m] of a sector, so that a single outlier does not steer."""
         values = readings[sector & ~np.isnan(readings)]
         return float(np.partition(values, 1)[1]) if len(values) > 1 else np.inf
 
     def open_way(self, readings: Floats) -> float:
-        """Return how far [m] the footprint can move ahead."""
+        """Return the distance [m] that the footprint can move ahead."""
         return self.nearest(readings, self.ahead) - self.radius + self.reach
 
 
 class WallFollowing(_ReactiveController):
-    """Keep the wall on the right at an even distance; turn left before what is ahead; where there is no wall, drive on."""
+    """Keep the wall on the right at a constant distance; turn left before an obstacle; without a wall, drive straight."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         super().__init__(robot, seed)
         self.period = 1.0 / robot.sensor.rate
-        self.searched = np.inf  # [rad] turned to the right without a wall beside
+        self.searched = np.inf  # [rad] turned to the right without a wall
         self.right = (self.bearings < -np.radians(20.0)) & (self.bearings > -np.radians(100.0))
 
     def __call__(self, readings: Floats) -> tuple[float, float]:
-        """Steer by the distance to the right and the way ahead."""
+        """Steer by the distance to the right and the free distance ahead."""
         way = self.open_way(readings)
         if way < TURN_AWAY_DISTANCE:
             self.searched = 0.0
@@ -78,25 +78,25 @@ class WallFollowing(_ReactiveController):
 
 
 class RandomBounce(_ReactiveController):
-    """Drive straight; before an obstacle turn by a random angle, on until the way is open."""
+    """Drive straight; before an obstacle turn by a random angle, and further until the path is free."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         super().__init__(robot, seed)
         self.period = 1.0 / robot.sensor.rate
-        self.left = 0.0  # [rad] still to turn
+        self.remaining_turn = 0.0  # [rad] remaining turn
         self.side = 1.0
 
     def __call__(self, readings: Floats) -> tuple[float, float]:
-        """Steer by the way ahead."""
+        """Steer by the free distance ahead."""
         way = self.open_way(readings)
-        if self.left <= 0 and way < TURN_AWAY_DISTANCE:
-            self.left = float(self.rng.uniform(np.pi / 3, np.pi))
+        if self.remaining_turn <= 0 and way < TURN_AWAY_DISTANCE:
+            self.remaining_turn = float(self.rng.uniform(np.pi / 3, np.pi))
             self.side = 1.0 if self.rng.random() < 0.5 else -1.0
-        if self.left > 0:
+        if self.remaining_turn > 0:
             rate = 0.6 * self.limits.omega
-            self.left -= rate * self.period
-            if self.left <= 0 and way < TURN_AWAY_DISTANCE:
-                self.left = rate * self.period
+            self.remaining_turn -= rate * self.period
+            if self.remaining_turn <= 0 and way < TURN_AWAY_DISTANCE:
+                self.remaining_turn = rate * self.period
             return 0.0, self.side * rate
         return CRUISE_SHARE * self.limits.v, 0.0
 
@@ -109,13 +109,13 @@ CONTROLLERS: dict[str, Callable[[Robot, int], Controller]] = {
 
 TURN_OUTPUTS, SPEED_OUTPUTS = ("cmd_omega", "omega"), ("cmd_v", "v")
 PERIOD_TOLERANCE = 0.05
-"""Share by which the model's period may differ from a multiple of the sensor's."""
+"""Maximum relative deviation of the model's period from a multiple of the sensor's."""
 
 
 class PolynomialController:
-    """A turn rate or a speed by an identified polynomial of what is perceived; the other command is held.
+    """Turn rate or speed from an identified polynomial of the readings; the other command is constant.
 
-    Past outputs are the controller's own commands. A ray without return leaves the last command in force.
+    Past outputs are the controller's own commands. A ray without return keeps the last command.
     """
 
     def __init__(self, model: Narmax, facts: Mapping[str, Any], robot: Robot, *, name: str) -> None:
@@ -126,7 +126,7 @@ class PolynomialController:
         self.is_turn = model.output in TURN_OUTPUTS
         if not self.is_turn and model.output not in SPEED_OUTPUTS:
             raise SensorgraphError(
-                f"{name} predicts {model.output}; a controller needs one of {', '.join(TURN_OUTPUTS + SPEED_OUTPUTS)}"
+                f"{name} predicts {model.output}, expected one of {', '.join(TURN_OUTPUTS + SPEED_OUTPUTS)} for a controller"
             )
         held = facts.get("held", {})
         self.held = float(held.get("cmd_v" if self.is_turn else "cmd_omega", 0.0))
@@ -135,9 +135,9 @@ class PolynomialController:
             for v, s in self.names.items()
             if v != model.output and RAY_PATTERN.fullmatch(s)
         }
-        if strange := [s for v, s in self.names.items() if v not in self.rays and v != model.output]:
+        if unknown := [s for v, s in self.names.items() if v not in self.rays and v != model.output]:
             raise SensorgraphError(
-                f"{name} reads {', '.join(strange)}, which the robot does not perceive; identify a command from "
+                f"{name} needs {', '.join(unknown)}, which the robot does not perceive; identify a command from "
                 "rays such as L45-90"
             )
         self.every = _scans_per_step(facts.get("period_s"), robot.sensor.rate, name)
@@ -147,17 +147,17 @@ class PolynomialController:
 
     @classmethod
     def load(cls, path: Path, robot: Robot) -> PolynomialController:
-        """Read what `sensorgraph identify` wrote."""
+        """Read a model file of `sensorgraph identify`."""
         model = Narmax.load(path)
         try:
             return cls(model, json.loads(path.read_text()), robot, name=path.name)
         except (AttributeError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, SensorgraphError | IdentError):
                 raise
-            raise SensorgraphError(f"{path}: not a controller ({exc}); write one with `identify`") from exc
+            raise SensorgraphError(f"{path}: not a controller ({exc}); create one with `identify`") from exc
 
     def __call__(self, readings: Floats) -> tuple[float, float]:
-        """Steer by the rays that the polynomial reads, at the period that it was identified with."""
+        """Steer by the rays of the polynomial, at the period of its identification."""
         due = self.count % self.every == 0
         self.count += 1
         if due:
@@ -168,7 +168,7 @@ class PolynomialController:
 
     def _step(self, now: Mapping[str, float]) -> None:
         for v, value in now.items():
-            kept = self.past.setdefault(v, [value] * self.depth)  # before the start all was as it is
+            kept = self.past.setdefault(v, [value] * self.depth)  # constant before the start
             kept.insert(0, value)
             kept.pop()
         own = self.past.setdefault(self.model.output, [0.0] * self.depth)
@@ -191,15 +191,14 @@ class PolynomialController:
 
 
 def _scans_per_step(period: float | None, rate: float, name: str) -> int:
-    """Return how many scans make one step of a model."""
+    """Return the number of scans per step of a model."""
     if period is None:
         return 1
     steps = float(period) * rate
     whole = max(1, round(steps))
     if abs(steps - whole) > PERIOD_TOLERANCE * whole:
         raise SensorgraphError(
-            f"{name} was identified every {period:g} s, the sensor scans every {1 / rate:g} s; the period must "
-            "be a multiple of it"
+            f"{name} has a period of {period:g} s, expected a multiple of the scan period of {1 / rate:g} s"
         )
     return whole
 
@@ -215,18 +214,18 @@ def controller_named(name: str, robot: Robot, seed: int) -> Controller:
     files = [Path(part) for part in name.split(",")]
     for file in files:
         if not file.is_file():
-            raise SensorgraphError(f"{file} does not exist; `sensorgraph identify` writes such a model")
+            raise SensorgraphError(f"{file} does not exist; create a model with `sensorgraph identify`")
     models = [PolynomialController.load(file, robot) for file in files]
     if len(models) == 1:
         return models[0]
     turns, speeds = [m for m in models if m.is_turn], [m for m in models if not m.is_turn]
     if len(turns) != 1 or len(speeds) != 1:
         raise SensorgraphError(
-            f"{name} holds {len(turns)} models of the turn rate and {len(speeds)} of the speed; give one each"
+            f"{name} has {len(turns)} models of the turn rate and {len(speeds)} of the speed, expected one of each"
         )
     return lambda readings: (speeds[0](readings)[0], turns[0](readings)[1])
 
 
 def controller_label(name: str) -> str:
-    """Return a short name that can stand in a file name: `turn+speed` for `a/turn.json,a/speed.json`."""
+    """Return a short name for use in a file name: `turn+speed` for `a/turn.json,a/speed.json`."""
     return "+".join(Path(part).stem for part in name.split(",")) if name.endswith(".json") else name

@@ -1,4 +1,4 @@
-"""What a file says to drive: a plan's trajectory, or the commands of a run that is driven again."""
+"""Source of a drive: the trajectory of a plan, or the commands of a run to replay."""
 
 from __future__ import annotations
 
@@ -23,63 +23,61 @@ from sensorgraph.world.robot import Robot, load_robot
 from sensorgraph.world.wall_distance import WallDistance
 
 SAME_WALLS = 1e-6
-"""[m] between the corners of two arenas that are the same."""
+"""[m] Maximum distance between the corners of equal arenas."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveSource:
-    """A drive as read from a file, and the arena and the robot that lie beside it or are kept in the run."""
+    """A drive read from a file, with the arena and robot stored next to it or in the run."""
 
     path: Path
     way: Trajectory | Commands
     run: Run | None = None
-    """The run whose commands are driven again."""
+    """Run whose commands are replayed."""
 
     @property
     def start(self) -> Floats:
-        """(3,) [m, m, rad] where the drive begins."""
+        """(3,) [m, m, rad] Start of the drive."""
         return start_of(self.way)
 
     def arena(self) -> Arena | None:
-        """Read the arena that was planned for, or driven in; None: neither the folder nor the run keeps one."""
+        """Return the arena of the plan or the run; None if neither folder nor run contains one."""
         if self.run is not None:
             return arena_in(self.run)
         kept = self._kept("arena.geojson")
         return None if kept is None else load(kept)
 
     def robot(self) -> Robot | None:
-        """Read the robot that was planned for, or that drove; None: neither the folder nor the run keeps one."""
+        """Return the robot of the plan or the run; None if neither folder nor run contains one."""
         if self.run is not None:
             return robot_in(self.run)
         kept = self._kept("robot.yaml")
         return None if kept is None else load_robot(kept)
 
     def mismatch(self, *, arena: Arena | None = None, robot: Robot | None = None) -> list[str]:
-        """Say in a line each how an arena and a robot differ from those that the drive was planned for."""
+        """Return a line each if the arena and the robot differ from those of the drive."""
         out = []
         planned = None if arena is None else self.arena()
         if arena is not None and planned is not None and not is_same_arena(planned, arena):
-            out.append(f"{self.path} was planned for another arena than this one")
+            out.append(f"{self.path} was planned for another arena")
         machine = None if robot is None else self.robot()
         differing = [] if robot is None or machine is None else differing_keys(machine, robot)
         if differing:
-            out.append(
-                f"{self.path} was planned for another robot than this one: {', '.join(differing)} differ"
-            )
+            out.append(f"{self.path} was planned for another robot: {', '.join(differing)} differ")
         return out
 
     def _kept(self, name: str) -> Path | None:
-        """Return a file of the plan's folder; a run of a battery has it one folder up."""
+        """Return the path of a file of the plan; for a run of a battery it may be one folder up."""
         folder = self.path if self.path.is_dir() else self.path.parent
         places = [folder, folder.parent] if folder.name.startswith("run_") else [folder]
         return next((place / name for place in places if (place / name).is_file()), None)
 
     def attachments(self) -> dict[str, bytes]:
-        """Return plan.json for a run to keep.
+        """Return plan.json as an attachment for a run.
 
         Raises
         ------
-        SensorgraphError : plan.json is not JSON
+        SensorgraphError : plan.json is not JSON.
         """
         path = self.path / "plan.json" if self.path.is_dir() else self.path.with_name("plan.json")
         if not isinstance(self.way, Trajectory) or not path.is_file():
@@ -88,50 +86,51 @@ class DriveSource:
 
 
 def kept_plan(report: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return plan.json as an attachment, without the time that planning took: the same seed gives the same bytes."""
+    """Return plan.json as an attachment, without the planning time: the same seed gives the same bytes."""
     kept = {key: value for key, value in report.items() if key != "planning_s"}
     return {"plan.json": (json.dumps(kept, indent=1) + "\n").encode()}
 
 
 def start_of(way: Trajectory | Commands) -> Floats:
-    """Return where a drive begins (3,) [m, m, rad]."""
+    """Return the start (3,) [m, m, rad] of a drive."""
     return way.poses[0] if isinstance(way, Trajectory) else way.start
 
 
 def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:
-    """Open a plan's folder, its trajectory.csv, or a run whose commands are driven again.
+    """Open a plan's folder, its trajectory.csv, or a run whose commands are replayed.
 
     Parameters
     ----------
-    start : (3,) [m, m, rad] where a replay of commands begins; None: at the run's first pose
+    start : (3,) [m, m, rad] Start of a replay; None: the first pose of the run.
 
     Raises
     ------
-    SensorgraphError : there is no such file, the run has no commands or no pose, or a plan is given a start
+    SensorgraphError : The file does not exist, the run has no commands or no pose, or a plan is given a
+        start.
     """
     trajectory = _trajectory(path)
     if trajectory is not None:
         if start is not None:
             raise SensorgraphError(
-                "`start` is where a replay of commands begins; a plan begins where it was planned"
+                "`start` is given for a plan, which has its own start; use it only for a replay of commands"
             )
         return DriveSource(path=path, way=trajectory)
     if not path.exists():
         raise SensorgraphError(
-            f"{path} does not exist; give a plan's folder (`sensorgraph plan` makes one) or a run"
+            f"{path} does not exist; expected a plan's folder (from `sensorgraph plan`) or a run"
         )
     if path.suffix.lower() in MAPS:
         raise SensorgraphError(
-            f"{path} is an arena or a robot, expected a plan's folder (`sensorgraph plan` makes one), its trajectory.csv or a run"
+            f"{path} is an arena or a robot, expected a plan's folder (from `sensorgraph plan`), its trajectory.csv or a run"
         )
     run = logs.read(path)
     if len(run.cmd_stamps) < 2:
         raise SensorgraphError(
-            f"{path} has {len(run.cmd_stamps)} commands; give a plan, or a run with /cmd_vel"
+            f"{path} has {len(run.cmd_stamps)} commands, expected a plan, or a run with /cmd_vel"
         )
     if start is None:
         if not len(run.poses):
-            raise SensorgraphError("the run has no pose to begin from; give `start` X,Y,PHI")
+            raise SensorgraphError("the run has no pose to start from; give `start` X,Y,PHI")
         start = np.asarray(run.poses[0])
     way = Commands(stamps=run.cmd_stamps, twists=run.commands, start=start)
     return DriveSource(path=path, way=way, run=run)
@@ -145,17 +144,17 @@ def _trajectory(path: Path) -> Trajectory | None:
 
 
 def check_start(pose: Floats, arena: Arena, robot: Robot, *, arena_name: str = "the arena") -> None:
-    """Check that the robot stands clear of walls at the start (3,) of a drive.
+    """Check that the robot is clear of walls at the start (3,) of a drive.
 
     Raises
     ------
-    SensorgraphError : it does not
+    SensorgraphError : It is not.
     """
     distance = float(WallDistance(arena)(float(pose[0]), float(pose[1])))
     if distance < robot.footprint_radius:
         raise SensorgraphError(
             f"the start ({pose[0]:.2f}, {pose[1]:.2f}) is {distance:.2f} m from a wall of {arena_name}, less than the "
-            f"footprint_radius of {robot.footprint_radius} m; is this the arena of the plan?"
+            f"footprint_radius of {robot.footprint_radius} m; check that this is the arena of the plan"
         )
 
 
@@ -165,7 +164,7 @@ def is_same_arena(a: Arena, b: Arena) -> bool:
 
 
 def differing_keys(a: Robot, b: Robot) -> list[str]:
-    """Return the keys of robot.yaml that differ between two robots, their names and comments aside."""
+    """Return the keys of robot.yaml that differ between two robots, except names and comments."""
     return _differing(a, b, "", skip=("name", "text", "mounts", "stated"))
 
 

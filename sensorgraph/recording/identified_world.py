@@ -1,7 +1,8 @@
-"""The identified world: a sensorgraph in place of the arena, to drive the embedded robot in what was perceived.
+"""The identified world: a sensorgraph replaces the arena, and the simulated robot drives in it.
 
-Noise belongs to the seed, the scan's number and the ray, not to who drives: two controllers meet the same noise
-(the fair comparison of model and robot, and of controllers, in Nehmzow, Scientific Methods in Mobile Robotics, 2006).
+Noise depends on the seed, the scan number and the ray, not on the controller. So two controllers have the
+same noise, which allows a fair comparison of model and robot, and of controllers (Nehmzow, Scientific Methods
+in Mobile Robotics, 2006).
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ from sensorgraph.world.simulate import occupancy_map, simulate
 from sensorgraph.world.wall_distance import WallDistance
 
 PLAN_CONTROLLER = "plan"
-"""The controller that follows the plan, as `record` does without a graph."""
-SCANS_PER_NOISE_BLOCK = 256  # scans whose noise is drawn at once
+"""Controller that follows the plan, as `record` does without a graph."""
+SCANS_PER_NOISE_BLOCK = 256  # scans with noise drawn at once
 
 
 class PerceivedWorld(Protocol):
-    """Where a robot can be driven closed loop."""
+    """A world in which a robot can be driven closed loop."""
 
     seed: int
     sensor: RangeSensor
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+        """Draw scans `first`, `first` + 1, ... at base_link poses; return readings (n, n_rays) [m].
 
-        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        `poses` are (n, 3), or (n, n_rays, 3) for a sensor that sweeps.
         """
         ...
 
@@ -60,14 +61,14 @@ class PerceivedWorld(Protocol):
 
 
 class ScanNoise:
-    """A uniform and a normal number for each ray of each scan: the same, whoever asks."""
+    """A uniform and a normal number for each ray of each scan, reproducible in any order."""
 
     def __init__(self, seed: int, n_rays: int) -> None:
         self.seed, self.n_rays = seed, n_rays
         self._kept: tuple[int, Floats, Floats] | None = None
 
     def of(self, number: int) -> tuple[Floats, Floats]:
-        """Return uniform and normal numbers (n_rays,) of one scan."""
+        """Return the uniform and normal numbers (n_rays,) of one scan."""
         block, row = divmod(number, SCANS_PER_NOISE_BLOCK)
         if self._kept is None or self._kept[0] != block:
             rng = np.random.default_rng([self.seed, 1, block])
@@ -77,16 +78,16 @@ class ScanNoise:
 
 
 class ArenaWorld:
-    """Readings cast in an arena, with the sensor's noise and nothing else."""
+    """Readings cast in an arena, with only the noise of the sensor."""
 
     def __init__(self, arena: Arena, robot: Robot, seed: int) -> None:
         self.arena, self.sensor, self.seed = arena, robot.sensor, seed
         self._noise = ScanNoise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+        """Draw scans `first`, `first` + 1, ... at base_link poses; return readings (n, n_rays) [m].
 
-        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        `poses` are (n, 3), or (n, n_rays, 3) for a sensor that sweeps.
         """
         normal = np.array([self._noise.of(first + i)[1] for i in range(len(poses))])
         if poses.ndim == 3:
@@ -104,15 +105,15 @@ class ArenaWorld:
 
 
 class IdentifiedWorld:
-    """Readings drawn from a graph; `unanswered` of `n_rays` were drawn where the graph has no answer."""
+    """Readings drawn from a graph; of `n_rays`, `unanswered` were drawn without an answer of the graph."""
 
     def __init__(self, graph: Sensorgraph, robot: Robot, seed: int) -> None:
         rays = ray_order(graph.sensor.bearings, robot.sensor.bearings)
         if rays is None:
             raise SensorgraphError(
-                "the robot has other rays than the graph "
+                "the rays of the robot differ from those of the graph "
                 f"({bearings_text(robot.sensor.bearings, graph.sensor.bearings)}); "
-                "give the robot.yaml of the sensor that the graph was built from"
+                "give the robot.yaml of the sensor with which the graph was built"
             )
         check_rays(
             robot.sensor, robot.name, takes="an identified world draws",
@@ -126,30 +127,30 @@ class IdentifiedWorld:
         self._next = 0
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+        """Draw scans `first`, `first` + 1, ... at base_link poses; return readings (n, n_rays) [m].
 
-        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        `poses` are (n, 3), or (n, n_rays, 3) for a sensor that sweeps.
         """
         there = poses_for(self.graph, "base_link", self.sensor.mount, poses)
         answered = self.graph.predict(there, rays=self.rays).answered
         self.n_rays += answered.size
         self.unanswered += int((~answered).sum())
-        return self._drawn(first, there)
+        return self._draw(first, there)
 
     def scan(self, number: int, pose: Floats) -> Floats:
         """Draw one scan (n_rays,) [m] at a pose (3,)."""
         there = poses_for(self.graph, "base_link", self.sensor.mount, pose[None])
-        return np.asarray(self._drawn(number, there)[0])
+        return np.asarray(self._draw(number, there)[0])
 
-    def _drawn(self, first: int, poses: Floats) -> Floats:
+    def _draw(self, first: int, poses: Floats) -> Floats:
         uniform, normal = self._numbers(first, poses)
         model = self.graph.model
         if isinstance(model, RayNarmax):
-            readings = self._drawn_run(model, first, poses, uniform, normal)
+            readings = self._draw_run(model, first, poses, uniform, normal)
         elif not isinstance(model, Faces):
-            said = self.graph.predict(poses, rays=self.rays)
-            lost = uniform[:, self.rays] < said.p_no_return
-            readings = np.where(lost, np.inf, said.mode + said.sigma * normal[:, self.rays])
+            prediction = self.graph.predict(poses, rays=self.rays)
+            lost = uniform[:, self.rays] < prediction.p_no_return
+            readings = np.where(lost, np.inf, prediction.mode + prediction.sigma * normal[:, self.rays])
         elif poses.ndim == 2:
             readings = model.draw(poses, uniform, normal)[:, self.rays]
         else:  # each ray from its own pose
@@ -161,7 +162,7 @@ class IdentifiedWorld:
         return apply_range_limits(readings, self.sensor)
 
     def _numbers(self, first: int, poses: Floats) -> tuple[Floats, Floats]:
-        """Return uniform and normal numbers (n, n_rays) of scans, in the order of the graph's rays."""
+        """Return the uniform and normal numbers (n, n_rays) of scans, in the order of the graph's rays."""
         noise = [self._noise.of(first + i) for i in range(len(poses))]
         memory, sensor = self.graph.memory, self.graph.sensor
         if memory is not None:
@@ -175,10 +176,10 @@ class IdentifiedWorld:
         uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
         return uniform, normal
 
-    def _drawn_run(
+    def _draw_run(
         self, model: RayNarmax, first: int, poses: Floats, uniform: Floats, normal: Floats
     ) -> Floats:
-        """Draw scans in a row, whose lags are those before; where they do not follow on, a run begins."""
+        """Draw consecutive scans, with lags from the scans before; a gap starts a new run."""
         if self._run is None or first != self._next:
             self._run = DrawnRun(model, 1.0 / self.sensor.rate)
         self._next = first + len(poses)
@@ -197,14 +198,14 @@ def record_in_world(
     name: str = "",
     progress: ProgressBars = no_progress,
 ) -> Run:
-    """Drive in an identified world for as long as the plan takes, and write what is perceived.
+    """Drive in an identified world for the duration of the plan, and write the run.
 
     Parameters
     ----------
-    arena : what stops the robot's body, and what the run keeps as its map
-    controller : `plan` follows the trajectory; others of CONTROLLERS, or a MODEL.json of `identify`, steer by the
-        drawn scans, from its start
-    name : of the graph, for the run's meta; empty in an arena
+    arena : Walls that stop the robot's body, and map of the run.
+    controller : `plan` follows the trajectory; others of CONTROLLERS, or a MODEL.json of `identify`, steer by
+        the drawn scans from its start.
+    name : Name of the graph for the run's metadata; empty in an arena.
     """
     robot = replace(robot, sensor=world.sensor)
     clearance = WallDistance(arena)

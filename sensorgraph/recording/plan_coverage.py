@@ -1,4 +1,4 @@
-"""How much of a plan a robot has driven so far: the bins of (x, y, phi) that the plan logs a pose in."""
+"""Progress of a drive along a plan: the share of the plan's bins of (x, y, phi) that contain a pose."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import read_plan_report
 from sensorgraph.types import Floats
 
-MOST_PLACES = 3
-"""Places that a sentence names."""
+MAX_PLACES = 3
+"""Maximum number of places in a sentence."""
 
 
 class PlanCoverage:
-    """Bins that a plan meets at the rate of its robot's scans, and which of them a drive has met."""
+    """Bins that a plan visits at the rate of the robot's scans, and those that a drive has visited."""
 
     def __init__(
         self, trajectory: Trajectory, origin: Floats, cell: float, headings: int, rate: float
     ) -> None:
-        """Find the plan's bins.
+        """Compute the bins of the plan.
 
         Parameters
         ----------
-        origin : (2,) [m] lower left corner of the grid
-        cell : [m]
-        rate : [Hz] at which the plan's poses are taken
+        origin : (2,) [m] Lower left corner of the grid.
+        cell : [m] Side of a cell.
+        rate : [Hz] Rate at which the poses of the plan are sampled.
         """
         stamps = np.arange(trajectory.stamps[0], trajectory.stamps[-1], 1.0 / rate)
         poses, _ = trajectory.at(stamps)
@@ -51,11 +51,11 @@ class PlanCoverage:
 
         Raises
         ------
-        SensorgraphError : it is no plan's folder, or its plan.json says no grid
+        SensorgraphError : The path is not a plan's folder, or its plan.json has no grid.
         """
         if not (plan / "trajectory.csv").is_file() or not (plan / "plan.json").is_file():
             raise SensorgraphError(
-                f"{plan} holds no trajectory.csv and plan.json; give a plan's folder (`sensorgraph plan` makes one)"
+                f"{plan} has no trajectory.csv and plan.json, expected a plan's folder (from `sensorgraph plan`)"
             )
         report = read_plan_report(plan / "plan.json")
         try:
@@ -63,15 +63,15 @@ class PlanCoverage:
             origin = np.array(grid["origin"], dtype=np.float64).reshape(2)
             cell, headings, rate = float(grid["cell"]), int(grid["headings"]), float(report["rate"])
             if not (cell > 0 and headings > 0 and rate > 0 and np.isfinite(origin).all()):
-                raise ValueError("its numbers are not positive")
+                raise ValueError("numbers must be positive")
         except (KeyError, TypeError, ValueError) as exc:
             raise SensorgraphError(
-                f"{plan / 'plan.json'}: its grid or rate cannot be read ({exc}); plan again"
+                f"{plan / 'plan.json'}: cannot read the grid or the rate ({exc}); plan again"
             ) from exc
         return cls(read_csv(plan / "trajectory.csv"), origin, cell, headings, rate)
 
     def add(self, run: Run) -> bool:
-        """Count where the scans of a run were taken; False: the run does not say it in map."""
+        """Count the poses of the scans of a run; False if the run has no poses in map."""
         if run.pose_frame != "base_link" or run.meta.get("pose_source", "").startswith(("odometry", "none")):
             return False
         pairing = pair(run)
@@ -80,22 +80,22 @@ class PlanCoverage:
 
     @property
     def missing(self) -> Bools:
-        """(nx, ny, n_phi) bins of the plan without a pose."""
+        """(nx, ny, n_phi) Bins of the plan without a pose."""
         return np.asarray(self.planned & (self.driven.counts == 0))
 
     @property
     def share(self) -> float:
-        """Of the plan's bins that have a pose."""
+        """Share of the plan's bins that contain a pose."""
         return 1.0 - float(self.missing.sum() / max(self.planned.sum(), 1))
 
     def sentence(self) -> str:
-        """Say how much is covered, and where most is missing."""
+        """Return a sentence with the covered share, and the places with the most missing bins."""
         missing, total = self.missing, int(self.planned.sum())
         n_missing = int(missing.sum())
         if n_missing == 0:
             return f"all {total:,} bins of the plan have a pose"
         by_cell = missing.sum(axis=2)
-        worst = np.argsort(-by_cell, axis=None, kind="stable")[:MOST_PLACES]
+        worst = np.argsort(-by_cell, axis=None, kind="stable")[:MAX_PLACES]
         worst = worst[by_cell.ravel()[worst] > 0]
         cells = np.column_stack(np.unravel_index(worst, by_cell.shape))
         places = self.driven.origin + (cells + 0.5) * self.driven.cell

@@ -1,4 +1,4 @@
-"""Drive the embedded robot, scan, and write the run: what `record` and `demo` share."""
+"""Drive the simulated robot, scan, and write the run; used by `record` and `demo`."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from sensorgraph.world.wall_distance import WallDistance
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Commands:
-    """What to drive open loop."""
+    """Commands for an open-loop drive."""
 
     stamps: Floats
     """(n,) [s]"""
     twists: Floats
-    """(n, 2) [m/s, rad/s], each held until the next."""
+    """(n, 2) [m/s, rad/s] Each holds until the next."""
     start: Floats
-    """(3,) [m, m, rad] pose in map."""
+    """(3,) [m, m, rad] Pose in map."""
 
 
 def record(
@@ -46,13 +46,13 @@ def record(
     attachments: Mapping[str, bytes] | None = None,
     progress: ProgressBars = no_progress,
 ) -> Run:
-    """Drive along a trajectory, or by commands, and return what the robot perceives; same seed, same bytes.
+    """Drive along a trajectory or by commands, and return the run; the same seed gives the same bytes.
 
     Parameters
     ----------
-    path : where to write the run as MCAP; None: nowhere
-    effects : what robot, sensor and room have beyond robot.yaml and the map; the run keeps them as `effects.yaml`,
-        beside arena and robot
+    path : MCAP file to write; None: no file.
+    effects : Deviations of robot, sensor and room from robot.yaml and map. The run stores them as
+        `effects.yaml`, next to arena and robot.
     """
     check_places(effects, arena)
     rng = np.random.default_rng(seed)

@@ -1,6 +1,6 @@
 """Start the world in Gazebo and bridge its topics to ROS 2: ros2 launch ./bridge.launch.py
 
-Then `ros2 bag record -s mcap /scan /odom /tf /cmd_vel` is a run that `sensorgraph` reads.
+Then `ros2 bag record -s mcap /scan /odom /tf /cmd_vel` records a run that `sensorgraph` can read.
 """
 
 from pathlib import Path

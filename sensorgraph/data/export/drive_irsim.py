@@ -18,11 +18,11 @@ from sensorgraph.cli.twin import run_script
 
 HERE = Path(__file__).parent
 FAR = 1e4
-"""[m] nothing is farther."""
+"""[m] Maximum distance of a cast."""
 
 
 class IrsimWorld:
-    """The world, driven by twists."""
+    """The ir-sim world, driven by twists."""
 
     name = f"ir-sim {irsim.__version__}"
     has_motors = False
@@ -32,7 +32,7 @@ class IrsimWorld:
             str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
         )
         self.robot = self.env.robot
-        parts = [boundary_segments(thing.geometry) for thing in self.env.obstacle_list]
+        parts = [boundary_segments(obstacle.geometry) for obstacle in self.env.obstacle_list]
         self.first, self.last = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
 
     def place(self, pose: np.ndarray) -> None:
@@ -42,7 +42,7 @@ class IrsimWorld:
         self.heading = float(pose[2])
 
     def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move for a while; return the pose, phi not wrapped, and the twist."""
+        """Move for `duration` [s]; return the pose, phi not wrapped, and the twist."""
         twist = np.array([v, omega])
         for _ in range(round(duration / self.env.step_time)):
             self.robot.step(np.c_[twist])
@@ -51,12 +51,12 @@ class IrsimWorld:
         return np.array([x, y, self.heading]), twist
 
     def shift(self, pose: np.ndarray) -> None:
-        """Move the body to a pose close by, its wheels turning on."""
+        """Move the body to a nearby pose, while its wheels keep turning."""
         self.robot.set_state(np.c_[pose])
         self.heading = float(pose[2])
 
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
-        """Return the ranges of rays; inf where nothing is."""
+        """Return the ranges of rays; inf without a hit."""
         out = np.full(ox.shape, np.inf)
         for i in range(len(ox)):
             origins, ways = np.stack([ox[i], oy[i]], axis=1), np.stack([ux[i], uy[i]], axis=1)

@@ -15,24 +15,22 @@ from sensorgraph.world.robot import load_robot
 
 HERE = Path(__file__).parent
 WALLS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-"""The group of geoms that the laser sees."""
+"""Mask of the geom group that the laser sees."""
 SETTLE = 0.5
-"""[s] in which a robot that was put down comes to rest on its wheels."""
+"""[s] Time in which the robot settles on its wheels after placement."""
 
 
 class MujocoWorld:
-    """The scene, driven by twists."""
+    """The MuJoCo scene, driven by twists."""
 
     name = f"MuJoCo {mujoco.__version__}"
 
     def __init__(self, folder: Path = HERE) -> None:
         self.robot = load_robot(folder / "robot.yaml")
         self.model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
-        self.model.opt.disableflags |= (
-            mujoco.mjtDisableBit.mjDSBL_SENSOR
-        )  # rays are cast when they are asked for
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR  # rays are cast on demand
         self.data = mujoco.MjData(self.model)
-        self.has_motors = self.model.nu == 2  # a car stands on a planar joint
+        self.has_motors = self.model.nu == 2  # a car has a planar joint instead
 
     def place(self, pose: np.ndarray) -> None:
         """Put the robot at a pose, at rest."""
@@ -45,7 +43,7 @@ class MujocoWorld:
         mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
 
     def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move for a while; return the pose, phi not wrapped, and the twist that the wheels turn with."""
+        """Move for `duration` [s]; return the pose, phi not wrapped, and the twist of the wheels."""
         n = round(duration / self.model.opt.timestep)
         if not self.has_motors:
             return self._slide(np.array([v, omega]), duration)
@@ -60,7 +58,7 @@ class MujocoWorld:
         return pose, np.array([(left + right) / 2, (right - left) / base])
 
     def shift(self, pose: np.ndarray) -> None:
-        """Move the body to a pose close by, its wheels turning on."""
+        """Move the body to a nearby pose, while its wheels keep turning."""
         if not self.has_motors:
             self.data.qpos[:3] = pose - [*self.model.body("base_link").pos[:2], 0.0]
             return
@@ -72,7 +70,7 @@ class MujocoWorld:
         self.data.qpos[:2], self.heading = pose[:2], float(pose[2])
 
     def _slide(self, twist: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move a car: its body goes where its wheels point."""
+        """Move a car: its body follows the direction of its wheels."""
         step = self.model.opt.timestep
         for _ in range(round(duration / step)):
             phi = self.data.qpos[2] + twist[1] * step / 2
@@ -82,7 +80,7 @@ class MujocoWorld:
         return np.array([*(self.data.qpos[:2] + start), self.data.qpos[2]]), twist
 
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
-        """Return the ranges of rays at the laser's height; inf where nothing is."""
+        """Return the ranges of rays at the laser's height; inf without a hit."""
         height, hit = self.robot.sensor.height, np.zeros(1, dtype=np.int32)
         origin, way = np.array([0.0, 0.0, height]), np.zeros(3)
         out = np.full(ox.size, np.inf)
