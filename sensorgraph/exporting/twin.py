@@ -100,7 +100,7 @@ def record_twin(
     SensorgraphError : The plan is not a trajectory, or `out` is not *.mcap.
     """  # fmt: skip
     if out.suffix != ".mcap":
-        raise SensorgraphError(f"{out}: expected a file name that ends with .mcap")
+        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
     arena, robot = load(folder / "arena.geojson"), load_robot(folder / "robot.yaml")
     known = folder / "effects.yaml"
     effects = effects_file.read(known, arena) if known.exists() else ()

@@ -48,7 +48,7 @@ class Orientation:
         out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
         if self.best != "as logged":
             out.append(
-                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the yaw of the mount "
+                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
                 "and the driver's `inverted` setting"
             )
         elif self.against == "the arena" and self.fits[self.best] > MAX_MEDIAN_ERROR:
