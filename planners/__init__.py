@@ -1,10 +1,16 @@
-"""Where to drive so that (x, y, phi) is filled; knows no sensor, no log and no model.
+"""Plan drives that cover the reachable (x, y, phi) bins; independent of sensors, logs and models.
 
 `plan(arena, vehicle)` plans with one of `PLANNERS`; `planners.maps.load(path)` reads the arena.
 
-`planning` makes a `task.Task`, and OMPL (`ompl_frame`) runs a planner of `methods` on it. That planner searches rooms (`search`, `cars`), joins
-them (`joins`), and answers with a `task.PlannedDrive`. `sections` and `battery` cut the drive to the time there is;
-`report`, `check` and `holes` measure it; `export` writes it for others. `ompl_planner` is the whole as a planner of OMPL.
+`planning` checks the arguments, makes a `task.Task`, runs a planner, and measures the result.
+`ompl_frame` poses the task as an OMPL problem and runs the planner as an `ob.Planner`.
+`methods` contains the planners; each returns a `task.PlannedDrive`.
+`search` and `cars` search rooms over motion primitives and plan arc paths of cars.
+`joins` finds paths between the parts of a drive.
+`sections` and `battery` cut a drive to a time budget or to battery runs.
+`report`, `check` and `holes` give coverage, constraint violations, and uncovered bins.
+`export` writes waypoints and commands for other software.
+`ompl_planner` offers the planners as planners of OMPL, for its benchmark.
 """
 
 from __future__ import annotations
@@ -20,7 +26,7 @@ __all__ = ["PLANNERS", "Plan", "PlanError", "plan"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what plans when it is asked for: the processes in which OMPL works start without it."""
+    """Import the planning modules on first use, so that OMPL's worker processes start without them."""
     if name in __all__:
         from planners import planning
 

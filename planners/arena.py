@@ -1,4 +1,4 @@
-"""Arena: the free space and its named walls. File formats live in `planners.maps`."""
+"""Arena: free space and named walls. File formats are in `planners.maps`."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ def wrap(angle: Floats | float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arena:
-    """Where a robot may be, and the walls that its sensor sees.
+    """Free space of a robot, and the walls that its sensor sees.
 
     Raises
     ------
-    ValueError : the arrays of the walls do not match, or are not finite
-    PlanError : there is no free space
+    ValueError : The arrays of the walls do not match, or are not finite.
+    PlanError : There is no free space.
     """
 
     free: Polygon | MultiPolygon
-    """[m, map] space not taken by walls or obstacles (for a point, not for a robot's body)."""
+    """[m, map] area without walls and obstacles, for a point (not for the robot's footprint)."""
     walls: Floats
-    """(n_walls, 2, 2) [m, map] both ends of each wall segment, in the order of the file."""
+    """(n_walls, 2, 2) [m, map] end points of each wall segment, in the order of the file."""
     names: tuple[str, ...]
     """(n_walls,) `FEATURE/edge_i`."""
     surfaces: tuple[str, ...]
-    """(n_walls,) what the wall is made of; `wall` unless the file says otherwise."""
+    """(n_walls,) surface material of each wall; `wall` unless the file states another."""
     notes: tuple[str, ...] = ()
-    """How the file was understood, where it leaves room for doubt: one line each."""
+    """How ambiguous content of the file was interpreted; one line each."""
     is_identified: bool = False
-    """Whether the walls were found in a log, which has seen them on its day, and not drawn or measured."""
+    """Whether the walls were identified from a log, and not drawn or measured."""
 
     def __post_init__(self) -> None:
         n_walls = len(self.names)
@@ -58,7 +58,7 @@ class Arena:
 
     @property
     def n_walls(self) -> int:
-        """Count of wall segments."""
+        """Number of wall segments."""
         return len(self.names)
 
     @property
@@ -68,6 +68,6 @@ class Arena:
         return float(x0), float(y0), float(x1), float(y1)
 
     def contains(self, points: Floats) -> Bools:
-        """Tell which points (..., 2) [m] lie in free space; returns bool of shape (...)."""
+        """Return whether each point (..., 2) [m] lies in free space, as bool of shape (...)."""
         points = np.asarray(points, dtype=np.float64)
         return np.asarray(shapely.contains_xy(self.free, points[..., 0], points[..., 1]), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""What `planning.plan` is asked, checked: refused in one line where it is out of range or contradicts itself."""
+"""Check the arguments of `planning.plan`; each error is one line."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from planners.vehicle import Vehicle
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveEnds:
-    """Where a drive begins and ends, and after how long."""
+    """Start and end poses of a drive, and its time limits."""
 
     start: Floats | None
-    """(3,) [m, m, rad]; with a battery, the dock."""
+    """(3,) [m, m, rad]; the dock if there is a battery."""
     end: Floats | None
     budget: float | None
     """[s]"""
     battery: float | None
     """[s]"""
     is_dock: bool
-    """The start is a dock."""
+    """Whether the start is a dock."""
 
     @classmethod
     def of(
@@ -39,20 +39,25 @@ class DriveEnds:
         budget: float | None,
         battery: float | None,
     ) -> DriveEnds:
-        """Refuse times that are not positive, and ends that contradict each other."""
+        """Check the times and poses, and return them.
+
+        Raises
+        ------
+        PlanError : A time is not positive, or the poses contradict each other.
+        """
         start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
         for name, value in (("budget", budget), ("battery", battery)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise PlanError(f"{name} is {value}, expected a positive number")
         if dock is not None and battery is None:
-            raise PlanError("a dock needs a battery; give `battery` too, or `start` and `end`")
+            raise PlanError("a dock needs a battery; give `battery` too, or use `start` and `end` instead")
         if battery is not None and (end is not None or budget is not None):
             raise PlanError(
                 "every run on a battery ends at the dock; leave out `end` and `budget`, and drive as many runs "
-                "as there is time for: each tells the coverage so far"
+                "as time allows: the coverage after each run is in the report"
             )
         if dock is not None and start is not None and not np.allclose(start, dock):
-            raise PlanError("every run on a battery starts at the dock; leave out `start`, or `dock`")
+            raise PlanError("every run on a battery starts at the dock; leave out `start` or `dock`")
         return cls(
             start=start if dock is None else dock,
             end=end,
@@ -71,25 +76,25 @@ def check_planner(
     has_duration: bool,
     has_targets: bool,
 ) -> None:
-    """Refuse an unknown planner, and arguments that are not for this one."""
+    """Reject an unknown planner, and arguments that do not apply to it."""
     if order not in ORDERS:
         raise PlanError(f"order {order!r} is unknown; expected one of {', '.join(ORDERS)}")
     if order != "fast" and planner != "coverage":
-        raise PlanError(f"order {order} is of the planner coverage; the planner is {planner}")
+        raise PlanError(f"order {order} needs the planner coverage; the planner is {planner}")
     if order != "fast" and vehicle.drive != "diff":
         raise PlanError(
-            f"order {order} turns on the spot, which drive {vehicle.drive!r} cannot; use order fast"
+            f"order {order} needs turns on the spot, which drive {vehicle.drive!r} cannot do; use order fast"
         )
     if planner not in known:
         raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(known)}")
     if has_duration and planner in ("coverage", "stop_and_spin", "views"):
-        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
+        raise PlanError(f"planner {planner} ends when all bins are visited; duration is for the baselines")
     if has_targets != (planner == "views"):
-        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
+        raise PlanError(f"the planner views needs targets, and only that planner; the planner is {planner}")
 
 
 def check_join_planner(name: str) -> str:
-    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported or called."""
+    """Check that OMPL has the planner, or that a custom one can be imported and called; return its name."""
     module, _, kind = name.rpartition(":")
     if not module:
         if name not in JOIN_PLANNERS:
@@ -105,10 +110,10 @@ def check_join_planner(name: str) -> str:
         ) from exc
     except Exception as exc:
         raise PlanError(
-            f"join planner {name!r} cannot be imported ({type(exc).__name__}: {exc}); mend its module"
+            f"join planner {name!r} cannot be imported ({type(exc).__name__}: {exc}); fix the error in its module"
         ) from exc
     if not callable(own):
-        raise PlanError(f"join planner {name!r} is no class; expected one that takes a SpaceInformation")
+        raise PlanError(f"join planner {name!r} is not a class; expected one that takes a SpaceInformation")
     return name
 
 

@@ -1,7 +1,7 @@
-"""What compiled kernels do to arrays, written out: an order by cost, and stretches of a mask.
+"""Array operations of compiled kernels: a binary heap that yields indices by cost, and ranges of a mask.
 
-`np.argsort`, slices and their like compile with all their error texts, which takes seconds; these take a tenth of that.
-A heap is also quicker to run where only the first few in order are needed.
+`np.argsort` and slices take seconds to compile, because numba compiles their error messages too. These
+kernels take a tenth of that. A heap also runs faster when only the first entries of the order are needed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from planners.types import Bools, Floats, Ints
 
 @outer_kernel
 def make_heap(heap: Ints, size: int, costs: Floats) -> None:
-    """Fill `heap[:size]` with the indices of `costs[:size]`, so that `pop_least` takes them in ascending order."""
+    """Fill `heap[:size]` with the indices of `costs[:size]`; `pop_least` then returns them in ascending order."""
     for o in range(size):
         heap[o] = o
     for top in range(size // 2 - 1, -1, -1):
@@ -21,10 +21,10 @@ def make_heap(heap: Ints, size: int, costs: Floats) -> None:
 
 @outer_kernel
 def pop_least(heap: Ints, size: int, costs: Floats) -> int:
-    """Take the index of the least cost off a heap of `size` entries; of equal costs, the least index comes first."""
+    """Remove the index of the lowest cost from a heap of `size` entries and return it; ties: lowest index first."""
     least, moved, size = heap[0], heap[size - 1], size - 1
     hole, child = 0, 1
-    while child + 1 < size:  # the hole sinks to a leaf, as what fills it came from one and will not rise far
+    while child + 1 < size:  # sink the hole to a leaf: its new entry comes from a leaf and rarely rises far
         a, b = heap[child], heap[child + 1]
         child += (costs[b] < costs[a]) | ((costs[b] == costs[a]) & (b < a))
         heap[hole] = heap[child]
@@ -46,7 +46,7 @@ def pop_least(heap: Ints, size: int, costs: Floats) -> int:
 
 @inner_kernel
 def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
-    """Let the entry at `top` sink below all that come before it."""
+    """Move the entry at `top` down until it comes before both of its children."""
     moved, hole = heap[top], top
     cost = costs[moved]
     while 2 * hole + 1 < size:
@@ -65,7 +65,7 @@ def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
 
 @outer_kernel
 def is_any(mask: Bools, first: int, last: int) -> bool:
-    """Tell whether any of mask[first] ... mask[last] is set."""
+    """Return whether any of mask[first] ... mask[last] is set."""
     found = False
     for k in range(first, last + 1):
         found |= mask[k]

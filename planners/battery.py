@@ -1,4 +1,4 @@
-"""Runs on a battery: a drive cut into sessions, each from the dock and back to it in time."""
+"""Battery runs: a drive cut into sessions that start at the dock and return to it in time."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from planners.types import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Session:
-    """One run from the dock and back to it."""
+    """One run that starts and ends at the dock."""
 
     driven: PlannedDrive
     out_s: float
-    """[s] on the way from the dock."""
+    """[s] from the dock to the first covering move."""
     home_s: float
-    """[s] on the way back."""
+    """[s] from the last covering move to the dock."""
 
 
 def check_battery(task: Task, battery: float, dock: Floats) -> None:
-    """Refuse a battery that cannot take the robot to the farthest place and back, before anything is planned.
+    """Reject a battery that is too small for the farthest cell and back, before planning.
 
     Raises
     ------
-    PlanError : the battery is too small
+    PlanError : The battery is too small.
     """
     reach = task.reach
     at = tuple(np.floor((dock[:2] - reach.origin) / reach.cell).astype(np.int64))
@@ -51,28 +51,28 @@ def check_battery(task: Task, battery: float, dock: Floats) -> None:
     far = np.unravel_index(int(steps.argmax()), steps.shape)
     least = (
         2 * float(steps[far]) * reach.cell / np.sqrt(2) / task.vehicle.limits.v
-    )  # a cell path is no shorter
+    )  # a path over n cell borders is at least n cell / √2 long
     if least > battery:
         x, y = reach.origin + (np.array(far) + 0.5) * reach.cell
         raise PlanError(too_small(battery, x, y, least))
 
 
 def too_small(battery: float, x: float, y: float, least: float) -> str:
-    """Say that (x, y) [m] needs a battery of at least `least` [s]."""
+    """Return the error message for a place (x, y) [m] that needs a battery of at least `least` [s]."""
     return (
         f"a battery of {battery / 60:g} min is too small: from the dock to ({x:.2f}, {y:.2f}) and back takes "
-        f"{minutes(least)} min at least; give a larger one, or move the dock"
+        f"{minutes(least)} min at least; use a larger one, or move the dock"
     )
 
 
 def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) -> list[Session]:
-    """Cut a drive into runs from the dock (3,) and back to it, each within `battery` [s].
+    """Cut a drive into runs that start and end at the dock (3,), each within `battery` [s].
 
-    Their order spreads early runs over the floor, unless a priority has ordered them already.
+    Without a priority, the runs are ordered so that early runs are spread over the floor.
 
     Raises
     ------
-    PlanError : a place takes longer than the battery lasts, or no path leads to the dock
+    PlanError : A place needs more than one battery, or no path leads to the dock.
     """
     curve, vehicle, cache = driven.curve, task.vehicle, PathCache(task)
     found: list[Session] = []
@@ -96,7 +96,7 @@ def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: 
 
 
 def farthest_first(points: Floats) -> list[int]:
-    """Order points (n, 2) by farthest-first traversal: each next is the one farthest from all before it."""
+    """Order points (n, 2) by farthest-first traversal: the next point is the one farthest from all before it."""
     order, far = [0], np.hypot(*(points - points[0]).T)
     while len(order) < len(points):
         far[order] = -1.0
@@ -106,7 +106,7 @@ def farthest_first(points: Floats) -> list[int]:
 
 
 def chain_sessions(runs: list[Session], whole: PlannedDrive) -> PlannedDrive:
-    """Return all runs of a drive as one, one after the other."""
+    """Join all runs into one drive, one after the other."""
     joins = whole.joins
     for run in runs:
         joins += run.driven.joins

@@ -1,29 +1,41 @@
-"""A certified lower bound for the time of drives made of whole moves: turns on the spot, and straight moves.
+"""Lower bound on the time of drives made of whole moves: turns on the spot and straight moves.
 
-A drive of whole moves is a sequence of two kinds of moves: a turn on the spot by one heading bin, and a straight move, forward or
-backward, from the middle of a cell to the middle of another, whose direction lies in the heading bin that the robot is in. A
-turn takes 2π / (headings omega), a straight move its length over v; accelerations and walls are left out. The
-drive visits the bins (cell, heading) in which it is between two moves. `lower_bound` is at most the time of any such drive
-that visits all bins of `need`.
+Definitions. A drive of whole moves alternates two kinds of moves. A turn on the spot by one heading bin takes
+turn = 2π / (headings omega) [s]. A straight move, forward or backward, leads from the middle of one cell to
+the middle of another, in a direction within the robot's heading bin. It takes its length over v.
+Accelerations and walls are neglected. Between two moves the robot is in a bin (cell, heading); the drive
+visits these bins. `lower_bound` is at most the time of any such drive that visits all bins of `need`.
 
-Proof. Let a straight move lead into the drive's first bin and another out of its last: that adds half of each, at most
-the longest of the shortest moves s[k] below. Share the time of each straight move between the cell that it leaves and
-the cell that it enters, half each. The time is then a sum over cells. In one cell, let f[k] and g[k] count the turns from
-heading k to k + 1 and to k - 1, and p[k] and q[k] the straight moves that enter and leave at heading k. Each bin is
-left as often as it is entered, each bin of `need` is entered, and a straight move enters the cell. A straight move at
-heading k takes at least s[k], the shortest step of the grid within that heading bin over v. So what the cell takes is no
-less than the least of turn (Σf + Σg) + Σ s (p + q) / 2 under these constraints: a linear programme over bins and moves (as D.
-Krupke, Near-optimal coverage path planning with turn costs, ALENEX 2024, for cells; headings are one dimension more).
-For sets of headings that few cells have there is a weaker bound in closed form: n headings need n entries, one of them
-by a straight move, and as many straight moves leave as enter, so each entry takes at least a turn or the least s. ∎
+Bound. Consider one cell. Let f[k] and g[k] be the numbers of turns from heading k to k + 1 and to k - 1. Let
+p[k] and q[k] be the numbers of straight moves that enter and that leave at heading k. Let s[k] be the time of
+the shortest straight move within heading bin k. The time spent in the cell is at least the optimum of a
+linear programme:
 
-Robots that drift while they turn, as those of the search, do not drive whole moves. The bound is a yardstick for them, too,
-but no proof: physics allows drives that are shorter, and a drive that meets few bins in passing is.
+    Minimise   turn Σ (f + g) + Σ s (p + q) / 2.
+    Balance    f[k-1] + g[k+1] + p[k] = f[k] + g[k] + q[k]   for every k.
+    Visits     f[k-1] + g[k+1] + p[k] ≥ 1                    for every k of `need`.
+    Entry      Σ p ≥ 1,   with f, g, p, q ≥ 0.
 
-Cars do not drive whole moves at all. For any drive there is only this: each bin needs a logged pose of its own, so n
-bins take n - 1 periods of the log. It is of little use, a fifth of what cars take. Counting the borders that a drive can cross at its
-limits would bring more and be wrong: a drive that dithers about a corner of the grid meets eight bins there, and
-takes no time for it.
+The bound of the drive is the sum over cells, minus max s. (D. Krupke, Near-optimal coverage path planning
+with turn costs, ALENEX 2024, has this programme for cells; headings add one dimension.)
+
+Proof. Add a straight move into the drive's first bin and one out of its last. This adds half of each to the
+time, in total at most max s. Split the time of each straight move equally between the cell it leaves and the
+cell it enters. The time is then a sum over cells. Each bin is left as often as it is entered (balance). Each
+bin of `need` is entered (visits). A straight move enters the cell (entry). A straight move at heading k takes
+at least s[k]. ∎
+
+Rare sets of headings have a weaker bound in closed form. Visiting n headings takes n entries, one of them by
+a straight move. As many straight moves leave as enter, so each entry costs at least min(turn, min s). The
+cell costs at least min s + (n - 1) min(turn, min s).
+
+Scope. Robots that drift while they turn, as those of the search, do not drive whole moves. For them the bound
+is a reference value without a proof: they can be faster, for example on a drive through few bins.
+
+Cars do not drive whole moves either. The only bound for an arbitrary drive is that each bin needs one logged
+pose, so n bins take n - 1 periods of the log. It is weak: about a fifth of the time of cars. Counting the bin
+borders that a drive can cross at its limits would give a larger number but no bound. A drive that oscillates
+about a corner of the grid visits eight bins in almost no time.
 """
 
 from __future__ import annotations
@@ -35,21 +47,21 @@ from planners.types import Bools, Floats
 from planners.vehicle import Limits, Vehicle
 
 MAX_PATTERNS = 100
-"""Different sets of headings in a cell that are solved, the most frequent, in about a second; the others have the closed form."""
+"""Number of different heading sets per cell that are solved as linear programmes, most frequent first; about 1 s."""
 OFFSETS = 8
-"""[cells] Steps of the grid up to this are looked at; further ones count as long as this."""
+"""[cells] Maximum offset of a straight move that is enumerated; longer moves count as this length."""
 
 
 def lower_bound(need: Bools, vehicle: Vehicle, cell: float, rate: float, drive_time: float = np.inf) -> float:
-    """Return a time [s] that no drive of whole moves through the bins `need` (nx, ny, n_phi) falls below.
+    """Return a lower bound [s] on the time of drives of whole moves through the bins `need` (nx, ny, n_phi).
 
-    Of a car, and for a drive that is shorter than that, it is the bound of any drive.
+    For cars, and for a drive that is faster than this bound, return the bound of an arbitrary drive.
 
     Parameters
     ----------
-    cell : [m] side of a cell
-    rate : [Hz] of the log
-    drive_time : [s] of a drive that meets these bins
+    cell : [m] Side of a cell.
+    rate : [Hz] Rate of the log.
+    drive_time : [s] Time of a drive that visits these bins.
     """
     any_drive = max(int(need.sum()) - 1, 0) / rate
     if vehicle.drive != "diff":
@@ -59,7 +71,7 @@ def lower_bound(need: Bools, vehicle: Vehicle, cell: float, rate: float, drive_t
 
 
 def whole_moves_bound(need: Bools, limits: Limits, cell: float) -> float:
-    """Return a time [s] that no drive of whole moves through the bins `need` (nx, ny, n_phi) falls below."""
+    """Return the bound [s] of the module docstring for the bins `need` (nx, ny, n_phi)."""
     headings = need.shape[2]
     wanted = need[need.any(axis=2)]
     if not len(wanted):
@@ -76,7 +88,7 @@ def whole_moves_bound(need: Bools, limits: Limits, cell: float) -> float:
 
 
 def shortest_steps(headings: int) -> Floats:
-    """Return (headings,) [cells] the shortest step of the grid within each heading bin, forward or backward."""
+    """Return the shortest grid step (headings,) [cells] within each heading bin, forward or backward."""
     i, j = (part.ravel() for part in np.mgrid[-OFFSETS : OFFSETS + 1, -OFFSETS : OFFSETS + 1])
     other = (i != 0) | (j != 0)
     direction, length = np.arctan2(j[other], i[other]), np.hypot(i[other], j[other])
@@ -87,11 +99,12 @@ def shortest_steps(headings: int) -> Floats:
 
 
 def _cell_time(need: Bools, limits: Limits, steps: Floats) -> float:
-    """Return the least time [s] in a cell whose headings `need` (n_phi,) are visited.
+    """Solve the linear programme of one cell; return its optimum [s].
 
     Parameters
     ----------
-    steps : (n_phi,) [m] shortest straight move at each heading
+    need : (n_phi,) Headings to visit.
+    steps : (n_phi,) [m] Shortest straight move at each heading.
     """
     n = len(need)
     eye, none = np.eye(n), np.zeros((n, n))

@@ -1,6 +1,6 @@
 """Check a trajectory from its samples alone: limits, continuity, no slip, certified clearance.
 
-Nothing here is shared with what draws trajectories: distances come from shapely, motion from differences.
+The checks share no code with the planners: distances come from shapely, motion from finite differences.
 """
 
 from __future__ import annotations
@@ -27,35 +27,36 @@ KINDS = ("v", "omega", "a", "alpha", "curvature", "continuity", "clearance")
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryCheck:
-    """What is wrong with a trajectory."""
+    """Violations of a trajectory."""
 
     violations: Mapping[str, int]
-    """Samples that exceed v, omega, a, alpha, curvature, continuity (pose against twist), or clearance."""
+    """Number of samples that violate v, omega, a, alpha, curvature, continuity (pose against twist), or
+clearance."""
     min_clearance: float
-    """[m] least distance of base_link to a wall, between the samples too; 0 where the robot leaves free space."""
+    """[m] smallest distance of base_link to a wall, also between samples; 0 where the robot leaves free space."""
 
     @property
     def count(self) -> int:
-        """Count of all violations."""
+        """Number of all violations."""
         return sum(self.violations.values())
 
 
 def check(trajectory: Trajectory, arena: Arena, vehicle: Vehicle) -> TrajectoryCheck:
-    """Check the samples, and what lies between two of them as far as the limits bound it."""
+    """Check the samples, and bound the motion between them by the limits."""
     return check_parts([trajectory], arena, vehicle)
 
 
 def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> TrajectoryCheck:
-    """Check a long trajectory in parts, of which each begins with the last sample of the one before.
+    """Check a long trajectory in parts; each part begins with the last sample of the one before.
 
-    A violation at such a sample counts in both. Parts are checked side by side on all processors, as many at a time.
+    A violation at a shared sample counts in both parts. Parts are checked in parallel on all processors.
     """
     total, least = dict.fromkeys(KINDS, 0), np.inf
     examine = partial(_check_part, arena=arena, walls=_Walls.of(arena), vehicle=vehicle)
     left = iter(parts)
     n = os.cpu_count() or 1
     with ThreadPoolExecutor(n) as threads:
-        size = 1  # shapely makes its indices in the first part, and only reads them afterwards
+        size = 1  # shapely builds its indices in the first part; later parts only read them
         while wave := list(islice(left, size)):
             for counts, nearest in threads.map(examine, wave):
                 for kind, count in counts.items():
@@ -67,7 +68,7 @@ def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Walls:
-    """What the robot may not touch, to be searched."""
+    """Barriers of the robot, with a search tree."""
 
     lines: NDArray[np.object_]
     tree: shapely.STRtree
@@ -81,14 +82,14 @@ class _Walls:
 def _check_part(
     part: Trajectory, *, arena: Arena, walls: _Walls, vehicle: Vehicle
 ) -> tuple[dict[str, int], float]:
-    """Return the violations of each kind, and the least proven distance [m]."""
+    """Return the number of violations of each kind, and the smallest proven distance [m]."""
     found = _motion(part, vehicle)
     found["clearance"], nearest = _clearance(part, arena, walls, vehicle.footprint_radius)
     return found, nearest
 
 
 def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
-    """Count what exceeds a limit, or does not follow from the sample before."""
+    """Count the samples that exceed a limit or do not follow from the sample before."""
     limits, dt = vehicle.limits, np.diff(trajectory.stamps)
     v, omega = trajectory.twists.T
     most = 1 + CHECK.limit_share
@@ -96,10 +97,10 @@ def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
         "v": int((abs(v) > limits.v * most).sum()),
         "omega": int((abs(omega) > limits.omega * most).sum()),
         "a": int((abs(np.diff(v)) > limits.a * most * dt + 2e-6).sum()),
-        # a car that follows arcs of one radius turns its wheel at once where they meet
+        # a car on arcs of one radius changes its curvature in a step where two arcs meet
         "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum())
         * (vehicle.drive == "diff"),
-        "continuity": _jumps(trajectory, 0.25 if vehicle.drive == "diff" else 0.5),
+        "continuity": _discontinuities(trajectory, 0.25 if vehicle.drive == "diff" else 0.5),
     }
     if vehicle.drive != "diff":
         found["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
@@ -109,26 +110,31 @@ def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
 
 
 def barriers(arena: Arena) -> NDArray[np.object_]:
-    """Return every straight piece of wall, and of the rim of free space, as shapely lines (n,)."""
+    """Return the straight pieces (n,) of all walls and of the border of free space, as shapely lines."""
     rim = shapely.boundary(arena.free)
     rings = [np.asarray(line.coords)[:, :2] for line in getattr(rim, "geoms", [rim])]
     pieces = [np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings]
     return np.asarray(shapely.linestrings(np.concatenate([arena.walls, *pieces])))
 
 
-def _jumps(trajectory: Trajectory, part: float) -> int:
-    """Count steps that are not what the mean twist makes of the pose before (Simpson's rule on the chord).
+def _discontinuities(trajectory: Trajectory, part: float) -> int:
+    """Count samples whose pose does not follow from the one before by the mean twist.
 
-    part : of a change of the twist over one sample that its mean may leave out; a half where it jumps
+    The chord of a step with mean twist (v, omega) has length v dt along the mean heading (Simpson's rule).
+    Deviations up to `CHECK.slip` plus what a change of the twist within one sample can cause are allowed.
+
+    Parameters
+    ----------
+    part : Share of the change of the twist over one sample that its mean may miss; 0.5 where the twist jumps.
     """
     dt = np.diff(trajectory.stamps)
     turn = wrap(np.diff(trajectory.poses[:, 2]))
     mean = 0.5 * (trajectory.twists[1:] + trajectory.twists[:-1]) * dt[:, None]  # (n - 1, 2) [m, rad]
     middle = trajectory.poses[:-1, 2] + 0.5 * turn
-    way = np.diff(trajectory.poses[:, :2], axis=0)
-    ahead = way[:, 0] * np.cos(middle) + way[:, 1] * np.sin(middle)
-    aside = way[:, 1] * np.cos(middle) - way[:, 0] * np.sin(middle)
-    # within one sample v and omega may change by a dt and alpha dt: bound what their mean leaves out
+    chord = np.diff(trajectory.poses[:, :2], axis=0)
+    ahead = chord[:, 0] * np.cos(middle) + chord[:, 1] * np.sin(middle)
+    aside = chord[:, 1] * np.cos(middle) - chord[:, 0] * np.sin(middle)
+    # within one sample v and omega may change by a dt and alpha dt: bound the error of their mean
     change = abs(np.diff(trajectory.twists, axis=0))
     loose_m = CHECK.slip + 0.25 * change[:, 0] * dt
     loose_rad = CHECK.slip + part * change[:, 1] * dt
@@ -139,10 +145,10 @@ def _jumps(trajectory: Trajectory, part: float) -> int:
 
 
 def _clearance(trajectory: Trajectory, arena: Arena, walls: _Walls, radius: float) -> tuple[int, float]:
-    """Count samples whose surroundings are not proven free; return the least distance that is proven.
+    """Count samples whose surroundings are not proven free; return the smallest proven distance [m].
 
-    The distance to the nearest wall changes by no more than the way driven, so a sample with distance d and a
-    step s to the next proves d - s/2 up to half-way there.
+    The distance to the nearest wall changes by at most the distance driven. A sample at distance d, with a
+    step s to the next sample, therefore proves d - s/2 up to the middle of the step.
     """
     places = trajectory.poses[:, :2]
     steps = np.hypot(*np.diff(places, axis=0).T)
@@ -157,7 +163,11 @@ def _clearance(trajectory: Trajectory, arena: Arena, walls: _Walls, radius: floa
 
 
 def _distances(points: Floats, walls: _Walls) -> Floats:
-    """Return (n,) [m] exact distances where they can be the least of all, and safe bounds of them elsewhere."""
+    """Return distances (n,) [m] to walls: exact where they may be the smallest, lower bounds elsewhere.
+
+    A distance d at a point proves d - |p - q| at another point q at distance |p - q|. Every
+    `CHECK.anchor_stride`-th point is exact and bounds the others.
+    """
 
     def exact(some: Floats) -> Floats:
         where = shapely.points(some)

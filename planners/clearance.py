@@ -1,4 +1,4 @@
-"""Exact distances to whatever stops the robot: walls, and the border of free space where no wall stands."""
+"""Exact distances to the barriers of the robot: walls, and borders of free space without a wall."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from planners.arena import Arena
 from planners.types import Bools, Floats
 
 MAX_SEGMENT = 4.0
-"""[m] Longer walls are cut for the search tree, whose boxes would otherwise overlap everywhere."""
+"""[m] Longer walls are cut, so that their boxes in the search tree do not overlap everywhere."""
 
 
 class Barriers:
-    """Segments that the robot's centre must keep away from, with exact vectorised queries."""
+    """Segments that the robot's centre must keep clear of, with exact vectorised queries."""
 
     def __init__(self, arena: Arena) -> None:
         border = shapely.boundary(arena.free)
@@ -25,18 +25,18 @@ class Barriers:
         )
         both[flipped] = both[flipped][:, ::-1]
         self.segments: Floats = np.unique(both, axis=0)
-        """(n, 2, 2) [m] each once, whatever direction it was drawn in."""
+        """(n, 2, 2) [m] each segment once, in a canonical direction."""
         self._lines = np.asarray(shapely.linestrings(_cut(self.segments)))  # (m,) of geometries
         self._tree = shapely.STRtree(self._lines)
 
     def distances(self, points: Floats) -> Floats:
-        """Return (n,) [m] exact distances of points (n, 2) to the nearest barrier."""
+        """Return exact distances (n,) [m] of points (n, 2) to the nearest barrier."""
         where = shapely.points(points[:, 0], points[:, 1])
         nearest = self._tree.nearest(where)
         return np.asarray(shapely.distance(where, self._lines[nearest]), dtype=np.float64)
 
     def are_clear(self, starts: Floats, ends: Floats, clearance: float) -> Bools:
-        """Tell which straight moves (n, 2) -> (n, 2) keep `clearance` [m] all along; exact, no sampling."""
+        """Return whether each straight move (n, 2) -> (n, 2) keeps `clearance` [m]; exact, without sampling."""
         moves = shapely.linestrings(np.stack([starts, ends], axis=1))
         hit, _ = self._tree.query(moves, predicate="dwithin", distance=clearance - 1e-9)
         clear = np.ones(len(starts), dtype=np.bool_)
@@ -44,7 +44,7 @@ class Barriers:
         return clear
 
     def field(self, x: Floats, y: Floats, cap: float) -> Floats:
-        """Return (nx, ny) [m] exact distances at the nodes of an even grid, cut off at `cap` [m]."""
+        """Return exact distances (nx, ny) [m] at the nodes of an even grid, capped at `cap` [m]."""
         square = np.full((len(x), len(y)), cap * cap)
         low = self.segments.min(axis=1) - cap  # (n, 2)
         high = self.segments.max(axis=1) + cap
@@ -60,7 +60,7 @@ class Barriers:
 
 
 def _cut(segments: Floats) -> Floats:
-    """Cut long segments into even parts."""
+    """Cut long segments into even parts of at most `MAX_SEGMENT`."""
     parts = np.ceil(np.hypot(*(segments[:, 1] - segments[:, 0]).T) / MAX_SEGMENT).astype(int).clip(1)
     owner = np.repeat(np.arange(len(segments)), parts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)

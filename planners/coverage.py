@@ -1,4 +1,4 @@
-"""Coverage: which (x, y, phi) bins a robot can reach, and which of them it has been in."""
+"""Coverage: the (x, y, phi) bins that a robot can reach, and those that it has visited."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class Coverage:
     cell: float
     """[m] side of a position cell."""
     reachable: Bools
-    """(nx, ny, n_phi) bins that count."""
+    """(nx, ny, n_phi) reachable bins; only these count."""
     counts: Ints
-    """(nx, ny, n_phi) logged poses; `add` fills it."""
+    """(nx, ny, n_phi) number of logged poses; filled by `add`."""
     core: Ints
-    """(nx, ny, n_phi) logged poses in the inner half of the cell, both ways, and of the heading bin."""
+    """(nx, ny, n_phi) number of logged poses in the inner half of the bin, along x, y and phi."""
 
     @classmethod
     def empty(cls, *, origin: Floats, cell: float, cells: Bools, headings: int) -> Coverage:
-        """Make one without poses, every heading of `cells` (nx, ny) being reachable."""
+        """Return a grid without poses, in which every heading of `cells` (nx, ny) is reachable."""
         shape = (*cells.shape, headings)
         reachable = np.repeat(cells[:, :, None], headings, axis=2)
         zeros = np.zeros(shape, dtype=np.int64)
@@ -36,18 +36,18 @@ class Coverage:
 
     @property
     def headings(self) -> int:
-        """Count of heading bins."""
+        """Number of heading bins."""
         return int(self.counts.shape[2])
 
     @property
     def edges(self) -> tuple[Floats, Floats, Floats]:
-        """Borders of the bins: x (nx + 1,) [m], y (ny + 1,) [m], phi (n_phi + 1,) [rad] from -half a bin."""
+        """Bin edges: x (nx + 1,) [m], y (ny + 1,) [m], phi (n_phi + 1,) [rad] from minus half a bin."""
         nx, ny, n_phi = self.counts.shape
         x, y = (low + self.cell * np.arange(n + 1) for low, n in zip(self.origin, (nx, ny), strict=True))
         return x, y, (np.arange(n_phi + 1) - 0.5) * (2 * np.pi / n_phi)
 
     def bins(self, poses: Floats) -> tuple[Ints, Bools]:
-        """Return bins (n, 3) of poses (n, 3) [m, m, rad], and which (n,) lie within the grid."""
+        """Return the bins (n, 3) of poses (n, 3) [m, m, rad], and whether each (n,) is within the grid."""
         nx, ny, n_phi = self.counts.shape
         cells = np.floor((poses[:, :2] - self.origin) / self.cell).astype(np.int64)
         heading = np.floor(poses[:, 2] / (2 * np.pi / n_phi) + 0.5).astype(np.int64) % n_phi
@@ -55,7 +55,7 @@ class Coverage:
         return np.column_stack([cells, heading]), inside
 
     def add(self, poses: Floats) -> None:
-        """Count logged poses (n, 3) [m, m, rad]; those that are not finite or off the grid are passed over."""
+        """Count logged poses (n, 3) [m, m, rad]; skip those that are not finite or outside the grid."""
         poses = poses[np.isfinite(poses).all(axis=1)]
         bins, inside = self.bins(poses)
         poses, bins = poses[inside], bins[inside]
@@ -68,7 +68,7 @@ class Coverage:
         self.core.ravel()[:] += np.bincount(flat[is_core], minlength=self.counts.size)
 
     def growth(self, stamps: Floats, poses: Floats, n: int = 400) -> tuple[Floats, Floats]:
-        """Return times (n,) [s] and the share (n,) of reachable bins that logged poses (m, 3) have met by then."""
+        """Return times (n,) [s] and the share (n,) of reachable bins visited by poses (m, 3) up to each time."""
         finite = np.isfinite(poses).all(axis=1)
         bins, inside = self.bins(poses[finite])
         flat = np.ravel_multi_index(tuple(bins[inside].T), self.counts.shape)
@@ -80,12 +80,12 @@ class Coverage:
 
     @property
     def covered(self) -> Bools:
-        """(nx, ny, n_phi) reachable bins with a pose."""
+        """(nx, ny, n_phi) reachable bins with at least one pose."""
         return np.asarray((self.counts > 0) & self.reachable)
 
     @property
     def fraction(self) -> float:
-        """Share of the reachable bins with a pose."""
+        """Share of the reachable bins with at least one pose."""
         return float(self.covered.sum() / max(self.reachable.sum(), 1))
 
     @property
@@ -94,11 +94,11 @@ class Coverage:
         return float(((self.core > 0) & self.reachable).sum() / max(self.reachable.sum(), 1))
 
     def holes(self) -> Floats:
-        """Return centres (n, 3) [m, m, rad] of the reachable bins without a pose."""
+        """Return the centres (n, 3) [m, m, rad] of reachable bins without a pose."""
         return self.centres(np.asarray(self.reachable & (self.counts == 0)))
 
     def centres(self, where: Bools) -> Floats:
-        """Return centres (n, 3) [m, m, rad] of some bins (nx, ny, n_phi)."""
+        """Return the centres (n, 3) [m, m, rad] of the bins `where` (nx, ny, n_phi)."""
         bins = np.argwhere(where)
         places = self.origin + (bins[:, :2] + 0.5) * self.cell
         return np.column_stack(
@@ -106,20 +106,20 @@ class Coverage:
         )
 
     def dispersion(self) -> tuple[float, float]:
-        """Return the longest ways from a reachable bin to a covered one.
+        """Return the largest distances from a reachable bin to a covered one.
 
-        The first is over the floor at the same heading [m], the second by turning on the spot [rad]; inf where
-        no bin of that heading, or of that position, is covered.
+        The first is over the floor at the same heading [m], the second by turning on the spot [rad]. Each is
+        inf if a heading, or a position, has no covered bin.
         """
         covered = self.covered
         if not self.reachable.any():
             return 0.0, 0.0
-        way = np.full(covered.shape, np.inf)
+        away = np.full(covered.shape, np.inf)
         for k in np.flatnonzero(covered.any(axis=(0, 1))).tolist():
-            way[:, :, k] = ndimage.distance_transform_edt(~covered[:, :, k], sampling=self.cell)
+            away[:, :, k] = ndimage.distance_transform_edt(~covered[:, :, k], sampling=self.cell)
         n_phi = self.headings
         turn = np.full(covered.shape, np.inf)
         for k in range(n_phi):
             steps = min(k, n_phi - k)
             turn = np.minimum(turn, np.where(np.roll(covered, k, axis=2), steps, np.inf))
-        return float(way[self.reachable].max()), float(turn[self.reachable].max() * 2 * np.pi / n_phi)
+        return float(away[self.reachable].max()), float(turn[self.reachable].max() * 2 * np.pi / n_phi)

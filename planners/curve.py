@@ -1,7 +1,16 @@
-"""Curves and their timing: the one object that clearance, coverage, time and export all use.
+"""Curves with their timing: the representation that clearance, coverage, time and export share.
 
-A curve is a chain of pieces of constant acceleration of v and of omega. Poses follow from the twists by
-quadrature, which is exact to rounding for straight moves and spins and to 1e-12 m for the short blends of both.
+A curve is a chain of pieces with constant acceleration a of v and alpha of omega. Within a piece, from
+heading phi:
+
+    v(t) = v + a t,   omega(t) = omega + alpha t,   phi(t) = phi + omega t + alpha t² / 2.
+
+The displacement within dt is an integral over t from 0 to dt:
+
+    (x, y) = ∫ v(t) (cos phi(t), sin phi(t)) dt.
+
+It is evaluated by Gauss-Legendre quadrature with 8 nodes, which is exact to rounding for straight moves and
+spins. For the short blends of both, the error is 1e-12 m.
 """
 
 from __future__ import annotations
@@ -21,9 +30,9 @@ from planners.vehicle import Limits
 RATE = 50.0
 """[Hz] of exported samples."""
 SAMPLES_AT_A_TIME = 1 << 16
-"""Samples worked on at a time, so that days of driving fit in memory."""
+"""Number of samples processed at a time, so that days of driving fit in memory."""
 SHORTEST_MOVE = 1e-9
-"""[m, rad] Moves and turns below this are none."""
+"""[m, rad] Shorter moves and turns are skipped."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # constants of compiled code, see `planners.kernel`
 
 Profile = tuple[Floats, Floats]
@@ -31,28 +40,35 @@ Profile = tuple[Floats, Floats]
 
 
 def trapezoid(distance: float, top: float, rate: float) -> Profile:
-    """Return the fastest rest-to-rest profile over a signed distance, at most `top` fast, changing by `rate`."""
-    way, sign = abs(distance), 1.0 if distance >= 0 else -1.0
-    if way == 0:
+    """Return the fastest rest-to-rest profile over a signed distance, with speed up to `top` and acceleration `rate`.
+
+    It is a trapezoid of ramps top / rate and a cruise at `top`; over less than top² / rate it is a triangle
+    of ramps sqrt(distance / rate).
+    """
+    length, sign = abs(distance), 1.0 if distance >= 0 else -1.0
+    if length == 0:
         return np.zeros(0), np.zeros(0)
-    ramp = min(top / rate, float(np.sqrt(way / rate)))
+    ramp = min(top / rate, float(np.sqrt(length / rate)))
     peak = ramp * rate
-    cruise = max(way / peak - ramp, 0.0)
+    cruise = max(length / peak - ramp, 0.0)
     if cruise < 1e-9:
         return np.array([ramp, ramp]), np.array([rate, -rate]) * sign
     return np.array([ramp, cruise, ramp]), np.array([rate, 0.0, -rate]) * sign
 
 
 def duration(distance: Floats | float, top: float, rate: float) -> Floats:
-    """Return how long `trapezoid` takes [s], for arrays of distances."""
-    way = np.abs(np.asarray(distance, dtype=np.float64))
-    return np.where(way > top * top / rate, way / top + top / rate, 2 * np.sqrt(way / rate))
+    """Return the duration [s] of `trapezoid` for arrays of distances.
+
+    It is d / top + top / rate for d > top² / rate, else 2 sqrt(d / rate).
+    """
+    length = np.abs(np.asarray(distance, dtype=np.float64))
+    return np.where(length > top * top / rate, length / top + top / rate, 2 * np.sqrt(length / rate))
 
 
 def displace(
     phi: Floats, v: Floats, a: Floats, omega: Floats, alpha: Floats, dt: Floats
 ) -> tuple[Floats, Floats]:
-    """Return x and y [m] driven within `dt` from heading phi at twist (v, omega) with accelerations (a, alpha)."""
+    """Return the displacement x, y [m] within `dt` from heading phi: the integral of the module docstring."""
     t = dt[..., None] * (0.5 + 0.5 * NODES)  # (..., 8)
     speed = v[..., None] + a[..., None] * t
     heading = phi[..., None] + omega[..., None] * t + 0.5 * alpha[..., None] * t * t
@@ -62,13 +78,13 @@ def displace(
 
 @lru_cache(maxsize=4096)
 def blend_offset(a: float, alpha: float, overlap: float) -> tuple[float, float]:
-    """Return by how much a move misses its end, ahead and aside [m] in its own frame, if a turn starts before it rests.
+    """Return the end offset (ahead, aside) [m] of a move, in its own frame, if a turn starts before its end.
 
     Parameters
     ----------
-    a : [m/s²] of the move's first ramp, negative for a backward move; its last is the opposite
-    alpha : [rad/s²] of the turn's first ramp
-    overlap : [s]
+    a : [m/s²] Acceleration of the move's first ramp, negative for a backward move; the last ramp has -a.
+    alpha : [rad/s²] Angular acceleration of the turn's first ramp.
+    overlap : [s] Time from the start of the turn to the end of the move.
     """
     parts = (0.0, a * overlap, -a, 0.0, alpha, overlap)
     x, y = displace(*(np.asarray(part, dtype=np.float64) for part in parts))
@@ -80,23 +96,23 @@ class Curve:
     """Pieces of constant acceleration, in order."""
 
     starts: Floats
-    """(n,) [s] when each piece starts, increasing from 0."""
+    """(n,) [s] start of each piece, increasing from 0."""
     duration: float
-    """[s] of all pieces."""
+    """[s] total duration."""
     poses: Floats
-    """(n, 3) [m, m, rad] at the start of each piece; phi runs on, unwrapped."""
+    """(n, 3) [m, m, rad] pose at the start of each piece; phi is continuous (not wrapped)."""
     twists: Floats
-    """(n, 2) [m/s, rad/s] at the start of each piece."""
+    """(n, 2) [m/s, rad/s] twist at the start of each piece."""
     rates: Floats
-    """(n, 2) [m/s², rad/s²] within each piece."""
+    """(n, 2) [m/s², rad/s²] accelerations within each piece."""
     labels: NDArray[np.str_]
-    """(n,) the primitive that each piece belongs to."""
+    """(n,) primitive of each piece."""
 
     def sample(self, stamps: Floats) -> tuple[Floats, Floats, NDArray[np.str_]]:
         """Return poses (m, 3), twists (m, 2) and labels (m,) at stamps (m,) [s] within the curve."""
         k = np.clip(np.searchsorted(self.starts, stamps, side="right") - 1, 0, len(self.starts) - 1)
         poses, twists = np.empty((len(k), 3)), np.empty((len(k), 2))
-        for first in range(0, len(k), SAMPLES_AT_A_TIME):  # days of driving fit in memory
+        for first in range(0, len(k), SAMPLES_AT_A_TIME):
             part = slice(first, first + SAMPLES_AT_A_TIME)
             poses[part], twists[part] = self._within(k[part], stamps[part])
         return poses, twists, self.labels[k]
@@ -107,27 +123,28 @@ class Curve:
         (v, omega), (a, alpha) = self.twists[k].T, self.rates[k].T
         x, y, phi = self.poses[k].T
         moving = (v != 0) | (a != 0)
-        way = np.zeros((len(k), 2))
+        offset = np.zeros((len(k), 2))
         parts = (phi, v, a, omega, alpha, dt)
-        way[moving] = np.stack(displace(*(part[moving] for part in parts)), axis=1)
+        offset[moving] = np.stack(displace(*(part[moving] for part in parts)), axis=1)
         poses = np.stack(
-            [x + way[:, 0], y + way[:, 1], wrap(phi + omega * dt + 0.5 * alpha * dt * dt)], axis=1
+            [x + offset[:, 0], y + offset[:, 1], wrap(phi + omega * dt + 0.5 * alpha * dt * dt)], axis=1
         )
         return poses, np.stack([v + a * dt, omega + alpha * dt], axis=1)
 
     def log(self, rate: float, phase: float = 0.0) -> Floats:
-        """Return poses (m, 3) that a log at `rate` [Hz], first sample at `phase` [s], holds."""
+        """Return the poses (m, 3) in a log at `rate` [Hz] whose first sample is at `phase` [s]."""
         n = int(np.floor((self.duration - phase) * rate + 1e-9)) + 1
         return self.sample(phase + np.arange(n) / rate)[0]
 
     def until(self, stamp: float, alpha: float) -> Curve:
-        """Return the curve up to the last rest at or before `stamp` [s]; a spin on the spot there ends by `alpha` [rad/s²].
+        """Return the curve up to the last rest at or before `stamp` [s].
 
-        Any such part is a drive of its own, clear wherever the whole is.
+        If the robot still turns there, a braking turn at `alpha` [rad/s²] is appended. The part is itself a
+        complete drive, and it is clear wherever the whole curve is.
 
         Raises
         ------
-        ValueError : the robot does not rest between its start and the stamp
+        ValueError : The robot does not rest between its start and the stamp.
         """
         rests = np.flatnonzero((self.starts <= stamp) & (abs(self.twists[:, 0]) < 1e-9))
         k = int(rests.max(initial=0))
@@ -151,12 +168,12 @@ class Curve:
         )
 
     def trajectory(self, rate: float = RATE) -> Trajectory:
-        """Sample at an even rate [Hz], standing still up to the last sample."""
+        """Sample at an even rate [Hz]; the robot is at rest in the last sample."""
         (whole,) = self.parts(rate, self._count(rate))
         return whole
 
     def parts(self, rate: float, size: int = SAMPLES_AT_A_TIME) -> Iterator[Trajectory]:
-        """Sample at an even rate [Hz], in parts of `size` steps, each from the last sample of the one before."""
+        """Sample at an even rate [Hz], in parts of `size` steps; consecutive parts share a sample."""
         n = self._count(rate)
         for first in range(0, n - 1, size):
             stamps = np.arange(first, min(first + size + 1, n)) / rate
@@ -166,13 +183,13 @@ class Curve:
             yield Trajectory(stamps=stamps, poses=poses, twists=twists, primitives=labels)
 
     def _count(self, rate: float) -> int:
-        """Return how many samples at a rate [Hz] there are, two at least."""
+        """Return the number of samples at a rate [Hz], at least two."""
         return max(int(np.ceil(self.duration * rate - 1e-9)) + 1, 2)
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """The last motion: its axis (0 drives, 1 turns), the time [s] of its last ramp, and the signed rate of its first."""
+    """The last motion: axis (0 drives, 1 turns), duration [s] of its last ramp, signed rate of its first."""
 
     axis: int = -1
     ramp: float = 0.0
@@ -180,22 +197,22 @@ class _Motion:
 
 
 class CurveBuilder:
-    """Builds a curve of straight moves and turns on the spot, each from rest to rest; they may overlap.
+    """Build a curve of straight moves and turns on the spot, each from rest to rest; consecutive motions may overlap.
 
-    With an overlap, the new motion starts while the one before still brakes. Each of v and omega keeps its own
-    profile, so limits hold; the few mm by which the path bends are in `pose`.
+    With an overlap, a motion starts while the one before still brakes. v and omega keep their own profiles,
+    so the limits hold. The overlap bends the path by a few mm, which `pose` includes.
     """
 
     def __init__(self, pose: Floats, limits: Limits, *, spin: float | None = None) -> None:
         self.limits = limits
         self.spin = limits.omega if spin is None else min(spin, limits.omega)
-        """[rad/s] of turns."""
+        """[rad/s] maximum turn rate."""
         self.pose = np.array(pose, dtype=np.float64)
-        """(3,) where the robot rests at the end of the curve so far; phi runs on, unwrapped."""
+        """(3,) pose at rest at the end of the curve so far; phi is continuous (not wrapped)."""
         self.last_turn = 1
         """Direction of the last turn: 1 counter-clockwise, -1 clockwise."""
         self.stops: list[tuple[float, float, float, float]] = []
-        """Where the robot turned: x, y [m], phi on arrival, angle [rad]."""
+        """Turns so far: x, y [m], phi on arrival, angle [rad]."""
         self._first = self.pose.copy()
         self._clock = 0.0
         self._last = _Motion()
@@ -207,21 +224,21 @@ class CurveBuilder:
 
     @property
     def clock(self) -> float:
-        """[s] at which the curve so far ends."""
+        """[s] end of the curve so far."""
         return self._clock
 
     def move(self, distance: float, label: str = "move", overlap: float = 0.0) -> None:
-        """Drive straight [m], backward if negative; start up to `overlap` [s] before the turn before it has ended."""
+        """Drive straight [m], backward if negative; start up to `overlap` [s] before the end of the last turn."""
         if abs(distance) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(distance, self.limits.v, self.limits.a)
         before, back = self._last, self._append(0, times, rates, label, overlap)
         self.pose[:2] += _turned(self.pose[2], distance, 0.0)
-        if back > 0:  # the turn's last ramp, run backward in time, is a turn the other way
+        if back > 0:  # the turn's last ramp reversed in time is a turn in the other direction
             self.pose[:2] += _turned(self.pose[2], *blend_offset(float(rates[0]), -before.rate, back))
 
     def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
-        """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move before it has ended."""
+        """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the end of the last move."""
         if abs(angle) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(angle, self.spin, self.limits.alpha)
@@ -232,20 +249,20 @@ class CurveBuilder:
         self.pose[2] += angle
 
     def face(self, heading: float) -> None:
-        """Turn on the spot to a heading [rad], the shorter way round."""
+        """Turn on the spot to a heading [rad], in the direction of the smaller angle."""
         self.turn(float(wrap(np.float64(heading - self.pose[2]))), "turn")
 
     def follow(self, path: Floats) -> None:
-        """Turn and drive from corner to corner of a path (k, 2) [m] that begins where the robot is."""
+        """Turn and drive along the corners of a path (k, 2) [m] that begins at the robot's place."""
         for corner in path[1:]:
-            way = corner - self.pose[:2]
-            length = float(np.hypot(*way))
+            leg = corner - self.pose[:2]
+            length = float(np.hypot(*leg))
             if length > SHORTEST_MOVE:
-                self.face(float(np.arctan2(way[1], way[0])))
+                self.face(float(np.arctan2(leg[1], leg[0])))
                 self.move(length, "move" if len(path) == 2 else "join")
 
     def rest(self, angle: float, overlap: float) -> Floats:
-        """Return (2,) [m] where the last move will end if a turn by `angle` starts `overlap` [s] early."""
+        """Return the end (2,) [m] of the last move if a turn by `angle` starts `overlap` [s] early."""
         ramp = min(self.spin / self.limits.alpha, float(np.sqrt(abs(angle) / self.limits.alpha)))
         back = self._allowed(1, ramp, overlap)
         if back <= 0:
@@ -259,7 +276,7 @@ class CurveBuilder:
         self._last = _Motion()
 
     def _allowed(self, axis: int, ramp: float, overlap: float) -> float:
-        """Cut an overlap to what both ramps hold; only a move and a turn can overlap."""
+        """Limit an overlap to the durations of both ramps; only a move and a turn can overlap."""
         return 0.0 if self._last.axis in (axis, -1) else max(min(overlap, self._last.ramp, ramp), 0.0)
 
     def _append(self, axis: int, times: Floats, rates: Floats, label: str, overlap: float) -> float:
@@ -279,7 +296,7 @@ class CurveBuilder:
 
         Raises
         ------
-        ValueError : there is no move, turn or wait yet
+        ValueError : The builder has no move, turn or wait yet.
         """
         if not self._marks:
             raise ValueError("the curve is empty; expected at least one move, turn or wait")
@@ -294,8 +311,8 @@ class CurveBuilder:
         dt = np.diff(starts, append=self._clock)
         turned = twists[:, 1] * dt + 0.5 * rates[:, 1] * dt * dt
         phi = self._first[2] + np.concatenate([[0.0], np.cumsum(turned)[:-1]])
-        way = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
-        places = self._first[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)[:-1]])
+        steps = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
+        places = self._first[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)[:-1]])
         marked = np.array([at for at, _ in self._marks])
         labels = np.array([label for _, label in self._marks], dtype=np.str_)
         return Curve(
@@ -309,16 +326,17 @@ class CurveBuilder:
 
 
 def _turned(heading: float, ahead: float, aside: float) -> Floats:
+    """Return the offset (2,) in map axes of an offset in the frame of a heading."""
     cos, sin = np.cos(heading), np.sin(heading)
     return np.array([cos * ahead - sin * aside, sin * ahead + cos * aside])
 
 
 def join_curves(curves: list[Curve]) -> Curve:
-    """Join curves, each of which starts where and as the one before it ends.
+    """Join curves; each starts at the pose and twist at which the one before ends.
 
     Raises
     ------
-    ValueError : there is no curve
+    ValueError : The list is empty.
     """
     if not curves:
         raise ValueError("no curve to join; expected at least one")
@@ -340,15 +358,15 @@ def curve_of_pieces(
 
     Parameters
     ----------
-    dt : (n,) [s] duration of each piece
-    twists : (n, 2) [m/s, rad/s] at the start of each
-    rates : (n, 2) [m/s², rad/s²] within each
-    labels : (n,)
+    dt : (n,) [s] Duration of each piece.
+    twists : (n, 2) [m/s, rad/s] Twist at the start of each piece.
+    rates : (n, 2) [m/s², rad/s²] Accelerations within each piece.
+    labels : (n,) Primitive of each piece.
     """
     turned = twists[:, 1] * dt + 0.5 * rates[:, 1] * dt * dt
     phi = pose[2] + np.concatenate([[0.0], np.cumsum(turned)[:-1]])
-    way = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
-    places = pose[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)[:-1]])
+    steps = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
+    places = pose[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)[:-1]])
     starts = np.concatenate([[0.0], np.cumsum(dt)])
     return Curve(
         starts=starts[:-1],

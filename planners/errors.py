@@ -1,11 +1,11 @@
-"""The one error that the planners package raises when a job, not an argument, is impossible."""
+"""The error that the planners package raises when a job is impossible."""
 
 MAX_TEXT = 1200
-"""Characters of a message; what a hostile file puts into it is cut in the middle."""
+"""Maximum number of characters of a message; a longer one, as from a hostile file, is cut in the middle."""
 
 
 class PlanError(ValueError):
-    """Say what came, what was expected and what to do, in one line."""
+    """A job is impossible; the message states in one line what was given, what was expected and what to do."""
 
     def __str__(self) -> str:
         text = " ".join(super().__str__().split())

@@ -1,4 +1,4 @@
-"""Plans for others: waypoints as Nav2 takes them, and a profile of commands. The trajectory writes its own CSV."""
+"""Plans for other software: waypoints for Nav2, and a command profile. `trajectory` writes the trajectory CSV."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ COMMAND_RATE = 20.0
 MIN_STEP = 0.01
 """[m, rad] Shorter moves and turns are left out of the steps."""
 SPIN_ALLOWANCE = 3.0
-"""A spin may take so many times its planned duration before Nav2 gives up, ..."""
+"""Time allowance of a spin in Nav2, as a multiple of its planned duration ..."""
 MIN_SPIN_ALLOWANCE = 10.0
-"""... at least [s]."""
+"""... and its minimum [s]."""
 
 
 def waypoints(plan: Plan) -> str:
@@ -27,10 +27,10 @@ def waypoints(plan: Plan) -> str:
 def stops_yaml(curve: Curve, stops: Floats, end: Floats) -> str:
     """Return stops (n, 4) and the last pose (3,) as YAML: geometry_msgs/Pose in map, and the spin made on arrival.
 
-    Nav2's path followers leave out turns on the spot; `spin` [rad, relative, maybe more than a full turn] is what
-    its Spin behaviour takes as `target_yaw`. Where the drive is made of straight moves and turns on the spot, `steps`
-    are the actions to send, one after the other. A drive that turns and moves at once has none: see
-    docs/pages/how-to/nav2.md.
+    Nav2's path followers skip turns on the spot. `spin` [rad, relative, may exceed a full turn] is the
+    `target_yaw` of Nav2's Spin behaviour. If the drive consists of straight moves and turns on the spot,
+    `steps` lists the actions to send, one after the other. A drive that turns while it moves has no steps:
+    see docs/pages/how-to/nav2.md.
     """
     lines = ["frame_id: map", "poses:"]
     every = [*stops.tolist(), [*end.tolist(), 0.0]]
@@ -50,14 +50,14 @@ def stops_yaml(curve: Curve, stops: Floats, end: Floats) -> str:
 
 
 def _steps(every: Floats, curve: Curve) -> list[str]:
-    """Return the actions: follow a straight path to a pose, by its number, backward if it must; spin there."""
+    """Return the actions: FollowPath to a pose by its index, backward where needed, and Spin."""
     top = float(abs(curve.twists[:, 1]).max())
     lines: list[str] = []
     here = curve.poses[0, :2]
     for k, (x, y, phi, spin) in enumerate(every.tolist()):
-        way = np.array([x, y]) - here
-        if np.hypot(*way) > MIN_STEP:
-            backward = abs(float(wrap(np.arctan2(way[1], way[0]) - phi))) > np.pi / 2
+        leg = np.array([x, y]) - here
+        if np.hypot(*leg) > MIN_STEP:
+            backward = abs(float(wrap(np.arctan2(leg[1], leg[0]) - phi))) > np.pi / 2
             lines.append(f"- {{action: FollowPath, pose: {k}, backward: {str(backward).lower()}}}")
             here = np.array([x, y])
         if abs(spin) > MIN_STEP:
@@ -67,9 +67,9 @@ def _steps(every: Floats, curve: Curve) -> list[str]:
 
 
 def commands(curve: Curve, rate: float = COMMAND_RATE) -> tuple[Floats, Floats]:
-    """Return stamps (n,) [s] and twists (n, 2) [m/s, rad/s], each held until the next; the last stops the robot.
+    """Return stamps (n,) [s] and twists (n, 2) [m/s, rad/s], each held until the next; the last one stops the robot.
 
-    Each is the mean over the time that it is held, so that the way and the turn add up to those of the curve.
+    Each twist is the mean over its holding time, so distance and turn add up to those of the curve.
     """
     dt = np.diff(np.append(curve.starts, curve.duration))[:, None]
     done = np.vstack([np.zeros(2), np.cumsum(curve.twists * dt + 0.5 * curve.rates * dt * dt, axis=0)])

@@ -1,4 +1,4 @@
-"""What a drive does not meet, and why: bins that were left out, and places that no drive leads to."""
+"""Bins that a drive does not visit, and the reasons: left out, or unreachable."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from planners.settings import STARTS
 from planners.types import Bools, Ints
 
 REASON_TEXTS: Mapping[str, str] = {
-    "no_way_found": "no way found there",
+    "no_way_found": "no path found",
     "not_driven": "not driven to",
     "no_forward_drive_there_and_back": "no forward drive there and back",
-    "behind_narrow_gaps": "behind gaps too narrow",
+    "behind_narrow_gaps": "behind gaps that are too narrow",
 }
-"""The reasons that plan.json and holes.csv give, in words."""
+"""Legend texts of the reasons in plan.json and holes.csv."""
 
 
 def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
-    """Return the bins (nx, ny, n_phi) that are not met, by reason.
+    """Return the bins (nx, ny, n_phi) that are not visited, by reason.
 
-    The first two count against the plan; what a car cannot drive to and come back from was never asked of it.
+    The first two reasons count against the plan. Bins that a car cannot reach and return from were not part
+    of its task.
 
     Parameters
     ----------
-    lost : (nx, ny, n_phi) bins to which no path was found
+    lost : (nx, ny, n_phi) Bins to which no path was found.
     """
     missing = grid.reachable & ~grid.covered
     return {
@@ -40,33 +41,33 @@ def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
 
 
 def cut_off(free: Reach) -> Bools:
-    """Return the nodes (mx, my) where the robot fits, and to which no gap is wide enough."""
+    """Return the nodes (mx, my) where the robot fits but which it cannot reach, because every gap is too narrow."""
     return np.asarray((free.distance >= free.clearance) & ~free.mask)
 
 
 def small_reach_warning(free: Reach) -> str:
-    """Return a warning: the share of where the robot fits that it can reach, why no more, and where to start for more."""
+    """Return a warning with the reachable share of the floor, the reason, and a better start."""
     parts, _ = ndimage.label(cut_off(free))
     sizes: Ints = np.bincount(parts.ravel())[1:]
-    said = (
+    text = (
         f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
         f"than {2 * free.clearance:.2f} m"
     )
     if sizes.max(initial=0) <= STARTS.propose_above * free.mask.sum():
-        return said
+        return text
     largest = np.where(parts == sizes.argmax() + 1, free.distance, 0.0)
     x, y = free.nodes(np.nonzero(largest == largest.max()))[0]
-    return f"{said}; from {x:.2f},{y:.2f} it would be {100 * sizes.max() / free.fits:.1f} %: start there"
+    return f"{text}; from {x:.2f},{y:.2f} it would be {100 * sizes.max() / free.fits:.1f} %: start there"
 
 
 def count_unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
-    """Return how much is not met, by reason: bins, and for places behind gaps square metres."""
+    """Return the number of bins that are not visited, by reason, and the area [m²] behind narrow gaps."""
     bins = {why: int(where.sum()) for why, where in unmet(grid, free, lost).items()}
     return bins | {"behind_narrow_gaps_m2": round(int(cut_off(free).sum()) * free.step**2, 3)}
 
 
 def holes_csv(grid: Coverage, free: Reach, lost: Bools) -> str:
-    """Return a line for the centre of each bin that is not met: x, y [m], phi [rad], reason."""
+    """Return one CSV line for the centre of each bin that is not visited: x, y [m], phi [rad], reason."""
     lines = ["x,y,phi,reason"]
     for why, where in unmet(grid, free, lost).items():
         lines += [f"{x:.6f},{y:.6f},{phi:.6f},{why}" for x, y, phi in grid.centres(where).tolist()]

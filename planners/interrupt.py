@@ -1,4 +1,4 @@
-"""Ctrl-C between two pieces of work, not within one, so that what was found by then stays whole."""
+"""Defer Ctrl-C until a piece of work is complete, so that its result stays consistent."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ Result = TypeVar("Result")
 
 
 def defer_interrupt(work: Callable[[], Result]) -> tuple[Result, bool]:
-    """Do some work to its end even if Ctrl-C comes meanwhile; a second Ctrl-C is let through.
+    """Complete some work even if Ctrl-C is pressed meanwhile; a second Ctrl-C takes effect at once.
 
-    Python handles signals in its main thread; work in other threads is not disturbed anyway.
+    Python handles signals in its main thread; work in other threads is never interrupted.
 
     Returns
     -------
-    result of the work, and whether Ctrl-C came
+    The result of the work, and whether Ctrl-C was pressed.
 
     Raises
     ------
-    KeyboardInterrupt : Ctrl-C came twice
+    KeyboardInterrupt : Ctrl-C was pressed twice.
     """
     if threading.current_thread() is not threading.main_thread():
         return work(), False
-    was_asked = False
+    was_interrupted = False
 
-    def noted(signum: int, frame: Any) -> None:
-        nonlocal was_asked
-        if was_asked:
+    def note_interrupt(signum: int, frame: Any) -> None:
+        nonlocal was_interrupted
+        if was_interrupted:
             raise KeyboardInterrupt
-        was_asked = True
+        was_interrupted = True
 
-    before = signal.signal(signal.SIGINT, noted)
+    before = signal.signal(signal.SIGINT, note_interrupt)
     try:
-        return work(), was_asked
+        return work(), was_interrupted
     finally:
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

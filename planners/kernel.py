@@ -1,7 +1,8 @@
-"""`kernel`: the place where this package and `sensorgraph` ask numba to compile.
+"""`kernel`: the single place where this package and `sensorgraph` compile with numba.
 
-Compiled code is kept on disk. Numba looks only at the file of a kernel to tell whether that is stale, not at the
-files of the kernels it calls; here all files of a package that hold kernels count.
+Compiled code is cached on disk. Numba detects stale code from the source file of the kernel alone, not from
+the files of the kernels that it calls. Here a change of any file with kernels in the package makes the cache
+stale.
 """
 
 from __future__ import annotations
@@ -26,40 +27,41 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on its first call and keep the result on disk; x / 0 is inf, as in numpy."""
+    """Compile a function on its first call and cache the result on disk; x / 0 is inf, as in numpy."""
     return _stored(numba.njit, function)
 
 
 def outer_kernel(function: Function) -> Function:
-    """Compile a kernel that makes and returns no array, calls only such kernels, and is called from Python.
+    """Compile a kernel that is called from Python, allocates and returns no array, and calls only such kernels.
 
-    So it need not count who holds the arrays that it takes, which would be most of the time of a short one.
+    Reference counting of its array arguments is switched off; it would dominate the run time of a short kernel.
     """
     return _lean(function)
 
 
 def inner_kernel(function: Function) -> Function:
-    """Compile a kernel like `outer_kernel` that kernels call, and nothing else.
+    """Compile a kernel like `outer_kernel` that only other kernels call.
 
-    What unpacks Python's objects is a large part of what is compiled, above all for tuples of arrays; here it is left out.
+    It has no wrapper that unpacks Python objects, which would be a large part of the compile time, in
+    particular for tuples of arrays.
     """
     return _inner(function)
 
 
 def inlined_kernel(function: Function) -> Function:
-    """Compile an inner kernel into those that call it: for one that takes so many arrays that handing them over costs."""
+    """Compile an inner kernel inline into its callers; for kernels with so many arrays that passing them costs time."""
     return _inner(function, forceinline=True)
 
 
 def _inner(function: Function, **options: bool) -> Function:
     compiled: Any = _lean(function, no_cpython_wrapper=True, **options)
 
-    def add_overload(result: Any) -> None:  # not handed to Python's calls: there is no way in for them
+    def add_overload(result: Any) -> None:  # not registered for calls from Python, which have no wrapper
         compiled.overloads[tuple(result.signature.args)] = result
 
     def refuse(*_: object) -> None:
         raise TypeError(
-            f"{function.__name__} is an inner kernel, which only kernels call: make it an outer one"
+            f"{function.__name__} is an inner kernel, which only kernels may call; make it an outer kernel"
         )
 
     compiled.add_overload = add_overload
@@ -70,19 +72,19 @@ def _inner(function: Function, **options: bool) -> Function:
 def _lean(function: Function, **options: bool) -> Function:
     try:
         return _stored(partial(numba.njit, _nrt=False, **options), function)
-    except KeyError:  # a numba that always counts
+    except KeyError:  # a numba version that always counts references
         return _stored(partial(numba.njit, **options), function)
 
 
 def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> None:
-    """Compile kernels for arguments like these, or read them from disk, without running them.
+    """Compile kernels for the types of these arguments, or load them from the cache, without running them.
 
-    Of those that no disk holds, every second one is compiled by another process at the same time, where the machine has
-    another processor. The kernels must not call each other.
+    Every second kernel that is not in the cache is compiled by another process at the same time, if the
+    machine has more than one processor. The kernels must not call each other.
 
     Parameters
     ----------
-    calls : kernels with the arguments of a call of each
+    calls : Kernels, each with the arguments of one call.
     """
     typeof: Any = numba.typeof
     types: list[tuple[Any, tuple[Any, ...]]] = [
@@ -98,7 +100,7 @@ def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> Non
         with (
             suppress(BrokenPipeError),
             helper.stdin as pipe,
-        ):  # if it died at its start, this process does its part
+        ):  # if the process died at its start, this process compiles its share
             pipe.write(pickle.dumps((sys.path, new[1::2])))
     theirs = {name for _, name, _ in new[1::2]} if helper else set()
     try:
@@ -125,15 +127,15 @@ for module, name, kinds in jobs:
 
 
 def _is_new(compiled: Any) -> bool:
-    """Tell whether a kernel can be kept on disk, and is not."""
+    """Return whether a kernel can be cached on disk and is not cached yet."""
     store: Any = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     return hasattr(store, "_load_index") and not store._load_index()
 
 
 def _widen_integers(compiled: Any) -> None:
-    """Let the calls in other kernels share one compiled version, whatever integers they pass.
+    """Make calls from other kernels share one compiled version for all integer types.
 
-    Numba would compile one more for an int32, and one more for each constant such as 0.
+    Numba would compile one more version for an int32, and one for each constant such as 0.
     """
     choose = compiled.get_call_template
 
@@ -151,17 +153,17 @@ def _wide(kind: Any) -> Any:
 
 
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
-    compiler = partial(compiler, error_model="numpy", nogil=True, no_cfunc_wrapper=True)  # none for C's calls
+    compiler = partial(compiler, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
     try:
         compiled = compiler(cache=True)(function)
-    except RuntimeError:  # no folder that it could write to
-        _say_that_nothing_is_kept()
+    except RuntimeError:  # no folder is writable
+        _warn_of_missing_cache()
         compiled = compiler()(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_version"):
-        # numba reads the rest of a file only if this agrees, so it never looks for a type that has another name now
+        # numba loads the rest of a file only if this agrees, so it never looks up a type that has been renamed
         store._version = (store._version, _stamp(function.__module__.partition(".")[0]))
-    else:  # another numba: rather compile anew than run what is stale
+    else:  # an unknown version of numba: compile on each run instead of running stale code
         compiled = compiler()(function)
     _widen_integers(compiled)
     compiled.compile = partial(_compile, compiled.compile)
@@ -169,22 +171,22 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
 
 
 def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
-    """Compile, those that are called included, to the end even if Ctrl-C comes: LLVM would crash."""
+    """Compile a kernel and the kernels that it calls; Ctrl-C is deferred, because it would crash LLVM."""
     return uninterrupted(partial(compile_, kinds))
 
 
 @cache
-def _say_that_nothing_is_kept() -> None:
-    """Say it once."""
+def _warn_of_missing_cache() -> None:
+    """Warn once that compiled code cannot be cached."""
     logger.warning(
-        "compiled code cannot be kept, as neither the package's folder nor the user's cache can be written to: every "
-        "command compiles anew, for half a minute or so; set NUMBA_CACHE_DIR to a folder that can be written to"
+        "compiled code cannot be kept: neither the package folder nor the user cache is writable. Every command "
+        "compiles again, which takes about 30 s; set NUMBA_CACHE_DIR to a writable folder"
     )
 
 
 @cache
 def _stamp(package: str) -> tuple[tuple[str, int, int], ...]:
-    """Name, time of change and size of every source of a package that holds kernels, and of this file."""
+    """Return name, modification time and size of every source file with kernels in a package, and of this file."""
     root = Path(sys.modules[package].__file__ or "").parent
     files = [file for file in sorted(root.rglob("*.py")) if b"planners.kernel" in file.read_bytes()]
     names = [file.relative_to(root).as_posix() for file in files]

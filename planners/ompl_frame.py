@@ -1,11 +1,12 @@
-"""OMPL's frame, in which every plan is made: its state space, our checks of states and motions, driving time, a planner.
+"""Planning as an OMPL problem: state space, checks of states and motions, driving time as objective, planner.
 
-`drive_in_frame` sets up OMPL's problem for a task and lets a planner of the registry solve it as an `ob.Planner`
-(`TaskPlanner`). The drive that it finds is a solution path of OMPL's, which passes OMPL's own `check()`.
-Nothing here is imported before something is planned: all else of the package works where OMPL cannot be installed.
+`drive_in_frame` sets up the OMPL problem of a task, and a planner of the registry solves it as an
+`ob.Planner` (`TaskPlanner`). The resulting drive is an OMPL solution path, which passes OMPL's own `check()`.
+This module is imported only when a drive is planned; the rest of the package works without OMPL.
 
-Of OMPL 2.0.1: what OMPL calls must not hold anything of OMPL's, or it leaks; an error must not pass through OMPL, so it
-is kept and raised again outside; a state that `ProblemDefinition` hands out is freed with the Python object.
+OMPL 2.0.1 has three restrictions in Python. Callbacks must hold no OMPL object, or it leaks. An exception
+must not pass through OMPL; it is stored and raised again outside. A state returned by `ProblemDefinition` is
+freed together with its Python object.
 """
 
 from __future__ import annotations
@@ -33,24 +34,24 @@ except ImportError as exc:
     raise PlanError(INSTALL_HINT) from exc
 
 STATE_PERIOD = 0.2
-"""[s] between states of a path, at most."""
+"""[s] maximum time between states of a path."""
 RADIUS_SLACK = 1e-3
-"""Share by which OMPL's curves may be tighter than a car's, which meets states that are rounded."""
+"""Share by which OMPL's curves may be tighter than the car's, because they end in rounded states."""
 HALF_DIAGONAL = 0.5**0.5
-"""Of a raster cell, in steps: the farthest that a place is from the nearest node."""
+"""Half the diagonal of a raster cell, in steps: the largest distance of a place from its nearest node."""
 
 
 def drive_in_frame(task: Task, method: Callable[[Task], PlannedDrive], name: str) -> PlannedDrive:
-    """Let a planner of the registry solve a task as a planner of OMPL.
+    """Solve a task with a planner of the registry that runs as a planner of OMPL.
 
     Parameters
     ----------
-    method : the planner's function
-    name : by which OMPL knows it
+    method : Function of the planner.
+    name : Name of the planner in OMPL.
 
     Raises
     ------
-    What the planner raises: PlanError, KeyboardInterrupt
+    PlanError, KeyboardInterrupt : Raised by the planner.
     """
     level = util.getLogLevel()
     util.setLogLevel(util.LOG_NONE)
@@ -60,15 +61,15 @@ def drive_in_frame(task: Task, method: Callable[[Task], PlannedDrive], name: str
         util.setLogLevel(level)
     if outcome.error is not None:
         if isinstance(outcome.error, PlanError | KeyboardInterrupt):
-            raise outcome.error.with_traceback(None)  # whose frames would hold objects of OMPL's
+            raise outcome.error.with_traceback(None)  # its frames would keep OMPL objects alive
         raise outcome.error
     if outcome.drive is None:
-        raise PlanError(f"OMPL did not run the planner {name}; please report the arena and seed")
+        raise PlanError(f"OMPL did not run the planner {name}; please report the arena and the seed")
     return outcome.drive
 
 
 def _solved(task: Task, method: Callable[[Task], PlannedDrive], name: str) -> PlannerOutcome:
-    """Set up OMPL's problem and let OMPL solve it."""
+    """Set up the OMPL problem and solve it."""
     checks = FloorChecks.of(task.reach, task.barriers, task.vehicle)
     setup = setup_of(task.arena.bounds, checks)
     information = setup.getSpaceInformation()
@@ -84,13 +85,14 @@ def _solved(task: Task, method: Callable[[Task], PlannedDrive], name: str) -> Pl
 def setup_of(
     bounds: tuple[float, float, float, float], checks: FloorChecks, *, is_certified: bool = True
 ) -> Any:
-    """Return a SimpleSetup in the robot's own state space, with our checks and the driving time as its objective.
+    """Return a SimpleSetup in the robot's state space, with the checks and the driving time as the objective.
 
     Parameters
     ----------
-    bounds : x0, y0, x1, y1 [m] of the arena
-    is_certified : motions are proven free; False: OMPL samples them, for its planners that ask how far a motion is valid,
-        which OMPL 2.0.1 does not ask of Python
+    bounds : x0, y0, x1, y1 [m] of the arena.
+    is_certified : Whether motions are proven free. False: OMPL samples them. OMPL planners that query the
+        last valid
+        state of a motion need this, because OMPL 2.0.1 does not pass that query to Python.
     """
     radius = (1.0 - RADIUS_SLACK) * checks.vehicle.limits.turning_radius
     space = {
@@ -115,14 +117,14 @@ def setup_of(
 
 @dataclass(eq=False)
 class PlannerOutcome:
-    """What a planner returned or raised, kept outside of OMPL."""
+    """Result or exception of a planner, stored outside OMPL."""
 
     drive: PlannedDrive | None = None
     error: BaseException | None = None
 
 
 class TaskPlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
-    """A planner of the registry at work on a task."""
+    """OMPL planner that runs a planner of the registry on a task."""
 
     def __init__(
         self, information: Any, task: Task, method: Callable[[Task], PlannedDrive], name: str
@@ -132,7 +134,7 @@ class TaskPlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that
         self.outcome = PlannerOutcome()
 
     def solve(self, condition: Any) -> Any:
-        """Plan until the condition says stop; what was planned by then is kept."""
+        """Plan until the condition is true; the plan so far is kept."""
         status = base.PlannerStatus
         task = replace(self.task, progress=stop_when(condition, self.task.progress))
         try:
@@ -148,15 +150,15 @@ class TaskPlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that
 
 
 class CoverageGoal(base.GoalRegion):  # type: ignore[misc]
-    """Every bin met: a goal of a drive, not of a state, so that a drive may end in any."""
+    """Goal of a coverage drive: it is reached in any state, since it depends on the drive and not on the state."""
 
     def distanceGoal(self, state: Any) -> float:  # noqa: N802
-        """Return 0: whichever state the last bin is met in."""
+        """Return 0: the drive may end in any state."""
         return 0.0
 
 
 class DrivingTime(base.OptimizationObjective):  # type: ignore[misc]
-    """The time [s] of a drive at the robot's limits, accelerations left out: it drives and turns at once."""
+    """Driving time [s] at the robot's limits, without accelerations; driving and turning are simultaneous."""
 
     def __init__(self, information: Any, vehicle: Vehicle) -> None:
         super().__init__(information)
@@ -164,11 +166,11 @@ class DrivingTime(base.OptimizationObjective):  # type: ignore[misc]
         self.space = information.getStateSpace() if vehicle.drive != "diff" else None
 
     def stateCost(self, state: Any) -> Any:  # noqa: N802
-        """Return no cost: only motions take time."""
+        """Return zero cost: only motions take time."""
         return base.Cost(0.0)
 
     def motionCost(self, one: Any, other: Any) -> Any:  # noqa: N802
-        """Return the time [s] from one state to another."""
+        """Return the time [s] from one state to another: length / v for a car, else max(length / v, turn / omega)."""
         a, b = pose_of(one), pose_of(other)
         if self.space is not None:
             return base.Cost(float(self.space.distance(one, other)) / self.limits.v)
@@ -178,18 +180,18 @@ class DrivingTime(base.OptimizationObjective):  # type: ignore[misc]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FloorChecks:
-    """Where the robot's rim is free, proven: by the raster of distances where that is enough, else exactly."""
+    """Proof that the robot's rim is free, from the distance raster where that suffices, else from exact distances."""
 
     distance: Floats
-    """(mx, my) [m] exact distance of each node of the raster to walls, cut off."""
+    """(mx, my) [m] exact distance of each raster node to walls, capped."""
     low: tuple[float, float]
-    """[m] corner of the raster."""
+    """[m] lower left corner of the raster."""
     step: float
     """[m] between nodes."""
     barriers: Barriers
     vehicle: Vehicle
     clearance: float
-    """[m] that the centre keeps on a path: the radius, less what a chord cuts off an arc."""
+    """[m] required distance of the centre on a path: the radius minus the sagitta between a chord and its arc."""
 
     @classmethod
     def of(cls, reach: Reach, barriers: Barriers, vehicle: Vehicle) -> FloorChecks:
@@ -206,34 +208,37 @@ class FloorChecks:
             clearance=vehicle.footprint_radius - sagitta - 1e-6,
         )
 
-    def proven(self, x: float, y: float) -> float:
-        """Return [m] a distance to walls that the raster proves; 0 off the raster."""
+    def distance_bound(self, x: float, y: float) -> float:
+        """Return a lower bound [m] on the distance to walls, from the raster; 0 outside the raster."""
         i, k = int((x - self.low[0]) / self.step), int((y - self.low[1]) / self.step)
         if i < 0 or k < 0 or i >= self.distance.shape[0] or k >= self.distance.shape[1]:
             return 0.0
         return float(self.distance[i, k]) - HALF_DIAGONAL * self.step
 
     def is_valid(self, state: Any) -> bool:
-        """Tell whether the rim is free at a state."""
+        """Return whether the rim is free at a state."""
         x, y = state.getX(), state.getY()
-        if self.proven(x, y) >= self.clearance:
+        if self.distance_bound(x, y) >= self.clearance:
             return True
-        return self.proven(x, y) > 0 and bool(
+        return self.distance_bound(x, y) > 0 and bool(
             self.barriers.distances(np.array([[x, y]]))[0] >= self.clearance
         )
 
     def is_clear(self, a: tuple[float, float], b: tuple[float, float], length: float) -> bool:
-        """Tell whether the rim is proven free on any way of a length [m] between two places."""
-        if 0.5 * (self.proven(*a) + self.proven(*b) - length) >= self.clearance:
+        """Return whether the rim is proven free on every path of a length [m] between two places.
+
+        On a path of length s, no place is nearer to walls than (d(a) + d(b) - s) / 2.
+        """
+        if 0.5 * (self.distance_bound(*a) + self.distance_bound(*b) - length) >= self.clearance:
             return True
         exact = self.barriers.distances(np.array([a, b]))
-        return bool(self.proven(*b) > 0 and 0.5 * (exact.sum() - length) >= self.clearance)
+        return bool(self.distance_bound(*b) > 0 and 0.5 * (exact.sum() - length) >= self.clearance)
 
 
 class CertifiedMotion(base.MotionValidator):  # type: ignore[misc]
-    """Proves motions free: no place on a way of length s is nearer to walls than the mean of its ends less s / 2.
+    """Proof that a motion is free: on a path of length s, no place is nearer to walls than (d(a) + d(b) - s) / 2.
 
-    What that does not prove is halved, down to chords, whose distance to walls is exact.
+    A motion for which this fails is halved, down to chords, whose distance to walls is exact.
     """
 
     def __init__(self, information: Any, checks: FloorChecks) -> None:
@@ -242,7 +247,7 @@ class CertifiedMotion(base.MotionValidator):  # type: ignore[misc]
         self.space = information.getStateSpace() if checks.vehicle.drive != "diff" else None
 
     def checkMotion(self, one: Any, other: Any) -> bool:  # noqa: N802
-        """Tell whether the motion between two states, of which one is valid, is proven free."""
+        """Return whether the motion between two states, of which one is valid, is proven free."""
         a, b = (one.getX(), one.getY()), (other.getX(), other.getY())
         checks = self.checks
         if self.space is None:
@@ -263,7 +268,7 @@ class CertifiedMotion(base.MotionValidator):  # type: ignore[misc]
 
 
 def path_of(information: Any, curve: Curve) -> Any:
-    """Return a drive as a path of OMPL's, with a state wherever a piece of it begins, and between."""
+    """Return a drive as an OMPL path, with a state at each piece's start and at most `STATE_PERIOD` between states."""
     stamps = np.append(curve.starts, curve.duration)
     parts = np.maximum(np.ceil(np.diff(stamps) / STATE_PERIOD - 1e-9), 1).astype(np.int64)
     owner = np.repeat(np.arange(len(parts)), parts)
@@ -280,12 +285,12 @@ def path_of(information: Any, curve: Curve) -> Any:
 
 
 def pose_of(state: Any) -> Floats:
-    """Return (3,) the pose of a state of SE2."""
+    """Return the pose (3,) of an SE2 state."""
     return np.array([state.getX(), state.getY(), state.getYaw()])
 
 
 def state_of(space: Any, pose: Floats) -> Any:
-    """Return a state of SE2 at a pose (3,)."""
+    """Return an SE2 state at a pose (3,)."""
     state = space.allocState()
     state.setXY(float(pose[0]), float(pose[1]))
     state.setYaw(float(wrap(np.float64(pose[2]))))
@@ -293,7 +298,7 @@ def state_of(space: Any, pose: Floats) -> Any:
 
 
 def stop_when(condition: Any, then: Progress | None = None) -> Progress:
-    """Return a progress that ends the planning, as Ctrl-C would, once OMPL's condition says so."""
+    """Return a progress callback that interrupts the planning, as Ctrl-C would, once OMPL's condition is true."""
 
     def progress(done: int, total: int) -> None:
         if then is not None:

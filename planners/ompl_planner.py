@@ -1,18 +1,19 @@
-"""Our planners as planners of OMPL: each of the registry takes the place of any other, in its Benchmark too.
+"""The planners of the registry as planners of OMPL, so that OMPL's Benchmark can compare them with others.
 
-What they solve is a problem with a start and a goal, as any: on its way from one to the other, `CoveragePlanner` drives
-through every bin (x, y, phi) that can be reached. Nothing else imports this file, and it needs ompl.
+They solve an ordinary problem with a start and a goal. On the path between them, `CoveragePlanner` drives
+through every reachable bin (x, y, phi). Nothing else imports this module, and it needs OMPL.
 
     setup = problem(arena, vehicle, start, goal)
     setup.setPlanner(CoveragePlanner(setup.getSpaceInformation(), arena, vehicle))
     setup.solve(60.0)
 
-`registry_planners` makes all of them. A problem's objective is the driving time (`DrivingTime`), so that OMPL's Benchmark
-compares them, and planners of the user's own, by it.
+`registry_planners` makes all of them. The objective of a problem is the driving time (`DrivingTime`), by
+which OMPL's Benchmark compares these planners and custom ones.
 
-Of OMPL 2.0.1: a planner in Python must not override `getPlannerData`, whose argument cannot be passed to Python (the
-process ends), so `graph` gives what it would; it must take start and goal from its `PlannerInputStates`, since a state
-that `ProblemDefinition` hands out is freed with the Python object. `simplify` must be off, or OMPL cuts the drive short.
+OMPL 2.0.1 has three restrictions in Python. A planner must not override `getPlannerData`: its argument cannot
+be passed to Python, and the process ends. `graph` returns the same data. A planner must take start and goal
+from its `PlannerInputStates`, because a state returned by `ProblemDefinition` is freed together with its
+Python object. The option `simplify` must be off, or OMPL shortens the drive.
 """
 
 from __future__ import annotations
@@ -40,11 +41,11 @@ logger = logging.getLogger(__name__)
 
 BASELINE_NAMES = ("random_bounce", "wall_following")
 RASTER_CELL = 0.25
-"""[m] of the raster of free space."""
+"""[m] cell of the raster of free space."""
 
 
 class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
-    """Drives from start to goal through every reachable (x, y, phi) bin, or as another planner of the registry does."""
+    """OMPL planner that drives from start to goal by a planner of the registry; default: through every bin."""
 
     def __init__(
         self,
@@ -58,13 +59,13 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         seed: int = 0,
         **options: Any,
     ) -> None:
-        """Make a planner of the registry.
+        """Wrap a planner of the registry.
 
         Parameters
         ----------
-        planner : one of `planners.PLANNERS`
-        cell : [m] side of a position cell; `headings`: count of heading bins
-        options : further arguments of `planners.plan`
+        planner : One of `planners.PLANNERS`.
+        cell : [m] Side of a position cell; `headings`: number of heading bins.
+        options : Further arguments of `planners.plan`.
         """
         name = planner.replace("_", " ").title().replace(" ", "")
         super().__init__(information, name)
@@ -75,14 +76,15 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         """The last plan, with its coverage and report."""
 
     def clear(self) -> None:
-        """Forget the last plan."""
+        """Discard the last plan."""
         super().clear()
         self.plan = None
 
     def solve(self, condition: Any) -> Any:
-        """Plan from the start to the goal until the condition says stop; what was planned by then is kept.
+        """Plan from the start to the goal until the condition is true; the plan so far is kept.
 
-        An interrupted plan is an approximate solution: it leads to the goal, its difference is the share of bins missed.
+        An interrupted plan is an approximate solution. It leads to the goal; its difference is the share of
+        missed bins.
         """
         status = base.PlannerStatus
         inputs = self.getPlannerInputStates()
@@ -135,12 +137,12 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
 def registry_planners(
     information: Any, arena: Arena, vehicle: Vehicle, *, duration: float | None = None, **options: Any
 ) -> list[CoveragePlanner]:
-    """Return all planners of the registry that suit the vehicle as planners of OMPL; `views` needs targets and is left out.
+    """Return the planners of the registry that suit the vehicle, without `views`, which needs targets.
 
     Parameters
     ----------
-    duration : [s] of the baselines; None: the reference time of the coverage planner
-    options : `cell`, `headings`, `seed` and other arguments of `planners.plan`
+    duration : [s] Duration of the baselines; None: the reference time of the coverage planner.
+    options : `cell`, `headings`, `seed` and other arguments of `planners.plan`.
     """
     names = [name for name in PLANNERS if name != "views" and (vehicle.drive == "diff" or name == "coverage")]
     made = []
@@ -151,13 +153,14 @@ def registry_planners(
 
 
 def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
-    """Return OMPL's SimpleSetup for a drive from a pose (3,) to another, in the robot's own state space.
+    """Return an OMPL SimpleSetup for a drive between two poses (3,), in the robot's state space.
 
-    A state is valid where the robot's rim is free. Planners with a margin of their own, as `CoveragePlanner`, keep it.
+    A state is valid where the robot's rim is free. Planners with a larger margin, such as `CoveragePlanner`,
+    keep it.
     """
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=RASTER_CELL, start=start)
-    check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
+    check_pose("goal", goal, arena, barriers, free)  # with an invalid goal, OMPL waits until its time is over
     setup = setup_of(arena.bounds, FloorChecks.of(free, barriers, vehicle), is_certified=False)
     space = setup.getSpaceInformation().getStateSpace()
     setup.setStartAndGoalStates(state_of(space, start), state_of(space, goal))

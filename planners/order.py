@@ -1,4 +1,13 @@
-"""The order in which cells are visited: boustrophedon lanes, joined by 2-opt and Or-opt with reversal, by time."""
+"""Order of visits: boustrophedon lanes, joined into a tour by nearest neighbour, 2-opt and Or-opt with reversal.
+
+A tour is a sequence of runs (lanes), each driven from its entry to its exit. It minimises the time of its
+joins:
+
+    total = Σ cost[exit of run k, entry of run k + 1].
+
+2-opt reverses a stretch of runs. Or-opt moves one to three runs elsewhere, in either direction. Random
+perturbations of the best tour lead out of local optima.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +21,24 @@ from planners.settings import TOURS
 from planners.types import Floats, Ints
 
 ROWS_AT_A_TIME = 256
-"""Ends searched from at a time."""
+"""Number of lane ends per call of Dijkstra's algorithm."""
 HALF_NEIGHBOURHOOD = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CellGraph:
-    """The places to visit and which straight moves between neighbours are clear."""
+    """Places to visit, and the clear straight moves between neighbouring cells."""
 
     index: Ints
     """(n, 2) cell (i, j) of each place."""
     places: Floats
-    """(n, 2) [m] where the robot stands in it."""
+    """(n, 2) [m] place of the robot in each cell."""
     pairs: Ints
-    """(m, 2) places in neighbouring cells with a clear straight move between them."""
+    """(m, 2) indices of places in neighbouring cells with a clear straight move between them."""
 
 
 def neighbours(index: Ints) -> Ints:
-    """Return pairs (m, 2) of cells that touch, corners included."""
+    """Return the pairs (m, 2) of cells that touch, including at corners."""
     low = index.min(axis=0)
     shape = tuple(index.max(axis=0) - low + 3)
     number = np.full(shape, -1, dtype=np.int64)
@@ -60,9 +69,10 @@ def runs(cells: CellGraph, axis: int) -> list[Ints]:
 
 
 def travel_times(cells: CellGraph, ends: Ints, speed: float, stop: float) -> Floats:
-    """Return (len(ends), len(ends)) [s] by clear moves between neighbours, or around by the straight line's double.
+    """Return the travel times (len(ends), len(ends)) [s] over clear moves between neighbours.
 
-    A way takes its length over `speed`, and `stop` once. Among many ends only the near ones are worth a search.
+    A path takes its length over `speed` plus `stop`. A pair without a path counts as twice its distance plus
+    5 m. Among many ends, only paths of up to `TOURS.near` are searched.
     """
     n = len(cells.index)
     lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
@@ -72,26 +82,26 @@ def travel_times(cells: CellGraph, ends: Ints, speed: float, stop: float) -> Flo
     for rows in range(0, len(ends), ROWS_AT_A_TIME):
         some = np.s_[rows : rows + ROWS_AT_A_TIME]
         far[some] = csgraph.dijkstra(graph, directed=False, indices=ends[some], limit=limit)[:, ends]
-        lost = np.isinf(far[some])
+        unconnected = np.isinf(far[some])
         straight = np.hypot(
             *(cells.places[ends[some]][:, None] - cells.places[ends][None]).transpose(2, 0, 1)
         )
-        far[some][lost] = 2 * straight[lost] + 5.0
+        far[some][unconnected] = 2 * straight[unconnected] + 5.0
     return np.asarray(np.where(far > 0, far / speed + stop, 0.0))
 
 
 def tour(
     cost: Floats, first: int | None, rng: np.random.Generator, kicks: int = TOURS.kicks
 ) -> list[tuple[int, bool]]:
-    """Order runs; run k has its ends at rows 2k and 2k + 1 of `cost` (2n, 2n) [s].
+    """Order runs by the time of their joins; run k has its ends at rows 2k and 2k + 1 of `cost` (2n, 2n) [s].
 
     Parameters
     ----------
-    first : row of `cost` that stands for the start (a run of its own, whose other row equals it); None: anywhere
+    first : Row of `cost` that represents the start, as a run whose two rows are equal; None: start anywhere.
 
     Returns
     -------
-    runs with whether each is driven from its second end to its first
+    The runs, each with whether it is driven from its second end to its first.
     """
     n = len(cost) // 2
     if n == 1:
@@ -114,7 +124,7 @@ def tour(
 
 
 class _Tour:
-    """A sequence of runs as nodes (n, 2): entry and exit of each; the first is fixed where a start is given."""
+    """Runs as nodes (n, 2), entry and exit of each; the first run is fixed if a start is given."""
 
     def __init__(self, cost: Floats, nodes: Ints, fixed: int, pinned: bool = False) -> None:
         self.cost, self.nodes, self.fixed, self.pinned = cost, nodes, fixed, pinned
@@ -122,7 +132,7 @@ class _Tour:
 
     @classmethod
     def greedy(cls, cost: Floats, first: int | None) -> _Tour:
-        """Go on to the nearest end of a run not yet driven."""
+        """Start a tour that continues at the nearest end of a run not yet driven."""
         n = len(cost) // 2
         open_ = np.ones(2 * n, dtype=np.bool_)
         here = 0 if first is None else first
@@ -135,16 +145,16 @@ class _Tour:
         return cls(cost, np.array(nodes, dtype=np.int64), 0 if first is None else 1)
 
     def total(self) -> float:
-        """Return the cost [s] of all joins."""
+        """Return the total time [s] of all joins."""
         return float(self.cost[self.nodes[:-1, 1], self.nodes[1:, 0]].sum())
 
     def improve(self) -> None:
-        """Apply the best reversal or relocation until none helps."""
+        """Apply the best reversal or relocation until none shortens the tour."""
         while self.moves < TOURS.max_moves and (self._reverse() or self._relocate()):
             self.moves += 1
 
     def improve_by_windows(self) -> None:
-        """Improve stretches that overlap by half, their ends held."""
+        """Improve windows that overlap by half; their first and last runs are fixed."""
         for start in range(0, max(len(self.nodes) - TOURS.window // 2, 1), TOURS.window // 2):
             stretch = np.s_[start : start + TOURS.window]
             last = start + TOURS.window >= len(self.nodes)
@@ -153,14 +163,14 @@ class _Tour:
             self.nodes[stretch] = part.nodes
 
     def kick(self, rng: np.random.Generator) -> None:
-        """Swap two neighbouring stretches of random length."""
+        """Swap two neighbouring stretches of random length (perturbation)."""
         n = len(self.nodes)
         a = int(rng.integers(self.fixed, n - 2))
         b, c = np.sort(rng.integers(a + 1, min(a + 50, n) + 1, 2)).tolist()
         self.nodes = np.concatenate([self.nodes[:a], self.nodes[b:c], self.nodes[a:b], self.nodes[c:]])
 
     def _reverse(self) -> bool:
-        """Reverse the stretch k..m (each run in it too) that saves most."""
+        """Reverse the stretch k ... m, and the direction of each run in it, that saves most (2-opt)."""
         cost, f = self.cost, self.fixed
         entry, leave = self.nodes.T
         n = len(entry)
@@ -183,7 +193,7 @@ class _Tour:
         return True
 
     def _relocate(self) -> bool:
-        """Move a stretch of one to three runs elsewhere, either way round, where it saves most."""
+        """Move one to three runs elsewhere, in either direction, where that saves most (Or-opt)."""
         best: tuple[float, int, int, int, bool] = (1e-9, 0, 0, 0, False)
         entry, leave = self.nodes.T
         n, cost = len(entry), self.cost

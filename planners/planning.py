@@ -1,4 +1,4 @@
-"""plan(): from an arena and a vehicle to a trajectory that fills (x, y, phi), checked and measured."""
+"""plan(): from an arena and a vehicle to a trajectory through the (x, y, phi) bins, checked and measured."""
 
 from __future__ import annotations
 
@@ -44,33 +44,33 @@ PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
 }
 
 FRAME = "planners.ompl_frame"
-"""Imported when something is planned: all else works without OMPL."""
+"""Module that is imported when a drive is planned; everything else works without OMPL."""
 WALL_MARGIN = 0.02
-"""[m] that the robot's rim keeps from walls, beyond its radius."""
+"""[m] distance of the robot's rim from walls, added to its radius."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A drive, and what it covers."""
+    """A drive and its coverage."""
 
     trajectory: Trajectory
     curve: Curve
-    """The same drive in closed form, to sample at any stamp."""
+    """The same drive in closed form, which can be sampled at any stamp."""
     coverage: Coverage
-    """As a log at `rate` would count it, earlier runs included."""
+    """Coverage by a log at `rate`, including earlier runs."""
     reach: Reach
     joins: JoinCounts
     stops: Floats
-    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the angle turned there."""
     lost: Bools
     """(nx, ny, n_phi) bins to which no path was found."""
     report: dict[str, Any]
-    """plan.json"""
+    """The content of plan.json."""
     sessions: tuple[Session, ...] = ()
-    """The runs of one battery each that the drive consists of; empty if no battery was given."""
+    """The battery runs of the drive; empty without a battery."""
 
     def growth(self, n: int = 400) -> tuple[Floats, Floats]:
-        """Return stamps (n,) [s] and the share (n,) of reachable bins that a log has met by then."""
+        """Return stamps (n,) [s] and the share (n,) of reachable bins covered by each stamp."""
         rate = self.report["rate"]
         poses = self.curve.log(rate)
         stamps, share = self.coverage.growth(np.arange(len(poses)) / rate, poses, n)
@@ -103,35 +103,36 @@ def plan(
     progress: Progress | None = None,
     status: Status | None = None,
 ) -> Plan:
-    """Plan a drive through every reachable (x, y, phi) bin, in OMPL's frame (`planners.ompl_frame`).
+    """Plan a drive through every reachable (x, y, phi) bin, as an OMPL problem (`planners.ompl_frame`).
 
     Parameters
     ----------
-    planner : one of PLANNERS
-    cell : [m] side of a position cell; `headings`: count of heading bins
-    start : (3,) [m, m, rad]; None: where the planner likes, in the largest part of the arena
-    rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
-    margin : [m] that the robot's rim keeps from walls; what it costs in reach is in the report
-    priority : (nx, ny, n_phi) higher comes earlier; or a function that makes it from the empty grid
-    visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
-    targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or a function that chooses them within reach
-    duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
-    end : (3,) [m, m, rad] where the drive ends; None: where its last bin is
-    budget : [s] within which the drive ends; what it cannot reach by then is left out
-    battery : [s] of a run; the drive is cut into runs from `dock` (3,), where it starts, and back to it
-    dock : (3,) [m, m, rad] where runs on a battery start and end; None: at the start
-    sweep_time : [s] that one scan takes, for the warning about its smear
-    order : one of ORDERS, of the planner coverage: the shortest drive, or one of which every prefix is worth most
-    survey : what the sensor would see, for the order anytime; None: coarse coverage comes first
-    join_planner : the planner of OMPL that finds ways round obstacles: one of JOIN_PLANNERS, or a user's own, module:Class
-    progress : is called with (bins done, bins in all) while the search goes on
-    status : is told in a few words what is being planned, and how good it is already
+    planner : One of PLANNERS.
+    cell : [m] Side of a position cell; `headings`: number of heading bins.
+    start : (3,) [m, m, rad] Start pose; None: chosen by the planner in the largest part of the arena.
+    rate : [Hz] Rate of the log; a bin is covered when a logged pose falls in it.
+    margin : [m] Distance of the robot's rim from walls; the report gives its cost in reachable bins.
+    priority : (nx, ny, n_phi) Higher comes earlier; or a function that computes it from the empty grid.
+    visited : (n, 3) [m, m, rad] Poses of earlier runs, whose bins are already covered.
+    targets : (n, 3) [m, m, rad] Poses to visit, for the planner `views`; or a function that chooses them
+    within reach.
+    duration : [s] Duration of a baseline; default: the reference time of the coverage planner.
+    end : (3,) [m, m, rad] End pose; None: the pose in the last bin.
+    budget : [s] Maximum duration of the drive; bins beyond it are left out.
+    battery : [s] Duration of one run; the drive is cut into runs that start and end at `dock` (3,).
+    dock : (3,) [m, m, rad] Start and end of battery runs; None: the start.
+    sweep_time : [s] Duration of one scan, for the warning about motion smear.
+    order : One of ORDERS, for the planner `coverage`: the shortest drive, or one with valuable prefixes.
+    survey : What the sensor has seen, for the order `anytime`; None: coarse coverage comes first.
+    join_planner : OMPL planner of paths around obstacles: one of JOIN_PLANNERS, or module:Class.
+    progress : Called with (bins done, total bins) during the search.
+    status : Called with a text on the current step and the quality of the plan so far.
 
     Raises
     ------
-    PlanError : OMPL is not installed, an argument is out of range or does not fit the others, the robot fits nowhere,
-        nothing is left to plan, a pose or the dock cannot be reached, or the budget or the battery is too small
-    KeyboardInterrupt : Ctrl-C came before anything was found; later, the plan so far is returned
+    PlanError : OMPL is not installed, an argument is invalid, or the robot fits nowhere. All bins are covered
+    already. A pose is out of reach, or the budget or the battery is too small.
+    KeyboardInterrupt : Ctrl-C came before any drive was found; later, Ctrl-C returns the plan so far.
     """
     began = time.perf_counter()
     check_planner(
@@ -169,7 +170,7 @@ def _task(
     visited: Floats | None,
     join_planner: str,
 ) -> Task:
-    """Return the task of covering what is in reach and not yet visited."""
+    """Return the task of covering the reachable bins that earlier runs have not visited."""
     start = ends.start
     free, barriers = _reachable_floor(
         arena, vehicle, cell, margin, start, "dock" if ends.is_dock else "start"
@@ -205,7 +206,7 @@ def _task(
 
 
 def _priority(priority: Floats | Callable[[Coverage], Floats] | None, grid: Coverage) -> Floats | None:
-    """Return the priority of each bin, made from the grid if it is a function."""
+    """Return the priority of each bin; a function is evaluated on the empty grid."""
     if callable(priority):
         empty = replace(grid, counts=np.zeros_like(grid.counts), core=np.zeros_like(grid.core))
         priority = priority(empty)
@@ -215,7 +216,7 @@ def _priority(priority: Floats | Callable[[Coverage], Floats] | None, grid: Cove
 
 
 def _empty_grid(free: Reach, headings: int) -> Coverage:
-    """Return the bins within reach, without poses."""
+    """Return the grid of reachable bins, without poses."""
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
@@ -227,7 +228,7 @@ def _empty_grid(free: Reach, headings: int) -> Coverage:
 def _reachable_floor(
     arena: Arena, vehicle: Vehicle, cell: float, margin: float, start: Floats | None, name: str
 ) -> tuple[Reach, Barriers]:
-    """Return where the vehicle can be, and what it must not touch."""
+    """Return the reachable places of the vehicle, and the barriers it must avoid."""
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
@@ -248,7 +249,7 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
     grid, rate = task.coverage, task.rate
     end, budget, battery = ends.end, ends.budget, ends.battery
     covered_before = grid.covered
-    task.say("checking the drive")
+    task.show_status("checking the drive")
     lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:
@@ -291,7 +292,7 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
 
 
 def _share_of_bare_footprint(task: Task) -> float:
-    """Return the share of the bins in reach of the robot's radius alone, without a margin, that were met."""
+    """Return the covered share of the bins that the robot would reach without a margin."""
     bare = task.reach.with_clearance(task.vehicle.footprint_radius).cells()
     met = (task.coverage.counts > 0) & bare[:, :, None]
     return float(met.sum() / max(int(bare.sum()) * task.coverage.headings, 1))
@@ -300,7 +301,7 @@ def _share_of_bare_footprint(task: Task) -> float:
 def _dubins_start(
     free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, ReturnableSet]:
-    """Return where a car without a reverse gear begins, and which bins it can reach and return from."""
+    """Return the start pose of a Dubins car, and the bins it can reach from there and return from."""
     limits, headings = vehicle.limits, grid.headings
     if start is None:
         start, found = best_start(free, limits, headings, rate, seed)
@@ -310,7 +311,8 @@ def _dubins_start(
     if reachable.sum() < STARTS.min_dubins_share * grid.reachable.sum():
         better, _ = best_start(free, limits, headings, rate, seed)
         raise PlanError(
-            f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can go to {int(reachable.sum()):,} of "
-            f"{int(grid.reachable.sum()):,} bins and come back; start at {better[0]:.2f},{better[1]:.2f},{better[2]:.2f}"
+            f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can reach and return from only "
+            f"{int(reachable.sum()):,} of {int(grid.reachable.sum()):,} bins; "
+            f"start at {better[0]:.2f},{better[1]:.2f},{better[2]:.2f}"
         )
     return start, found

@@ -1,8 +1,8 @@
-"""What comes first: bands of cells and of rooms, and what a bin is worth, by a priority of bins.
+"""Priorities of bins as bands of cells, bands of rooms, and values of bins.
 
-Robots that turn in place fill one band of cells after the other. For a car that costs half as much time again, and the
-doubtful bins are met no earlier: it cannot turn within a band. So cars take the rooms by their mean priority, and within
-a room doubtful bins are worth more.
+Robots that turn in place complete one band of cells after the other. Cars cannot turn within a band: with
+bands of cells their drive took 50 % longer and visited the high-priority bins no earlier. Cars therefore take
+the rooms by mean priority, and within a room the bins of high priority have a higher value.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from planners.types import Bools, Floats, Ints
 
 
 def cell_bands(priority: Floats | None, todo: Bools, cell: float) -> Ints:
-    """Return (nx, ny) the band of each cell of `todo` (nx, ny, n_phi), the lowest being the first.
+    """Return the band (nx, ny) of each cell of `todo` (nx, ny, n_phi); the lowest band comes first.
 
     Parameters
     ----------
-    priority : (nx, ny, n_phi) higher comes earlier
-    cell : [m]
+    priority : (nx, ny, n_phi) Higher comes earlier.
+    cell : [m] Side of a cell.
     """
     band = np.zeros(todo.shape[:2], dtype=np.int64)
     if priority is None or not todo.any():
@@ -33,7 +33,7 @@ def cell_bands(priority: Floats | None, todo: Bools, cell: float) -> Ints:
 
 
 def room_bands(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
-    """Return (n_rooms,) the band of each room, a mask (nx, ny), by its mean priority; the lowest is the first."""
+    """Return the band (n_rooms,) of each room, a mask (nx, ny), by its mean priority; the lowest band comes first."""
     if priority is None or not rooms:
         return np.zeros(len(rooms), dtype=np.int64)
     score = np.array([mean(priority, todo & room[:, :, None], over=(0, 1, 2)) for room in rooms])
@@ -46,7 +46,10 @@ def room_bands(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints
 
 
 def bin_values(priority: Floats | None, todo: Bools) -> Floats:
-    """Return (nx, ny) what a bin of each cell is worth, from 1 to 1 + PRIORITY.value_range by the rank of the cell's mean priority."""
+    """Return the value (nx, ny) of a bin in each cell, by the rank of the cell's mean priority.
+
+    Values are from 1 to 1 + PRIORITY.value_range.
+    """
     out = np.ones(todo.shape[:2])
     cells = np.asarray(todo.any(axis=2))
     if priority is None or not cells.any():
@@ -62,7 +65,7 @@ def mean(priority: Floats, todo: Bools, over: tuple[int, ...] = (2,)) -> Floats:
 
 
 def _middle_of(band: Ints, cells: Bools, radius: float) -> Ints:
-    """Return (nx, ny) the median band of the cells within a radius [cells] of each."""
+    """Return the median band (nx, ny) of the cells within a radius [cells] of each cell."""
     k = int(radius)
     if k < 1:
         return band

@@ -1,4 +1,4 @@
-"""Which places a disc can reach: a distance field on a fine raster, and the part of it that is connected to the start."""
+"""Reachable places of a disc: a distance field on a fine raster, and its part that is connected to the start."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from planners.types import Bools, Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reach:
-    """Where the robot's centre can be, on a raster of which each position cell holds `per_cell`² nodes."""
+    """Possible places of the robot's centre, on a raster with `per_cell`² nodes in each position cell."""
 
     origin: Floats
     """(2,) [m] lower left corner of the grid of cells."""
     cell: float
     """[m] side of a position cell."""
     per_cell: int
-    """Nodes along a cell's side."""
+    """Number of nodes along a cell's side."""
     clearance: float
-    """[m] that the robot's centre keeps from barriers."""
+    """[m] required distance of the robot's centre from barriers."""
     distance: Floats
-    """(mx, my) [m] exact distance of each node to the nearest barrier, cut off; 0 outside free space."""
+    """(mx, my) [m] exact distance of each node to the nearest barrier, capped; 0 outside free space."""
     mask: Bools
-    """(mx, my) the node is reachable."""
+    """(mx, my) whether each node is reachable."""
     fits: int
-    """Count of nodes where the robot fits, reachable or not."""
+    """Number of nodes where the robot fits, reachable or not."""
     join_planner: str = JOIN_PLANNERS[0]
-    """The planner of OMPL that finds ways on this floor: one of JOIN_PLANNERS, or module:Class."""
+    """OMPL planner of paths on this floor: one of JOIN_PLANNERS, or module:Class."""
 
     @property
     def step(self) -> float:
@@ -44,25 +44,25 @@ class Reach:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Count of position cells (nx, ny)."""
+        """Number of position cells (nx, ny)."""
         return self.mask.shape[0] // self.per_cell, self.mask.shape[1] // self.per_cell
 
     @property
     def share(self) -> float:
-        """Share of the places where the robot fits that it can reach."""
+        """Reachable share of the places where the robot fits."""
         return float(self.mask.sum() / self.fits)
 
     def nodes(self, index: tuple[np.ndarray, ...]) -> Floats:
-        """Return (n, 2) [m] positions of nodes given as index arrays (i, j)."""
+        """Return the positions (n, 2) [m] of nodes given as index arrays (i, j)."""
         return self.origin + (np.stack(index, axis=-1) + 0.5) * self.step
 
     def blocks(self, raster: np.ndarray) -> np.ndarray:
-        """Reshape a raster (mx, my) to (nx, ny, per_cell²), a row for each cell."""
+        """Reshape a raster (mx, my) to (nx, ny, per_cell²), one row per cell."""
         (nx, ny), k = self.shape, self.per_cell
         return raster.reshape(nx, k, ny, k).swapaxes(1, 2).reshape(nx, ny, k * k)
 
     def deepest(self, cells: NDArray[np.int64]) -> Floats:
-        """Return (n, 2) [m] the place in each cell (n, 2) that is in reach and farthest from walls."""
+        """Return the reachable place (n, 2) [m] farthest from walls in each cell (n, 2)."""
         within = tuple(cells.T)
         depth = np.where(self.blocks(self.mask)[within], self.blocks(self.distance)[within], 0.0)
         node = depth.argmax(axis=1)
@@ -70,13 +70,13 @@ class Reach:
         return np.asarray(self.origin + cells * self.cell + (inside + 0.5) * self.step)
 
     def areas(self) -> Floats:
-        """Return (nx, ny) the reachable share of each cell's area, its rim counted by parts of nodes."""
+        """Return the reachable share (nx, ny) of each cell's area; nodes at its border count in part."""
         near = ndimage.binary_dilation(self.mask, np.ones((3, 3), dtype=np.bool_))
         part = np.clip(0.5 + (self.distance - self.clearance) / self.step, 0.0, 1.0) * near
         return np.asarray(self.blocks(part).mean(axis=-1), dtype=np.float64)
 
     def with_clearance(self, clearance: float) -> Reach:
-        """Return what can be reached from here with another clearance, smaller than this one."""
+        """Return the reach from the same places with a smaller clearance."""
         fits = self.distance >= clearance
         parts, _ = ndimage.label(fits)
         return replace(
@@ -84,20 +84,20 @@ class Reach:
         )
 
     def cells(self) -> Bools:
-        """Return (nx, ny) which position cells count as reachable."""
+        """Return whether each position cell (nx, ny) counts as reachable."""
         return np.asarray((self.areas() >= REACH.min_share) & self.blocks(self.mask).any(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
 class ReturnableSet:
-    """What a Dubins car can reach from a pose and return from to it.
+    """The bins that a Dubins car can reach from a pose and from which it can return.
 
-    "Returnable" as in M. Turchetta, F. Berkenkamp and A. Krause, Safe exploration in finite Markov decision processes
-    with Gaussian processes, NIPS 2016.
+    "Returnable" as in M. Turchetta, F. Berkenkamp and A. Krause, Safe exploration in finite Markov decision
+    processes with Gaussian processes, NIPS 2016.
     """
 
     bins: Bools
-    """(nx, ny, n_phi)"""
+    """(nx, ny, n_phi) reachable and returnable bins."""
     returns: Bools
     """(n, n, n_headings) lattice cells from which the pose can be reached."""
     first_heading: float
@@ -113,15 +113,18 @@ def reach(
     start: Floats | None = None,
     name: str = "start",
 ) -> Reach:
-    """Return the places that keep `clearance` and are connected to `start` (x, y, ...); without a start, the largest part.
+    """Return the places that keep `clearance` and are connected to `start` (x, y, ...).
+
+    Without a start, return the largest connected part.
+
 
     Parameters
     ----------
-    name : what the user calls the start, for messages
+    name : Name of the start in error messages.
 
     Raises
     ------
-    PlanError : there are too many cells, the robot fits nowhere, or it cannot stand at the start
+    PlanError : There are too many cells, the robot fits nowhere, or it cannot be at the start.
     """
     x0, y0, x1, y1 = arena.bounds
     nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))
@@ -169,7 +172,7 @@ def _part_of(
     axes: tuple[Floats, Floats],
     clearance: float,
 ) -> int:
-    """Return the label of the part that the start lies in."""
+    """Return the label of the part that contains the start."""
     where = f"{name} ({start[0]:g}, {start[1]:g})"
     away = float(barriers.distances(start[None, :2])[0])
     if not arena.contains(start[:2]):
@@ -186,6 +189,6 @@ def _part_of(
     i, j = np.flatnonzero(abs(x - start[0]) <= 2 * step), np.flatnonzero(abs(y - start[1]) <= 2 * step)
     found = parts[np.ix_(i, j)]
     if not found.any():
-        raise PlanError(f"{where} is wedged in a gap of {2 * away:.2f} m; move it into the open")
+        raise PlanError(f"{where} is in a gap of only {2 * away:.2f} m; move it into open space")
     far = np.hypot(x[i, None] - start[0], y[None, j] - start[1])
     return int(found.flat[np.where(found > 0, far, np.inf).argmin()])

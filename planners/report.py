@@ -1,4 +1,4 @@
-"""The content of plan.json: coverage, time compared with the reference, what the checker finds, and warnings."""
+"""The content of plan.json: coverage, time relative to the reference time, constraint checks, and warnings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from planners.vehicle import Vehicle
 logger = logging.getLogger(__name__)
 
 CHECK_RATE = 100.0
-"""[Hz] of the samples that are checked."""
+"""[Hz] rate of the checked samples."""
 
 
 def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
-    """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
+    """Return the reference time [s]: a lower estimate of the time to visit all bin centres, without accelerations.
 
-    Every cell is entered once and all its other headings are turned to, or every heading is driven through. A car
-    drives through each bin, or round an arc from one heading bin to the next.
+    In each cell the robot either enters once and turns to all other headings, or drives through at each
+    heading. A car drives through each bin, or along an arc from one heading bin to the next.
     """
     k, limits = grid.headings, vehicle.limits
     if vehicle.drive != "diff":
@@ -40,7 +40,7 @@ def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
 
 
 def session_report(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
-    """Add a run's log to the grid, and return its entry of plan.json."""
+    """Add a run's log to the grid and return its entry of plan.json."""
     curve, before = run.driven.curve, int(grid.covered.sum())
     grid.add(curve.log(rate))
     return {
@@ -56,7 +56,7 @@ def session_report(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
 def plan_report(
     task: Task, driven: PlannedDrive, trajectory: Trajectory, planner: str, sweep_time: float
 ) -> dict[str, Any]:
-    """Return the content of plan.json; `task.coverage` already counts the log of the drive."""
+    """Return the content of plan.json; `task.coverage` already includes the log of the drive."""
     grid, vehicle = task.coverage, task.vehicle
     none = np.zeros_like(grid.counts)
     empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
@@ -68,7 +68,7 @@ def plan_report(
     if task.reach.share < STARTS.warn_below:
         lines.append(holes.small_reach_warning(task.reach))
     if driven.interrupted:
-        lines.append(f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %")
+        lines.append(f"planning was interrupted: this plan is shorter and covers {100 * grid.fraction:.1f} %")
     lines += sampling_warnings(
         trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
     )

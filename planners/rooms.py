@@ -1,4 +1,8 @@
-"""Rooms: parts of the floor that are wide inside and joined by narrow passages; a plan finishes one after the other."""
+"""Rooms: parts of the floor that are wide inside and connected by narrow passages; a plan completes one at a time.
+
+The division resembles a watershed. Connected places wider than `ROOMS.passage` are seeds; each cell joins the
+seed nearest over open borders; small rooms are merged, large ones halved.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,11 @@ from planners.settings import ROOMS
 from planners.types import Bools, Floats, Ints
 
 NEIGHBOUR_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Steps to the neighbours of a cell; bit d of `open_borders` stands for NEIGHBOUR_STEPS[d]."""
+"""Steps to the neighbours of a cell; bit d of `open_borders` is the neighbour at NEIGHBOUR_STEPS[d]."""
 
 
 def open_borders(reach: Reach) -> Ints:
-    """Return (nx, ny) a bit for each neighbour of a cell that can be reached over their common border."""
+    """Return (nx, ny) bits, one for each neighbour that can be reached over the common border."""
     (nx, ny), p, mask = reach.shape, reach.per_cell, reach.mask
     found = np.zeros((nx, ny), dtype=np.int64)
     over_x = (mask[p - 1 : -1 : p] & mask[p::p]).reshape(nx - 1, ny, p).any(axis=2)
@@ -28,7 +32,7 @@ def open_borders(reach: Reach) -> Ints:
 
 
 def cell_graph(reach: Reach) -> sparse.csr_matrix:
-    """Return the graph (nx ny, nx ny) of cells that share a border which can be crossed, weights 1."""
+    """Return the graph (nx ny, nx ny) of cells whose common border can be crossed, with weights 1."""
     nx, ny = reach.shape
     number = np.arange(nx * ny).reshape(nx, ny)
     open_ = open_borders(reach)
@@ -51,7 +55,7 @@ def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
 
 
 def _seeds(reach: Reach) -> Ints:
-    """Number the connected wide places, by cell; -1 elsewhere."""
+    """Return the number of the connected wide place in each cell; -1: none."""
     wide = reach.mask & (
         reach.distance >= reach.clearance + min(ROOMS.passage, reach.distance.max() - reach.clearance)
     )
@@ -60,7 +64,7 @@ def _seeds(reach: Reach) -> Ints:
 
 
 def _nearest_seed(seeds: Ints, reach: Reach) -> Ints:
-    """Give each reachable cell the number of the seed that is nearest over open borders."""
+    """Return for each reachable cell the number of the seed nearest over open borders."""
     number = np.flatnonzero(seeds.ravel() >= 0)
     if not len(number):
         return np.where(reach.blocks(reach.mask).any(axis=-1), 0, -1)
@@ -76,7 +80,7 @@ def _nearest_seed(seeds: Ints, reach: Reach) -> Ints:
 
 
 def _merged(labels: Ints, reach: Reach) -> Ints:
-    """Merge rooms that are too small into the neighbour with which they share most borders."""
+    """Merge rooms that are too small into the neighbour with the longest common border."""
     open_ = open_borders(reach)
     labels = labels.copy()
     while True:
@@ -94,18 +98,18 @@ def _merged(labels: Ints, reach: Reach) -> Ints:
             own = names[k]
             if sizes[k] >= ROOMS.min_cells:
                 return labels
-            beside = np.concatenate([pairs[pairs[:, 0] == own, 1], pairs[pairs[:, 1] == own, 0]])
-            if len(beside):
-                labels[labels == own] = np.bincount(beside).argmax()
+            adjacent = np.concatenate([pairs[pairs[:, 0] == own, 1], pairs[pairs[:, 1] == own, 0]])
+            if len(adjacent):
+                labels[labels == own] = np.bincount(adjacent).argmax()
                 break
         else:
             return labels
 
 
 def _halved(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
-    """Cut a room that is too large into connected halves, again and again: what is near to one end of it, and the rest.
+    """Halve a room that is too large, recursively: the half near one end, and the connected parts of the rest.
 
-    Parts of the rest that are too small go with the near half.
+    Parts of the rest that are too small stay with the near half.
     """
     if room.sum() <= ROOMS.max_cells:
         return [room]
@@ -127,7 +131,7 @@ def _halved(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
 
 
 def _connected_parts(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
-    """Return the parts of a room between which no open border leads, each a mask (nx, ny)."""
+    """Return the parts of a room that no open border connects, each a mask (nx, ny)."""
     cells = np.flatnonzero(room.ravel())
     n, label = csgraph.connected_components(graph[cells][:, cells], directed=False)
     parts = np.zeros((n, room.size), dtype=np.bool_)
@@ -136,11 +140,11 @@ def _connected_parts(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
 
 
 def shortest_sequence(cost: Floats, first: Floats | None) -> Ints:
-    """Order things by the cost (n, n) [s] from the end of one to the start of another: nearest neighbour, then Or-opt.
+    """Order items by the cost (n, n) [s] from the end of one to the start of another: nearest neighbour, then Or-opt.
 
     Parameters
     ----------
-    first : (n,) [s] cost of coming to each from the start; None: anything may be first
+    first : (n,) [s] Cost from the start to each item; None: any item may be first.
     """
     n = len(cost)
     lead = np.zeros(n) if first is None else first
@@ -162,7 +166,7 @@ def _total(order: list[int], cost: Floats, lead: Floats) -> float:
 
 
 def _or_opt(order: list[int], cost: Floats, lead: Floats) -> list[int]:
-    """Move sequences of up to three elsewhere as long as that helps (Or-opt)."""
+    """Move sequences of up to three items elsewhere while that lowers the cost (Or-opt)."""
     total, improved = _total(order, cost, lead), len(order) <= 150
     while improved:
         improved = False

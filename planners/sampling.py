@@ -1,4 +1,4 @@
-"""Whether a log can serve the bins: how often a bin is logged as the robot passes, and how far a scan smears."""
+"""Warnings for a drive that is too fast for its log: poses per bin, and motion during a scan."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from planners.trajectory import Trajectory
 def sampling_warnings(
     trajectory: Trajectory, *, cell: float, headings: int, rate: float, sweep_time: float = 0.0
 ) -> list[str]:
-    """Return a line for each way in which the drive is too fast for its log.
+    """Return one line for each limit that the drive exceeds.
 
     Parameters
     ----------
-    cell : [m]
-    rate : [Hz] of the log
-    sweep_time : [s] that one entry of the log takes to measure
+    cell : [m] Side of a cell.
+    rate : [Hz] Rate of the log.
+    sweep_time : [s] Duration of one scan.
     """
     twists = trajectory.twists
     v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
@@ -50,12 +50,12 @@ def sampling_warnings(
 
 
 def _up(value: float) -> str:
-    """Return two digits, rounded up, so that the advice is enough."""
+    """Round up to two digits, so that following the advice suffices."""
     digit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return f"{np.ceil(value / digit - 1e-9) * digit:.3g}"
 
 
 def _down(value: float) -> str:
-    """Return two digits, rounded down."""
+    """Round down to two digits."""
     digit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return f"{np.floor(value / digit + 1e-9) * digit:.3g}"

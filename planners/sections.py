@@ -1,9 +1,9 @@
-"""Cut a drive: sections of it that end in time, and the way from their end to where the robot should be.
+"""Cut a drive into sections that fit a time limit, and plan the transit from a section's end to a target pose.
 
-The drive of a robot that turns in place is cut only where v is zero. It may still be turning there, so the section ends
-with a turn on the spot that brakes, and the next one begins with a turn that gets going. Both stay at the same place, and
-every heading bin is still passed. A car can be cut between any two arcs: it brakes and gets going on arcs that it drives
-anyway.
+The drive of a robot that turns in place is cut only where v is zero. If it is turning there, the section ends
+with a braking turn on the spot, and the next section begins with an accelerating turn. Both stay in place,
+and every heading bin is still passed. A car's drive can be cut between any two arcs: it brakes and
+accelerates on arcs of the drive.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from planners.types import Floats, Ints
 from planners.vehicle import Vehicle
 
 STILL = 1e-9
-"""[m/s, rad/s] slower is standing."""
+"""[m/s, rad/s] Below this the robot is at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transit:
-    """A drive from one pose to another that need not cover anything."""
+    """A drive from one pose to another, without a requirement on coverage."""
 
     curve: Curve | None
     """None if the poses are the same."""
@@ -44,11 +44,12 @@ class Transit:
 
 
 def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach: Reach) -> None:
-    """Refuse a pose (3,) where the robot cannot stand, or that it cannot reach.
+    """Reject a pose (3,) that the robot cannot take or reach.
 
     Raises
     ------
-    PlanError : the pose is outside the arena, too near to a wall, or out of reach; `name` says whose pose it is
+    PlanError : The pose is outside the arena, too near to a wall, or out of reach; `name` is its name in the
+        message.
     """
     where = f"{name} ({pose[0]:g}, {pose[1]:g})"
     if not np.isfinite(pose).all():
@@ -64,11 +65,13 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
     at = np.floor((pose[:2] - reach.origin) / reach.step).astype(np.int64)
     low, high = np.maximum(at - 2, 0), at + 3
     if not reach.mask[low[0] : high[0], low[1] : high[1]].any():
-        raise PlanError(f"{where} cannot be reached from the start; move one of them into the other's part")
+        raise PlanError(
+            f"{where} cannot be reached from the start; move the pose or the start into the same part of the floor"
+        )
 
 
 def cut_points(curve: Curve, vehicle: Vehicle) -> Ints:
-    """Return the pieces (m,) before which the curve can be cut, and the count of all pieces as the last."""
+    """Return the pieces (m,) before which the curve can be cut; the last entry is the number of pieces."""
     still = abs(curve.twists[:, 0]) < STILL
     if vehicle.drive != "diff":
         still[:] = True
@@ -76,14 +79,14 @@ def cut_points(curve: Curve, vehicle: Vehicle) -> Ints:
 
 
 def section_of(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
-    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cut_points`."""
+    """Return pieces `first` to `last` (excluded) from rest to rest; both must be among `cut_points`."""
     if vehicle.drive == "diff":
         return _spin_section(curve, first, last, vehicle.limits.alpha)
     return car_section(curve, first, last, vehicle.limits)
 
 
 def _spin_section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
-    """Return a section that begins and ends with a turn on the spot, at `alpha` [rad/s²], where the robot is turning."""
+    """Return a section that begins and ends with a turn on the spot at `alpha` [rad/s²] where the robot is turning."""
     whole = curve if last == len(curve.starts) else curve.until(float(curve.starts[last]), alpha)
     omega = float(curve.twists[first, 1])
     if abs(omega) < STILL:
@@ -110,16 +113,16 @@ def _spin_section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
 
 
 def end_poses(curve: Curve) -> tuple[Floats, Floats]:
-    """Return the poses (3,) at the start and at the end; phi is wrapped."""
+    """Return the poses (3,) at the start and at the end, with phi wrapped."""
     first, last = curve.sample(np.array([0.0, curve.duration]))[0]
     return first, last
 
 
 def turning_stops(curve: Curve) -> Floats:
-    """Return the stops (n, 4) [m, m, rad, rad] of a drive: where it begins to turn on the spot, or again, and how far.
+    """Return the stops (n, 4) [m, m, rad, rad] of a drive: pose at the start of each turn on the spot, and its angle.
 
-    A spin that never ends counts again with each revolution. What is turned on the way between two stops belongs
-    to the first, so that the turns add up to those of the drive.
+    A continuous spin has one stop per revolution. Turning between two stops is added to the first, so that
+    the angles add up to the total turn of the drive.
     """
     end = curve.sample(np.array([curve.duration]))[0][0]
     phi = np.append(curve.poses[:, 2], 0.0)
@@ -135,7 +138,7 @@ def turning_stops(curve: Curve) -> Floats:
 
 
 def stops_of(curve: Curve, task: Task) -> Floats:
-    """Return the stops (n, 4) of any vehicle. A car's are its cusps, where it changes gear and does not turn."""
+    """Return the stops (n, 4) of any vehicle; those of a car are its cusps, where it changes gear and does not turn."""
     if task.vehicle.drive == "diff":
         return turning_stops(curve)
     return cusps(curve)
@@ -146,7 +149,7 @@ class NoPathError(PlanError):
 
 
 class PathCache:
-    """Transits between poses: direct if that is clear, else by OMPL; each path is planned once."""
+    """Transits between poses: direct if that is clear, else by OMPL; each path is planned once and reused."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
@@ -157,7 +160,7 @@ class PathCache:
 
         Raises
         ------
-        NoPathError : OMPL found no path
+        NoPathError : OMPL found no path.
         """
         if self.task.vehicle.drive != "diff":
             return self._by_car(begin, end)
@@ -199,7 +202,7 @@ class PathCache:
 
 
 def _no_path(begin: Floats, end: Floats) -> str:
-    return f"no way was found from {_place(begin)} to {_place(end)}; choose another place to start, to end or to dock"
+    return f"no path was found from {_place(begin)} to {_place(end)}; choose another place to start, to end or to dock"
 
 
 def _place(pose: Floats) -> str:
@@ -211,20 +214,20 @@ class DriveSection:
     """A section of the drive, and the transit from its end."""
 
     last: int
-    """The piece of the drive that comes next."""
+    """Index of the next piece of the drive."""
     part: Curve
     home: Transit | None
 
     @property
     def duration(self) -> float:
-        """[s] of both."""
+        """[s] of section and transit."""
         return self.part.duration + (0.0 if self.home is None else self.home.duration)
 
 
 def section_up_to(
     curve: Curve, first: int, last: int, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
 ) -> DriveSection:
-    """Return pieces `first` up to `last`, not included, and the transit from there to `home` (3,)."""
+    """Return pieces `first` to `last` (excluded), and the transit from there to `home` (3,)."""
     part = section_of(curve, first, last, vehicle)
     back = None if home is None or cache is None else cache.transit(end_poses(part)[1], home)
     return DriveSection(last=last, part=part, home=back)
@@ -233,13 +236,14 @@ def section_up_to(
 def longest_section(
     curve: Curve, first: int, left: float, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
 ) -> DriveSection | None:
-    """Return the longest section from piece `first` on that fits, with its transit `home` (3,), into `left` [s].
+    """Return the longest section from piece `first` that, with its transit to `home` (3,), fits into `left` [s].
 
-    None if not even the shortest fits. Where transits home differ much from place to place, a longer section may exist.
+    The section is shortened by its excess time until it fits. A longer section may exist where transits home
+    differ much between neighbouring places. The result is None if not even the shortest section fits.
 
     Raises
     ------
-    NoPathError : no path leads home from several places in a row
+    NoPathError : No path leads home from several successive places.
     """
     choice, stamps = cut_points(curve, vehicle), np.append(curve.starts, curve.duration)
     nearest, last = int(choice[choice > first][0]), first
@@ -265,11 +269,11 @@ def longest_section(
 def fit_to_budget(
     driven: PlannedDrive, task: Task, *, budget: float | None, end: Floats | None
 ) -> PlannedDrive:
-    """Cut a drive to what fits into `budget` [s], and lead it to `end` (3,) if there is one.
+    """Cut a drive to `budget` [s], and add the transit to `end` (3,) if an end pose is given.
 
     Raises
     ------
-    PlanError : the budget is too short for the first stop, or no path leads to the end
+    PlanError : The budget is too short for the first stop, or no path leads to the end pose.
     """
     if budget is None and end is None:
         return driven
@@ -299,7 +303,7 @@ def fit_to_budget(
 
 
 def minutes(seconds: float) -> str:
-    """Return minutes, rounded up to a tenth."""
+    """Return the duration in minutes, rounded up to a tenth."""
     return f"{np.ceil(seconds / 6) / 10:g}"
 
 

@@ -1,4 +1,4 @@
-"""What a planner is asked for (`Task`), and what it answers (`PlannedDrive`)."""
+"""The input of a planner (`Task`) and its result (`PlannedDrive`)."""
 
 from __future__ import annotations
 
@@ -14,75 +14,79 @@ from planners.types import Bools, Floats, Progress, Status
 from planners.vehicle import Vehicle
 
 ORDERS = ("fast", "anytime")
-"""Of a coverage plan: the shortest drive as a whole, room by room; or coarse to fine, so that each prefix is worth most."""
+"""Orders of a coverage plan.
+
+`fast`: the shortest drive as a whole, room by room. `anytime`: coarse to fine, so that every prefix is as
+valuable as possible."""
 
 
 class Survey(Protocol):
-    """What the sensor has seen so far, as an anytime plan asks for it."""
+    """What the sensor has seen so far; used by an anytime plan."""
 
     def gain(self, poses: Floats) -> Floats:
-        """Return (n,) what a scan at each pose (n, 3) [m, m, rad] alone would add."""
+        """Return the gain (n,) that a scan at each pose (n, 3) [m, m, rad] would add on its own."""
 
     def mark(self, poses: Floats) -> None:
-        """Count what scans at poses (n, 3) [m, m, rad] show as seen."""
+        """Mark as seen what scans at poses (n, 3) [m, m, rad] show."""
 
     def copy(self) -> Survey:
-        """Return one that can be marked without marking this one."""
+        """Return an independent copy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """One planning job, as `planning.plan` gives it to a planner."""
+    """The input of a planner, made by `planning.plan`."""
 
     arena: Arena
     vehicle: Vehicle
     barriers: Barriers
     reach: Reach
     coverage: Coverage
-    """Its reachable bins are to be covered; its counts hold the poses of earlier runs."""
+    """Grid whose reachable bins are to be covered; its counts hold the poses of earlier runs."""
     start: Floats | None
-    """(3,) [m, m, rad]; None: wherever the planner likes."""
+    """(3,) [m, m, rad] start pose; None: chosen by the planner."""
     seed: int
     rate: float
     """[Hz] of the log."""
     priority: Floats | None
-    """(nx, ny, n_phi) higher comes earlier."""
+    """(nx, ny, n_phi) priority of each bin; higher comes earlier."""
     duration: float | None
-    """[s] that planners drive which never finish by themselves (the baselines)."""
+    """[s] duration of planners that have no end (the baselines)."""
     progress: Progress | None
     targets: Floats | None = None
-    """(n, 3) [m, m, rad] poses that the planner `views` visits."""
+    """(n, 3) [m, m, rad] poses to visit, for the planner `views`."""
     returnable: ReturnableSet | None = None
-    """Bins that a car without a reverse gear can reach from the start and return from; None: not known, or not needed."""
+    """Bins that a car without a reverse gear can reach from the start and return from; None: unknown or not
+needed."""
     order: str = "fast"
     """One of `ORDERS`: what the coverage planner drives first."""
     survey: Survey | None = None
-    """What an anytime plan looks at first; None: it begins with coarse coverage."""
+    """What the sensor has seen, for an anytime plan; None: the plan begins with coarse coverage."""
     budget: float | None = None
-    """[s] after which nothing more need be planned; None: all."""
+    """[s] after which the plan may end; None: no limit."""
     status: Status | None = None
-    """Is told what is being planned and how good it is already."""
+    """Called with a text on the current step and the quality of the plan so far."""
 
-    def say(self, text: str) -> None:
-        """Tell what is being planned, if anybody listens."""
+    def show_status(self, text: str) -> None:
+        """Pass a text on the current step to `status`, if there is one."""
         if self.status is not None:
             self.status(text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JoinCounts:
-    """How the joins came about: moves that only lead from one part of a drive to the next."""
+    """Counts of joins: moves that only connect one part of a drive to the next."""
 
     direct: int = 0
-    """Straight moves (for cars: shortest curves) that are clear."""
+    """Straight moves (cars: shortest curves) that are clear."""
     planned: int = 0
-    """Joins that OMPL planned around obstacles."""
+    """Joins around obstacles, planned by OMPL."""
     failed: int = 0
     """Joins for which OMPL found no path."""
     by_wavefront: int = 0
-    """Joins of a Dubins car that OMPL did not find, but the wavefront over its own primitives did."""
+    """Joins of a car that OMPL did not find and a wavefront over its own primitives did."""
     planned_m: float = 0.0
-    """[m] of all planned joins."""
+    """[m] Total length of all planned joins."""
 
     def __add__(self, other: JoinCounts) -> JoinCounts:
         return JoinCounts(
@@ -96,13 +100,13 @@ class JoinCounts:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedDrive:
-    """A planner's answer."""
+    """The result of a planner."""
 
     curve: Curve
     stops: Floats
-    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the angle turned there."""
     joins: JoinCounts
     interrupted: bool = False
-    """Ctrl-C ended the planning; the drive covers what was planned by then."""
+    """Whether Ctrl-C ended the planning; the drive then covers what was planned before."""
     lost: Bools | None = None
-    """(nx, ny, n_phi) bins that OMPL found no way to; None: none."""
+    """(nx, ny, n_phi) bins to which OMPL found no path; None: no such bin."""

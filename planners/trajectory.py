@@ -1,4 +1,4 @@
-"""Trajectory: where the robot should be, when, and how fast; CSV in and out."""
+"""Trajectory: poses and twists by time; reading and writing of trajectory CSV files."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from planners.types import Floats
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
 ROW = "%.6f," * 6 + "%s\n"
 ROWS_AT_A_TIME = 100_000
-"""Rows written at a time."""
+"""Number of rows processed at a time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """A timed path, exact at its samples.
+    """A timed path with exact samples.
 
     Raises
     ------
-    ValueError : the shapes do not match, or the stamps do not increase strictly
+    ValueError : The shapes do not match, or the stamps do not increase strictly.
     """
 
     stamps: Floats
@@ -34,9 +34,9 @@ class Trajectory:
     poses: Floats
     """(n, 3) [m, m, rad] base_link in map, phi in (-pi, pi]."""
     twists: Floats
-    """(n, 2) [m/s, rad/s] body velocity (v, omega) at the sample."""
+    """(n, 2) [m/s, rad/s] body velocity (v, omega) at each sample."""
     primitives: NDArray[np.str_]
-    """(n,) what the robot is doing: `spin`, `lane`, `move`, `turn`, `wait`, ..."""
+    """(n,) motion primitive at each sample: `spin`, `lane`, `move`, `turn`, `wait`, ..."""
 
     def __post_init__(self) -> None:
         n = len(self.stamps)
@@ -53,14 +53,14 @@ class Trajectory:
 
     @property
     def length(self) -> float:
-        """[m] driven by base_link, forward and backward."""
+        """[m] distance driven by base_link, forward and backward."""
         places, total = self.poses[:, :2], 0.0
         for first in range(0, len(places) - 1, ROWS_AT_A_TIME):
             total += float(np.hypot(*np.diff(places[first : first + ROWS_AT_A_TIME + 1], axis=0).T).sum())
         return total
 
     def at(self, stamps: Floats) -> tuple[Floats, Floats]:
-        """Interpolate poses (m, 3) and twists (m, 2) at stamps (m,) [s]; the ends are held."""
+        """Interpolate poses (m, 3) and twists (m, 2) at stamps (m,) [s]; outside, the end values are held."""
         phi = np.unwrap(self.poses[:, 2])
         columns = [self.poses[:, 0], self.poses[:, 1], phi, self.twists[:, 0], self.twists[:, 1]]
         out = np.stack([np.interp(stamps, self.stamps, c) for c in columns], axis=-1)  # (m, 5)
@@ -85,11 +85,11 @@ def _quoted(label: str) -> str:
 
 
 def read_csv(path: Path) -> Trajectory:
-    """Read a trajectory CSV; columns by name, `primitive` optional.
+    """Read a trajectory CSV; columns are found by name, and `primitive` is optional.
 
     Raises
     ------
-    PlanError : the file is no such table, or its times do not increase
+    PlanError : The file is not such a table, or its times do not increase.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -107,7 +107,7 @@ def read_csv(path: Path) -> Trajectory:
     if len(values) < 2:
         raise PlanError(f"{path}: {len(values)} rows, expected at least two")
     if not np.isfinite(values).all() or not (np.diff(values[:, 0]) > 0).all():
-        raise PlanError(f"{path}: t must increase strictly and all numbers be finite")
+        raise PlanError(f"{path}: expected finite numbers and strictly increasing t")
     primitives = np.array([row.get("primitive") or "move" for row in rows], dtype=np.str_)
     values[:, 3] = wrap(values[:, 3])
     return Trajectory(stamps=values[:, 0], poses=values[:, 1:4], twists=values[:, 4:6], primitives=primitives)

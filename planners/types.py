@@ -1,4 +1,4 @@
-"""The array types that the whole package shares, and how long work tells its progress."""
+"""Array types of the package, and the callbacks by which long work reports its progress."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Int32s = NDArray[np.int32]
 Int16s = NDArray[np.int16]
 
 Progress = Callable[[int, int], None]
-"""Called with (done, total) while work goes on."""
+"""Called with (done, total) during long work."""
 
 Status = Callable[[str], None]
-"""Called with a few words on what is worked on now, and how good it is already."""
+"""Called with a short text on the current step and the quality of the result so far."""

@@ -1,4 +1,4 @@
-"""Vehicle: what a planner must know of a robot; `sensorgraph.world.robot.Robot` is a Vehicle with a sensor."""
+"""Vehicle: the robot as planners need it; `sensorgraph.world.robot.Robot` is a Vehicle with a sensor."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import numpy as np
 Drive = Literal["diff", "reeds_shepp", "dubins"]
 DRIVES: tuple[str, ...] = get_args(Drive)
 SHORTEST_ARC = 0.01
-"""[m] that a car drives on one arc, at least: to turn its wheels there and back takes time. A constant of compiled code,
-see `planners.kernel`."""
+"""[m] minimum length of a car's arc, because steering takes time. A constant of compiled code, see
+`planners.kernel`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What the drive can do.
+    """Limits of the drive.
 
     Raises
     ------
-    ValueError : a limit is not positive, or the turning radius is negative
+    ValueError : A limit is not positive, or the turning radius is negative.
     """
 
     v: float = 0.4
-    """[m/s] largest forward speed (and backward, unless the drive is `dubins`)."""
+    """[m/s] maximum forward speed (and backward, unless the drive is `dubins`)."""
     omega: float = 1.0
-    """[rad/s] largest turn rate, either way."""
+    """[rad/s] maximum turn rate, in both directions."""
     a: float = 0.5
-    """[m/s²] largest change of v."""
+    """[m/s²] maximum rate of change of v."""
     alpha: float = 2.0
-    """[rad/s²] largest change of omega."""
+    """[rad/s²] maximum rate of change of omega."""
     turning_radius: float = 0.0
-    """[m] least radius of a car's curve; 0 for a robot that turns in place."""
+    """[m] minimum turning radius of a car; 0 for a robot that turns in place."""
 
     @property
     def a_on_arc(self) -> float:
-        """[m/s²] largest change of a car's speed on an arc of its least radius, where alpha must hold too."""
+        """[m/s²] maximum acceleration of a car on an arc of minimum radius, where alpha limits it too."""
         return min(self.a, self.alpha * self.turning_radius)
 
     def __post_init__(self) -> None:
@@ -54,13 +54,13 @@ class Vehicle:
 
     Raises
     ------
-    ValueError : an unknown drive, a radius that is not positive, or a car without a turning radius
+    ValueError : The drive is unknown, the radius is not positive, or a car has no turning radius.
     """
 
     name: str = "radix"
     drive: Drive = "diff"
     footprint_radius: float = 0.20
-    """[m] radius of the disc round `base_link` that must stay free."""
+    """[m] radius of the disc around `base_link` that must stay free."""
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class Vehicle:
             )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return name, drive, radius and limits as plain data; what a subclass adds is left out."""
+        """Return name, drive, radius and limits as plain data; fields of subclasses are left out."""
         return {
             "name": self.name,
             "drive": self.drive,

@@ -1,4 +1,4 @@
-"""Work that Ctrl-C must not cut in two: it is done first, and Ctrl-C takes effect afterwards."""
+"""Complete work that Ctrl-C must not interrupt; Ctrl-C takes effect afterwards."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Result = TypeVar("Result")
 
 
 def uninterrupted(work: Callable[[], Result]) -> Result:
-    """Do some work to its end however often Ctrl-C comes meanwhile; then let Ctrl-C do what it did before.
+    """Complete some work even if Ctrl-C is pressed meanwhile; then call the original handler of Ctrl-C.
 
-    For compilers above all: LLVM calls Python back, which cannot pass a KeyboardInterrupt on, and crashes. Python handles
-    signals in its main thread; other threads are not disturbed anyway.
+    This is mainly for compilers: LLVM calls back into Python, cannot pass on a KeyboardInterrupt, and crashes.
+    Python handles signals in its main thread; other threads are never interrupted.
     """
     before = signal.getsignal(signal.SIGINT)
     is_main = threading.current_thread() is threading.main_thread()
@@ -35,12 +35,12 @@ def uninterrupted(work: Callable[[], Result]) -> Result:
 
 
 class _Later:
-    """A signal handler that only notes that the signal came, and says so once."""
+    """A signal handler that records the signal and warns once."""
 
     def __init__(self) -> None:
         self.frames: list[FrameType | None] = []
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if not self.frames:
-            logger.warning("stopping once what is being compiled is done")
+            logger.warning("stopping after the current compilation")
         self.frames.append(frame)

@@ -72,7 +72,7 @@ def test_a_planner_that_is_not_there_is_refused_before_planning(name: str, said:
     [
         ("def Own(:", "cannot be imported .SyntaxError"),
         ("1 / 0", "cannot be imported .ZeroDivisionError"),
-        ("Own = 3", "is no class"),
+        ("Own = 3", "is not a class"),
         (
             "def Own(information):\n    raise ValueError('boom\\nmore')",
             r"'broken_planner:Own' ended .*ValueError: boom\);",

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from planners.errors import PlanError
-from planners.joins.ompl_process import HEADER, ask_ompl
+from planners.joins.ompl_process import HEADER, call_ompl
 
 MODULE = """
 import os, sys, signal
@@ -43,9 +43,9 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_the_same_question_has_the_same_answer_whatever_was_asked_before(module: str) -> None:
-    first = ask_ompl(module, seed=3, what="draw", number=np.arange(5))
-    other = ask_ompl(module, seed=4, what="draw", number=np.arange(5))
-    again = ask_ompl(module, seed=3, what="draw", number=np.arange(5))
+    first = call_ompl(module, seed=3, what="draw", number=np.arange(5))
+    other = call_ompl(module, seed=4, what="draw", number=np.arange(5))
+    again = call_ompl(module, seed=3, what="draw", number=np.arange(5))
     np.testing.assert_array_equal(first["twice"], 2 * np.arange(5))
     np.testing.assert_array_equal(first["draw"], again["draw"])
     assert not np.allclose(first["draw"], other["draw"])
@@ -54,15 +54,15 @@ def test_the_same_question_has_the_same_answer_whatever_was_asked_before(module:
 @pytest.mark.parametrize(("what", "said"), [("die", "code -11"), ("raise", "ValueError: too bad")])
 def test_a_crash_is_one_error_and_the_next_question_is_answered(module: str, what: str, said: str) -> None:
     with pytest.raises(PlanError, match=said):
-        ask_ompl(module, seed=1, what=what, number=0)
-    assert ask_ompl(module, seed=1, what="draw", number=4)["twice"] == 8
+        call_ompl(module, seed=1, what=what, number=0)
+    assert call_ompl(module, seed=1, what="draw", number=4)["twice"] == 8
 
 
 def test_questions_side_by_side_are_not_mixed_up(module: str) -> None:
     found: dict[int, float] = {}
 
     def one(k: int) -> None:
-        found[k] = float(ask_ompl(module, seed=k, what="draw", number=k)["twice"])
+        found[k] = float(call_ompl(module, seed=k, what="draw", number=k)["twice"])
 
     threads = [threading.Thread(target=one, args=(k,)) for k in range(6)]
     for thread in threads:
@@ -75,7 +75,7 @@ def test_questions_side_by_side_are_not_mixed_up(module: str) -> None:
 def test_no_process_outlives_the_one_that_asked(module: str) -> None:
     code = f"""
         import planners.joins.ompl_process as p
-        p.ask_ompl("{module}", seed=1, what="draw", number=1)
+        p.call_ompl("{module}", seed=1, what="draw", number=1)
         (servers,) = p._idle.values()
         print(servers[0].process.pid)
     """

@@ -136,4 +136,4 @@ def test_ctrl_c_while_a_kernel_compiles_is_raised_once_it_is_compiled(package: s
     """Also if it comes again, and within the kernels that it calls."""
     done = run(tmp_path, INTERRUPTED.format(package=package))
     assert done.stdout == "interrupted 1 1\n2.0\n"
-    assert done.stderr.count("stopping once what is being compiled is done") == 1
+    assert done.stderr.count("stopping after the current compilation") == 1

@@ -198,7 +198,7 @@ def test_unknown_cells_of_a_trinary_map_are_never_free(
     assert arena.free.area == pytest.approx(6 * 0.25)
     (note,) = arena.notes
     assert "66.7% free" in note and "22.2% occupied" in note and "11.1% unknown" in note
-    assert ("is unknown though free_thresh is" in note) == (free_thresh > 0.2)
+    assert ("is unknown although free_thresh is" in note) == (free_thresh > 0.2)
     grey = load(write_map(tmp_path, pixels, free_thresh=free_thresh, negate=negate, mode="scale"))
     assert grey.free.area == pytest.approx((7 if free_thresh > 0.2 else 6) * 0.25)
 
@@ -260,7 +260,7 @@ def test_free_space_of_a_random_map_is_its_free_cells(seed: int, tmp_path: Path)
     ("changes", "says"),
     [
         ({"image": "none.pgm"}, "no image"),
-        ({"image": "map.yaml"}, "not an image"),
+        ({"image": "map.yaml"}, "not a readable image"),
         ({"resolution": 0}, "resolution is 0"),
         ({"resolution": None}, "no key resolution"),
         ({"origin": [0, 0]}, "expected [x, y, yaw]"),
@@ -284,7 +284,7 @@ def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: s
 
 def test_a_robot_given_as_a_map_is_told(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("name: radix\nsensor: {n_rays: 91}\n")
-    with pytest.raises(PlanError, match=r"no map_server map \(keys name, sensor\).*is it a robot"):
+    with pytest.raises(PlanError, match=r"is not a map_server map \(keys name, sensor\).*is it a robot"):
         load(tmp_path / "robot.yaml")
 
 

@@ -57,7 +57,7 @@ def test_zones_are_read_from_features_of_their_kind(tmp_path: Path) -> None:
         ("1,1,2,2,3", "at least three corners"),
         ("1,1,2,2,3,3", "touches itself|no area"),
         ("1,1,nan,2,3,1", "not finite"),
-        ("nowhere.geojson", "is no file"),
+        ("nowhere.geojson", "is neither a file"),
     ],
 )
 def test_bad_zones_are_one_line(given: str, says: str) -> None:

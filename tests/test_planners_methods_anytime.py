@@ -109,9 +109,9 @@ def test_an_interrupted_plan_keeps_what_it_has() -> None:
     ("given", "said"),
     [
         ({"order": "slow"}, "order 'slow' is unknown"),
-        ({"order": "anytime", "planner": "wall_following"}, "of the planner coverage"),
+        ({"order": "anytime", "planner": "wall_following"}, "needs the planner coverage"),
         ({"order": "anytime", "vehicle": Vehicle(drive="dubins", limits=Limits(turning_radius=0.3))}, "order fast"),
-        ({"order": "anytime", "priority": lambda grid: np.ones(grid.counts.shape)}, "leave out the order"),
+        ({"order": "anytime", "priority": lambda grid: np.ones(grid.counts.shape)}, "a priority excludes the order"),
     ],
 )  # fmt: skip
 def test_what_has_no_order_is_refused(given: dict[str, object], said: str) -> None:

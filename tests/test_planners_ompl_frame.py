@@ -97,6 +97,6 @@ def test_distances_that_the_raster_proves_are_never_too_long() -> None:
     floor = planners.planning.reach(ARENA, barriers, clearance=0.22, cell=0.25)
     checks = planners.ompl_frame.FloorChecks.of(floor, barriers, Vehicle())
     places: Floats = np.random.default_rng(3).uniform([0, 0], [4, 3], (2000, 2))
-    proven = np.array([checks.proven(x, y) for x, y in places.tolist()])
+    proven = np.array([checks.distance_bound(x, y) for x, y in places.tolist()])
     assert (proven <= barriers.distances(places) + 1e-9).all()
     assert (proven > 0.2).mean() > 0.3

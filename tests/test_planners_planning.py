@@ -366,7 +366,7 @@ def test_a_start_from_which_a_dubins_car_gets_nowhere_is_refused_with_a_better_o
     """Facing a corner it can neither turn nor back."""
     car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
     room = outlined(shapely.box(0, 0, 2.4, 2.0))
-    with pytest.raises(PlanError, match=r"0 of .* bins and come back; start at -?\d") as caught:
+    with pytest.raises(PlanError, match=r"reach and return from only 0 of .* bins; start at -?\d") as caught:
         plan(room, car, start=np.array([0.3, 0.3, -2.3]), headings=8, cell=0.5)
     assert "\n" not in str(caught.value)
 

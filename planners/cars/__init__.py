@@ -1,1 +1,1 @@
-"""What cars need beyond the search: words of Reeds and Shepp, arc paths, shortcuts, detours, and what a Dubins car can return from."""
+"""Planning for cars: Reeds-Shepp and Dubins words, arc paths, shortcuts, detours, and returnable sets."""

@@ -1,6 +1,12 @@
-"""A car's drive as a chain of arcs: which bins it covers, how long it takes, and what changes if a part is replaced.
+"""A car's drive as a chain of arcs: the bins it covers, its duration, and the effect of replacing a part of it.
 
-A bin counts as covered if a log of any phase meets it: the car stays in it for at least one period of the log.
+An arc of length s and bend b turns the car by b s / radius. A run is a part of the path in one gear, driven
+from rest to rest. With length L, speed v and acceleration a, its duration is:
+
+    T(L) = L / v + v / a   for L ≥ v² / a,   else 2 sqrt(L / a).
+
+A bin counts as covered if a log of any phase records a pose in it: the car stays in it for at least one
+period of the log.
 """
 
 from __future__ import annotations
@@ -24,98 +30,98 @@ MAX_BINS = ARC_PATH.max_bins
 
 
 class CarContext(NamedTuple):
-    """Where the car drives, which bins count, and how it moves."""
+    """Floor, bins to cover, and parameters of the car."""
 
     distance: Floats
     """(mx, my) [m] of each node to the nearest barrier."""
     need: Bools
-    """(nx, ny, n_phi) bins that count."""
+    """(nx, ny, n_phi) bins to cover."""
     x0: float
-    """[m]"""
+    """[m] lower left corner, x."""
     y0: float
-    """[m]"""
+    """[m] lower left corner, y."""
     step: float
     """[m] between nodes."""
     cell: float
-    """[m]"""
+    """[m] side of a cell."""
     clearance: float
-    """[m] distance to keep."""
+    """[m] required distance from barriers."""
     radius: float
-    """[m]"""
+    """[m] turning radius."""
     speed: float
     """[m/s]"""
     acceleration: float
     """[m/s²]"""
     min_stay: float
-    """[m] Every log meets the bin of an interval of this length, whatever its phase; ..."""
+    """[m] minimum length of an interval whose bin a log of any phase records ..."""
     min_stay_at_stop: float
-    """... and of this length, if the car stops there [m]."""
+    """... and the minimum if the car stops in the interval [m]."""
     can_reverse: bool
-    """The car has a reverse gear."""
+    """Whether the car has a reverse gear."""
     gear_change_cost: float
-    """[m] that a change of gear costs, as driving."""
+    """[m] cost of a gear change, as a driving distance."""
     max_piece: float
-    """[m] Longer arcs are cut into even pieces."""
+    """[m] maximum length of a piece; longer arcs are cut into even pieces."""
 
 
 class ArcPath(NamedTuple):
     """A chain of arcs."""
 
     poses: Floats
-    """(n + 1, 3) [m, m, rad] between them."""
+    """(n + 1, 3) [m, m, rad] poses at the ends of the arcs."""
     length: Floats
     """(n,) [m]"""
     bend: Ints
-    """(n,) 1 turns counter-clockwise, 0 not, -1 clockwise."""
+    """(n,) 1 counter-clockwise, 0 straight, -1 clockwise."""
     gear: Ints
     """(n,) 1 forward, -1 backward."""
 
 
 class BinIntervals(NamedTuple):
-    """The path cut where it crosses into another bin, and where among these intervals the arcs begin."""
+    """The path, cut where it enters another bin, and the position of the arcs among these intervals."""
 
     bin: Ints
-    """(m,) flat; -1: none that counts."""
+    """(m,) flat bin; -1: not a bin to cover."""
     length: Floats
     """(m,) [m]"""
     stops: Ints
-    """(m,) how often the car stops there."""
+    """(m,) number of stops of the car in the interval."""
     start: Floats
-    """(m,) [m] driven before it."""
+    """(m,) [m] driven before the interval."""
     before: Ints
-    """(n + 1,) the interval in which the arc before each one ends; -1: none."""
+    """(n + 1,) interval at the end of the preceding arc; -1: none."""
     after: Ints
-    """(n + 1,) the interval in which each arc begins."""
+    """(n + 1,) interval at the start of each arc."""
     length_before: Floats
-    """(n + 1,) [m] of the interval `before` that lie before the arc."""
+    """(n + 1,) [m] part of the interval `before` that is before the arc."""
     stops_before: Ints
-    """(n + 1,) stops in that part; the one at the arc's start does not count."""
+    """(n + 1,) number of stops in that part, without the one at the arc's start."""
     driven: Floats
     """(n + 1,) [m] driven before each arc."""
 
 
 class GearRuns(NamedTuple):
-    """The path cut where it changes gear: runs from rest to rest."""
+    """The path, cut where it changes gear: runs from rest to rest."""
 
     run: Ints
-    """(n,) that each arc belongs to."""
+    """(n,) run of each arc."""
     before: Floats
-    """(n,) [m] of its run that lie before each arc."""
+    """(n,) [m] part of the run before each arc."""
     length: Floats
     """(m,) [m] of each run."""
     start_times: Floats
-    """(m + 1,) [s] when each begins."""
+    """(m + 1,) [s] start of each run, and the end."""
 
 
 @inner_kernel
 def pose_at(path: ArcPath, k: int) -> Pose:
-    """Return where arc k begins."""
+    """Return the pose at the start of arc k."""
     return path.poses[k, 0], path.poses[k, 1], path.poses[k, 2]
 
 
 @inner_kernel
 def flat_bin(pose: Pose, context: CarContext) -> int:
-    """Return the flat bin of a pose, -1 where it does not count."""
+    """Return the flat bin of a pose; -1 if it is not a bin to cover."""
     nx, ny, n_phi = context.need.shape
     i, k = int((pose[0] - context.x0) / context.cell), int((pose[1] - context.y0) / context.cell)
     b = int(np.floor(pose[2] * n_phi / (2 * np.pi) + 0.5)) % n_phi
@@ -126,26 +132,26 @@ def flat_bin(pose: Pose, context: CarContext) -> int:
 
 @inner_kernel
 def is_logged(length: float, stops: int, context: CarContext) -> bool:
-    """Tell whether a log of any phase meets the bin of an interval."""
+    """Return whether a log of any phase records a pose in the bin of an interval."""
     return length >= context.min_stay or (stops > 0 and length >= context.min_stay_at_stop)
 
 
 @inner_kernel
 def n_samples(length: float, step: float) -> int:
-    """Return how many samples an arc has."""
+    """Return the number of samples of an arc."""
     return int(np.ceil(length / step))
 
 
 @kernel
 def bin_intervals(path: ArcPath, context: CarContext) -> BinIntervals:
-    """Cut a path into its intervals within one bin each."""
+    """Cut a path into intervals within one bin each."""
     n, most = len(path.length), len(path.length)
     for k in range(n):
         most += n_samples(path.length[k], BIN_STEP)
     bins, stops = np.full(most, -2), np.zeros(most, np.int64)
     length, start = np.zeros(most), np.zeros(most)
     last, first = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
-    until, way, stops_until = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1, np.int64)
+    until, driven, stops_until = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1, np.int64)
     at = -1
     for k in range(n):
         last[k] = at
@@ -154,9 +160,9 @@ def bin_intervals(path: ArcPath, context: CarContext) -> BinIntervals:
         is_stop = k == 0 or path.gear[k] != path.gear[k - 1]
         if is_stop:
             own = flat_bin(pose_at(path, k), context)
-            if at < 0 or own != bins[at]:  # of no length, if the car only stops there
+            if at < 0 or own != bins[at]:  # an interval of zero length, if the car only stops there
                 at += 1
-                bins[at], start[at], stops[at] = own, way[k], 0
+                bins[at], start[at], stops[at] = own, driven[k], 0
         count = n_samples(path.length[k], BIN_STEP)
         step = path.length[k] / count
         for s in range(count):
@@ -166,14 +172,14 @@ def bin_intervals(path: ArcPath, context: CarContext) -> BinIntervals:
             )
             if at < 0 or own != bins[at]:
                 at += 1
-                bins[at], start[at] = own, way[k] + s * step
+                bins[at], start[at] = own, driven[k] + s * step
             length[at] += step
             if s == 0:
                 first[k] = at
                 if is_stop:
                     for touched in range(max(last[k], 0), at + 1):
                         stops[touched] += 1
-        way[k + 1] = way[k] + path.length[k]
+        driven[k + 1] = driven[k] + path.length[k]
     last[n], first[n], until[n], stops_until[n] = at, at, length[at], stops[at]
     stops[at] += 1
     m = at + 1
@@ -186,20 +192,20 @@ def bin_intervals(path: ArcPath, context: CarContext) -> BinIntervals:
         first,
         until,
         stops_until,
-        way,
+        driven,
     )
 
 
 @inner_kernel
 def rest_to_rest_time(length: float, context: CarContext) -> float:
-    """Return how long [s] a run in one gear takes."""
+    """Return the duration [s] of a run, T(length) of the module docstring."""
     v, a = context.speed, context.acceleration
     return length / v + v / a if length >= v * v / a else 2 * np.sqrt(length / a)
 
 
 @kernel
 def gear_runs(path: ArcPath, context: CarContext) -> GearRuns:
-    """Cut a path into its runs in one gear each."""
+    """Cut a path into runs in one gear each."""
     n, at = len(path.length), -1
     run, before = np.empty(n, np.int64), np.empty(n)
     length = np.zeros(n)
@@ -218,7 +224,7 @@ def gear_runs(path: ArcPath, context: CarContext) -> GearRuns:
 def replacement_time(
     i: int, j: int, arcs: Arcs, n: int, path: ArcPath, runs: GearRuns, context: CarContext
 ) -> float:
-    """Return the time [s] of the runs around the part from arc i to arc j, with `n` arcs in its place."""
+    """Return the duration [s] of the runs around arcs i to j when `n` arcs replace that part."""
     gear, length = path.gear[i - 1], runs.before[i - 1] + path.length[i - 1]
     total = 0.0
     for k in range(n):
@@ -236,11 +242,11 @@ def replacement_time(
 def bins_covered(
     i: int, j: int, arcs: Arcs, n: int, path: ArcPath, intervals: BinIntervals, context: CarContext, out: Ints
 ) -> int:
-    """Write to `out` the bins covered from the interval before arc i to the one after arc j, with `n` arcs in between.
+    """Write the bins covered between the intervals around arcs i and j when `n` arcs replace that part.
 
     Returns
     -------
-    their count
+    The number of these bins.
     """
     own, length, stops = -1, 0.0, 0
     if intervals.before[i] >= 0:
@@ -287,7 +293,7 @@ def bins_covered(
 
 @inner_kernel
 def is_clear(pose: Pose, arcs: Arcs, n: int, context: CarContext) -> bool:
-    """Tell whether the car keeps its distance on `n` arcs from a pose."""
+    """Return whether the car keeps the clearance on `n` arcs from a pose."""
     distance = context.distance
     for m in range(n):
         count = n_samples(arcs.length[m], CLEARANCE_STEP)
@@ -305,13 +311,13 @@ def is_clear(pose: Pose, arcs: Arcs, n: int, context: CarContext) -> bool:
 
 @inner_kernel
 def section_time(i: int, j: int, runs: GearRuns) -> float:
-    """Return the time [s] of the runs around the part from arc i to arc j."""
+    """Return the duration [s] of the runs around arcs i to j."""
     return float(runs.start_times[runs.run[j] + 1] - runs.start_times[runs.run[i - 1]])
 
 
 @inner_kernel
 def min_length(one: Pose, other: Pose, radius: float) -> float:
-    """Return a lower bound of the way between two poses [m]: the straight line, or the turn on an arc."""
+    """Return a lower bound [m] on the path length between two poses, from their distance and headings."""
     turn = abs((other[2] - one[2] + np.pi) % (2 * np.pi) - np.pi)
     return float(max(np.hypot(one[0] - other[0], one[1] - other[1]), radius * turn))
 
@@ -323,9 +329,9 @@ def car_context(
 
     Parameters
     ----------
-    todo : (nx, ny, n_phi) bins that must not be lost
-    speed : [m/s] of the car
-    rate : [Hz] of the log
+    todo : (nx, ny, n_phi) Bins that the drive must keep.
+    speed : [m/s] Speed of the car.
+    rate : [Hz] Rate of the log.
     """
     a = limits.a_on_arc
     return CarContext(
@@ -348,9 +354,9 @@ def car_context(
 
 
 def even_arc_path(pose: Floats, arcs: Arcs, context: CarContext) -> tuple[ArcPath, Ints]:
-    """Return the path along arcs (n,) from a pose (3,), cut into even pieces, and the arc that each piece (m,) is of.
+    """Return the path along arcs (n,) from a pose (3,), cut into even pieces, and the arc of each piece (m,).
 
-    Consecutive arcs of the same bend and gear are joined first.
+    Consecutive arcs with the same bend and gear are merged first.
     """
     begins = np.flatnonzero(np.diff(arcs.bend, prepend=2) | np.diff(arcs.gear, prepend=2))
     whole = np.add.reduceat(arcs.length, begins)
@@ -367,7 +373,7 @@ def even_arc_path(pose: Floats, arcs: Arcs, context: CarContext) -> tuple[ArcPat
 
 @outer_kernel
 def fill_poses(poses: Floats, length: Floats, bend: Ints, gear: Ints, radius: float) -> None:
-    """Fill `poses` (n + 1, 3) after the first with the ends of n arcs."""
+    """Fill `poses` (n + 1, 3) after the first with the end poses of n arcs."""
     for k in range(len(length)):
         pose = poses[k, 0], poses[k, 1], poses[k, 2]
         poses[k + 1, 0], poses[k + 1, 1], poses[k + 1, 2] = arc_end(pose, length[k], bend[k], gear[k], radius)

@@ -1,4 +1,7 @@
-"""Curves of cars: chains of arcs and straight pieces, driven as fast as v and a allow, from rest to rest in each gear."""
+"""Curves of cars: chains of arcs and straight pieces, driven as fast as v and a allow, from rest to rest in each gear.
+
+At distance s from the start of a run of length L, the speed is min(v, sqrt(2 a s), sqrt(2 a (L - s))).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from planners.types import Floats
 from planners.vehicle import Limits
 
 STRAIGHT = 1e-9
-"""[rad] Pieces that turn less are straight."""
+"""[rad] A piece that turns less is straight."""
 
 
 def curve_of_arcs(
@@ -22,10 +25,10 @@ def curve_of_arcs(
 
     Parameters
     ----------
-    length : (m,) [m]
-    bend : (m,) 1 turns counter-clockwise, 0 not, -1 clockwise
-    gear : (m,) 1 forward, -1 backward; the car stops where it changes
-    v : [m/s] default: the fastest that the limits allow
+    length : (m,) [m] Length of each piece.
+    bend : (m,) 1 counter-clockwise, 0 straight, -1 clockwise.
+    gear : (m,) 1 forward, -1 backward; the car stops where it changes.
+    v : [m/s] Speed; default: the maximum that the limits allow.
     """
     top = min(limits.v, limits.omega * limits.turning_radius) if v is None else v
     a = limits.a_on_arc
@@ -39,7 +42,7 @@ def curve_of_arcs(
 
 
 def car_section(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
-    """Return pieces `first` up to `last`, not included, of a car's curve as a drive from rest to rest."""
+    """Return pieces `first` to `last` (excluded) of a car's curve as a drive from rest to rest."""
     arcs = take_arcs(arcs_of_curve(curve), slice(first, last))
     top = float(abs(curve.twists[:, 0]).max())
     return curve_of_arcs(curve.poses[first], arcs.length, arcs.bend, arcs.gear, limits, top)
@@ -48,9 +51,9 @@ def car_section(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
 def arcs_of_curve(curve: Curve) -> Arcs:
     """Return the arcs (n,) of a car's curve, one for each piece."""
     dt = np.diff(np.append(curve.starts, curve.duration))[:, None]
-    way, turn = (curve.twists * dt + 0.5 * curve.rates * dt * dt).T
+    length, turn = (curve.twists * dt + 0.5 * curve.rates * dt * dt).T
     bend = np.where(abs(turn) > STRAIGHT, np.sign(turn), 0.0)
-    return Arcs(abs(way), bend.astype(np.int64), np.sign(way).astype(np.int64))
+    return Arcs(abs(length), bend.astype(np.int64), np.sign(length).astype(np.int64))
 
 
 def _run(
@@ -83,7 +86,7 @@ def _run(
 
 
 def cusps(curve: Curve) -> Floats:
-    """Return (n, 4) x, y, phi where a car starts or changes gear, and 0 [rad] that it turns there."""
+    """Return where a car starts or changes gear, (n, 4): x, y, phi, and 0 [rad] for the turn there."""
     gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
     at = np.flatnonzero(np.diff(gear, prepend=0.0))
     return np.column_stack([curve.poses[at], np.zeros(len(at))])

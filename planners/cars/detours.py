@@ -1,8 +1,10 @@
-"""Detours: where a car's drive passes by a bin that it misses, leave the drive by the quickest way there and back.
+"""Detours: where a car's drive passes near a missing bin, leave the drive by the quickest path to the bin and back.
 
-A bin beside a wall or in a slit is met by few headings, so a search seldom comes by, and a drive to it at the end leads
-across the whole floor. From each pose of the drive near the bin, the quickest words to a pose within it and back are
-tried; the one that costs least time, keeps its distance and covers the bin is inserted.
+Few headings can reach a bin next to a wall or in a slit. A search therefore seldom covers it, and a transit
+at the end crosses the whole floor. From each pose of the drive near the bin, the quickest words to a pose in
+the bin and back are tried. Of those that are clear and cover the bin, the one of least cost is inserted:
+
+    cost = T(runs with the detour) - T(runs without it).
 """
 
 from __future__ import annotations
@@ -46,28 +48,36 @@ MAX_DURATION = DETOURS.max_duration
 
 
 def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext) -> Arcs:
-    """Return the arcs of a drive that also comes by some bins, where a detour to them is found.
+    """Return the arcs of a drive with detours to some bins, where a detour is found.
 
     Parameters
     ----------
-    goals : (m, 3) [m, m, rad] poses to come by
-    bins : (m,) flat bin of each; one goal of each bin is enough
+    goals : (m, 3) [m, m, rad] Poses in the bins.
+    bins : (m,) Flat bin of each pose; one pose per bin is enough.
     """
     intervals, runs = bin_intervals(path, context), gear_runs(path, context)
     wanted = np.unique(bins)
 
-    def best(own: int) -> tuple[int, Arcs, set[int]]:
+    def best(bin_: int) -> tuple[int, Arcs, set[int]]:
         arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
         k, n, n_covered = find_detour(
-            np.ascontiguousarray(goals[bins == own]), own, path, intervals, runs, context, word, arcs, gained
+            np.ascontiguousarray(goals[bins == bin_]),
+            bin_,
+            path,
+            intervals,
+            runs,
+            context,
+            word,
+            arcs,
+            gained,
         )
         return k, take_arcs(arcs, slice(n)), set(gained[:n_covered].tolist())
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         found = list(threads.map(best, wanted.tolist()))
     inserted, met = list[tuple[int, Arcs]](), set[int]()
-    for own, (k, arcs, gained) in zip(wanted.tolist(), found, strict=True):
-        if k > 0 and own not in met:
+    for bin_, (k, arcs, gained) in zip(wanted.tolist(), found, strict=True):
+        if k > 0 and bin_ not in met:
             inserted.append((k, arcs))
             met |= gained
     whole, kept, at = Arcs(path.length, path.bend, path.gear), list[Arcs](), 0
@@ -80,7 +90,7 @@ def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext
 @outer_kernel
 def find_detour(
     goals: Floats,
-    own: int,
+    bin_: int,
     path: ArcPath,
     intervals: BinIntervals,
     runs: GearRuns,
@@ -89,11 +99,11 @@ def find_detour(
     arcs: Arcs,
     gained: Ints,
 ) -> tuple[int, int, int]:
-    """Write the quickest detour by one of some goals (m, 3) that covers bin `own` to `arcs`, and all bins that it covers to `gained`.
+    """Find the quickest detour by one of the goals (m, 3) that covers `bin_`; write its arcs and its bins to `gained`.
 
     Returns
     -------
-    the arc before which it is driven, 0: none; how many arcs it has, and how many bins it covers
+    The arc before which it is inserted (0: none), its number of arcs, and its number of bins.
     """
     best, best_k, best_goal = MAX_DURATION, 0, 0
     for k in range(1, len(path.length)):
@@ -112,7 +122,7 @@ def find_detour(
                 continue
             n_covered = bins_covered(k, k, arcs, n, path, intervals, context, gained)
             for w in range(n_covered):
-                if gained[w] == own:
+                if gained[w] == bin_:
                     best, best_k, best_goal = cost, k, g
     if best_k == 0:
         return 0, 0, 0
@@ -123,7 +133,7 @@ def find_detour(
 
 @inner_kernel
 def there_and_back(k: int, goal: Pose, path: ArcPath, context: CarContext, word: Floats, arcs: Arcs) -> int:
-    """Write the quickest arcs from before arc k to a pose and back; return their count, -1: there are none."""
+    """Write the quickest arcs from the start of arc k to a pose and back; return their number or -1."""
     here, radius, pause = pose_at(path, k), context.radius, context.gear_change_cost
     n = quickest_word(
         here, goal, radius, path.gear[k - 1], 0, pause, context.can_reverse, SHORTEST_ARC, 0, word, arcs

@@ -1,4 +1,4 @@
-"""How a car enters a search: by one short arc to a heading that the primitives have; and the curve of such a search."""
+"""Entry of a car into a search: one short arc to a heading of the primitives; and the curve of such a search."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from planners.vehicle import Limits
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EntryArc:
-    """The arc from where a car is to where a search can begin."""
+    """The arc from a car's pose to the start state of a search."""
 
     primitives: MotionPrimitives
     pose: Floats
-    """(3,) where the car is."""
+    """(3,) pose of the car."""
     length: float
-    """[m] 0 where its heading is one already."""
+    """[m] length; 0 if the car already has a heading of the primitives."""
     bend: int
-    """1 turns counter-clockwise, 0 not, -1 clockwise."""
+    """1 counter-clockwise, 0 straight, -1 clockwise."""
     gear: int
     """1 forward, -1 backward."""
     state: Floats
-    """(4,) x, y [m], heading step, mode where the search begins."""
+    """(4,) start state of the search: x, y [m], heading step, mode."""
 
 
 def entry_arc(
     pose: Floats, area: SearchArea, limits: Limits, headings: int, rate: float, gears: tuple[int, ...]
 ) -> EntryArc:
-    """Return the arc by which a car at `pose` (3,) comes to a heading of its primitives.
+    """Return the arc by which a car at `pose` (3,) reaches a heading of its primitives.
 
-    If walls leave no such arc (or, for a car with one gear, none back), as in a corridor that just holds the car, the
-    primitives are made to have the heading of the pose.
+    In some places walls block every such arc (for a car with one gear, also every arc back), such as in a
+    corridor just wide enough for the car. The primitives then include the heading of the pose.
     """
     senses = [gears] if len(gears) > 1 else [gears, (-gears[0],)]
     found = [
@@ -59,9 +59,9 @@ def entry_arc(
 def shortest_entry_arc(
     pose: Floats, area: SearchArea, primitives: MotionPrimitives, rate: float, limits: Limits
 ) -> EntryArc | None:
-    """Return the shortest clear arc of the least radius from `pose` (3,) to a state where the search can begin.
+    """Return the shortest clear arc of minimum radius from `pose` (3,) to a start state of the search.
 
-    None if walls leave no such arc.
+    None if walls block every such arc.
     """
     apart = float((pose[2] - primitives.first_heading) / abs(primitives.heading_step))
     steps = np.arange(-ENTRY.max_steps, ENTRY.max_steps + 1) + np.round(apart) - apart
@@ -90,7 +90,7 @@ def shortest_entry_arc(
 
 
 def state_at(primitives: MotionPrimitives, pose: Floats, mode: int = 0) -> Floats:
-    """Return (4,) the state at a pose whose heading the primitives have."""
+    """Return the state (4,) at a pose whose heading is one of the primitives'."""
     step = (
         round(float((pose[2] - primitives.first_heading) / primitives.heading_step)) % primitives.n_headings
     )
@@ -98,10 +98,10 @@ def state_at(primitives: MotionPrimitives, pose: Floats, mode: int = 0) -> Float
 
 
 def curve_of_search(found: SearchResult, entered: EntryArc, limits: Limits) -> Curve:
-    """Return the curve of a car's drive: as fast as v and a allow from rest to rest in each gear.
+    """Return the curve of a car's drive: as fast as v and a allow, from rest to rest in each gear.
 
-    Arcs and straight pieces follow each other at full speed, so omega jumps where the steering does; within a piece
-    alpha holds.
+    Arcs and straight pieces follow each other at full speed, so omega jumps where the curvature does. Within
+    a piece alpha holds.
     """
     primitives = entered.primitives
     then, turn = primitives.next_mode.tolist(), primitives.turned_steps.tolist()

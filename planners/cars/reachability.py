@@ -1,7 +1,8 @@
-"""What a Dubins car can reach and return from, and a car's paths over the whole floor: a wavefront over its own primitives.
+"""Returnable sets of Dubins cars, and paths over the whole floor, by a wavefront over the primitives.
 
-Every state of the wavefront is one that the car can be in, and each cell of a fine lattice is entered once. So a path is
-found through any gap that the lattice resolves, where planners that sample at random need luck.
+Every state of the wavefront is one that the car can be in, and each cell of a fine lattice is entered once. A
+path is therefore found through any gap that the lattice resolves; planners with random samples find such gaps
+only by chance.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from planners.vehicle import Limits
 
 
 def returnable_set(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> ReturnableSet:
-    """Return what a Dubins car at `pose` (3,) can reach and return from.
+    """Return the bins that a Dubins car at `pose` (3,) can reach and return from.
 
-    A backward wavefront marks the states from which the pose can be reached; a forward one goes only through those. Each
-    begins at the end of the arc by which the car leaves the pose, or comes to it.
+    A backward wavefront marks the states B from which the pose can be reached. A forward wavefront within B
+    gives the bins. Each wavefront begins at the end of the arc by which the car leaves the pose or arrives at
+    it.
     """
     area = search_area(reach)
     wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
@@ -40,26 +42,33 @@ def returnable_set(reach: Reach, limits: Limits, headings: int, rate: float, pos
 
 
 class ReachabilityPlanner:
-    """Finds paths of a car over the whole floor, all in one gear: a car with a reverse gear can go back the way it came."""
+    """Plan paths of a car over the whole floor, each in one gear.
+
+    A car with a reverse gear can return on the same path.
+    """
 
     def __init__(self, task: Task) -> None:
         self.task = task
         self.area = search_area(task.reach)
         self._return_sets: dict[float, Bools] = {}
-        """Lattice cells that lead back to a known pose, by the first heading of the lattice; other poses of the same drive
-        lead there, too."""
+        """Lattice cells from which a known pose can be reached, by the first heading of the lattice.
+
+        Other poses of the same drive can be reached from there too."""
         if task.returnable is not None:
             self._return_sets[round(task.returnable.first_heading, 9)] = task.returnable.returns
         self._unreached = np.zeros_like(task.coverage.reachable)
-        """Bins that an exhaustive wavefront did not meet."""
+        """Bins that an exhaustive wavefront did not reach."""
 
     def path_to_any(self, wanted: Bools, pose: Floats, *, explore: bool = True) -> Curve | None:
         """Return the quickest drive from `pose` (3,) to one of the bins `wanted` (nx, ny, n_phi).
 
-        It ends where the car can come back from; None if the wavefront finds no such path.
+        It ends where the car can return. None if the wavefront finds no such path.
 
-        explore : if no path is known to lead back, find the states from which this pose can be reached; a car with a reverse
-            gear needs none
+        Parameters
+        ----------
+        explore : If no path back is known, compute the states from which this pose can be reached. A car with
+            a reverse
+            gear needs none.
         """
         wanted = np.asarray(wanted & ~self._unreached)
         if not wanted.any():
@@ -76,8 +85,8 @@ class ReachabilityPlanner:
         return self._curve(entered, branches, wanted)
 
     def _path_in_one_gear(self, wanted: Bools, pose: Floats) -> Curve | None:
-        """Return a drive to one of the bins `wanted`, all forward or else all backward; None if there is neither."""
-        everywhere = int(self.task.reach.mask.sum())  # places; about as many as the lattice has
+        """Return a drive to one of the bins `wanted`, all forward or else all backward, or None."""
+        everywhere = int(self.task.reach.mask.sum())  # number of nodes, about that of the lattice's positions
         for gear in (1, -1):
             entered = self._enter(pose, gear)
             found = _run_wavefront(entered, wanted, self.area, self.task.rate, to_first=True)
@@ -93,7 +102,10 @@ class ReachabilityPlanner:
         return curve_of_search(result, entered, self.task.vehicle.limits)
 
     def can_return(self, poses: Floats, here: Floats) -> Bools:
-        """Tell from which poses (n, 3) a car that is at `here` (3,) can return, by an arc to a heading of the lattice."""
+        """Return whether a car at `here` (3,) can return from each pose (n, 3).
+
+        The car first drives an arc to a heading of the lattice.
+        """
         if not self._return_sets:
             self._find_return_set(here)
         radius = self.task.vehicle.limits.turning_radius
@@ -118,7 +130,7 @@ class ReachabilityPlanner:
         return entry_arc(pose, self.area, task.vehicle.limits, task.coverage.headings, task.rate, (gear,))
 
     def _find_return_set(self, pose: Floats) -> None:
-        """Find the states from which a pose can be reached."""
+        """Compute the states from which a pose can be reached."""
         entered = self._enter(pose, -1)
         none = np.zeros_like(self.task.coverage.reachable)
         self._return_sets[round(entered.primitives.first_heading, 9)] = _run_wavefront(
@@ -126,7 +138,7 @@ class ReachabilityPlanner:
         ).reached
 
     def _path_to_first(self, entered: EntryArc, wanted: Bools) -> Int32s:
-        """Return the branches (n,) to the first wanted bin through states that can return; empty if there is no such path."""
+        """Return the branches (n,) to the first wanted bin through returnable states; empty if none is found."""
         back = self._return_sets.get(round(entered.primitives.first_heading, 9))
         if back is None:
             return np.empty(0, dtype=np.int32)
@@ -137,14 +149,14 @@ class ReachabilityPlanner:
 
 
 class _WavefrontResult(NamedTuple):
-    """What a wavefront reached."""
+    """The states and bins that a wavefront reached."""
 
     reached: Bools
     """(n, n, n_headings) cells of the lattice."""
     left: Bools
-    """(nx, ny, n_phi) bins that it did not meet."""
+    """(nx, ny, n_phi) bins that it did not reach."""
     branches: Int32s
-    """(n,) that lead to the first bin, if that was asked for."""
+    """(n,) branches to the first bin, if `to_first`."""
 
 
 def _run_wavefront(
@@ -156,7 +168,14 @@ def _run_wavefront(
     within: Bools | None = None,
     to_first: bool = False,
 ) -> _WavefrontResult:
-    """Run a wavefront from where a car begins, `within` lattice cells: over all of them, or up to the first bin `wanted`."""
+    """Run a wavefront from a car's start state.
+
+    Parameters
+    ----------
+    wanted : (nx, ny, n_phi) Bins to reach.
+    within : Lattice cells that may be entered; None: all.
+    to_first : Whether to stop at the first wanted bin.
+    """
     search = CoverageSearch(area, entered.primitives, wanted, rate)
     search.want(wanted, REACHABILITY.goal_dwell if to_first else 1.0, inner=False)
     shape = np.ceil(np.array(area.distance.shape) * area.step / REACHABILITY.lattice - 1e-9).astype(int) + 2
@@ -179,7 +198,7 @@ def _run_wavefront(
 def best_start(
     reach: Reach, limits: Limits, headings: int, rate: float, seed: int
 ) -> tuple[Floats, ReturnableSet]:
-    """Return the pose (3,) of some random ones from which a Dubins car reaches and returns from most bins, and those bins."""
+    """Return the pose (3,) of the largest returnable set among random poses of a Dubins car, and that set."""
     rng = np.random.default_rng([seed, 7])
     free = np.argwhere(reach.blocks(reach.mask).all(axis=-1))
     if not len(free):

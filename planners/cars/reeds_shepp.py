@@ -1,12 +1,16 @@
-"""The quickest path of a car between two poses without obstacles: compiled words of Reeds and Shepp, and of Dubins.
+"""Quickest path of a car between two poses without obstacles: compiled words of Reeds and Shepp, and of Dubins.
 
-A word is a chain of arcs of the least radius and straight pieces. Of all words that lead from one pose to the other, the
-one of least cost counts: its length, plus some metres for each change of gear. (OMPL's `ReedsSheppStateSpace` takes the
-shortest, however often the car must stop.)
+A word is a chain of up to five arcs of minimum radius and straight pieces, with signed lengths word[k] in
+radii. Of all words between two poses, the result has the least cost:
 
-Sources: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific J. Math.
-145 (1990), section 8; L. E. Dubins, On curves of minimal length ..., Am. J. Math. 79 (1957), in the closed forms of
-A. M. Shkel and V. Lumelsky, Classification of the Dubins set, Robotics and Autonomous Systems 34 (2001).
+    cost = radius Σ |word[k]| + gear_change_cost (number of gear changes).
+
+(OMPL's `ReedsSheppStateSpace` minimises the length alone.)
+
+Sources: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific
+J. Math. 145 (1990), section 8; L. E. Dubins, On curves of minimal length ..., Am. J. Math. 79 (1957), in the
+closed forms of A. M. Shkel and V. Lumelsky, Classification of the Dubins set, Robotics and Autonomous Systems
+34 (2001).
 """
 
 from __future__ import annotations
@@ -20,14 +24,14 @@ from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.types import Floats, Ints
 
 MAX_ARCS = 5
-"""Arcs of the longest word."""
+"""Number of arcs of the longest word."""
 ZERO_LENGTH = 1e-9
-"""[m] arcs shorter than this are none."""
+"""[m] Arcs shorter than this are left out."""
 TWO_PI = 2 * np.pi
 Pose = tuple[float, float, float]
 """[m, m, rad]"""
 N_FAMILIES = 8
-"""Families of words of Reeds and Shepp, up to mirror images."""
+"""Number of word families of Reeds and Shepp, without mirror images."""
 FAMILY_BENDS = np.array(
     [
         [1, 0, 1, 0, 0],
@@ -42,7 +46,7 @@ FAMILY_BENDS = np.array(
 )
 """(N_FAMILIES, MAX_ARCS) 1 steers left, -1 right."""
 HAS_REVERSED_FORM = np.array([False, False, True, False, False, True, True, False])
-"""(N_FAMILIES,) families whose words, read backward, are words of another kind."""
+"""(N_FAMILIES,) families whose reversed words belong to another family."""
 DUBINS_BENDS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 """(6, 3) 1 steers left, -1 right."""
 
@@ -53,7 +57,7 @@ class Arcs(NamedTuple):
     length: Floats
     """(most,) [m]"""
     bend: Ints
-    """(most,) 1 turns counter-clockwise, 0 not, -1 clockwise."""
+    """(most,) 1 counter-clockwise, 0 straight, -1 clockwise."""
     gear: Ints
     """(most,) 1 forward, -1 backward."""
 
@@ -71,13 +75,13 @@ def concatenate_arcs(parts: list[Arcs]) -> Arcs:
 
 @kernel
 def empty_arcs(most: int) -> Arcs:
-    """Return memory for so many arcs."""
+    """Return memory for `most` arcs."""
     return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
 
 
 @outer_kernel
 def arc_end(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pose:
-    """Return the pose after an arc; headings run on, unwrapped."""
+    """Return the pose at the end of an arc; headings are continuous (not wrapped)."""
     x, y, phi = pose
     if bend == 0:
         return x + gear * length * np.cos(phi), y + gear * length * np.sin(phi), phi
@@ -101,19 +105,15 @@ def quickest_word(
     word: Floats,
     out: Arcs,
 ) -> int:
-    """Write the quickest word from one pose to another to `out`, from entry `first_entry`; return how many arcs.
+    """Write the quickest word to `out` from entry `first_entry`; return its number of arcs, -1: none.
 
     Parameters
     ----------
-    before, after : gear that the car comes in and goes on with; 0: any
-    pause : [m] that a change of gear is worth
-    is_backward : the car has a reverse gear
-    shortest : [m] arcs may not be shorter, but for none at all
-    word : (MAX_ARCS,) memory to work in
-
-    Returns
-    -------
-    count of arcs; -1 where there is no such word
+    gear_before, gear_after : Gears before and after the word; 0: any.
+    gear_change_cost : [m] Cost of a gear change.
+    can_reverse : Whether the car has a reverse gear.
+    shortest : [m] Minimum length of an arc; arcs of zero length are left out.
+    word : (MAX_ARCS,) Work memory.
     """
     dx, dy = goal[0] - start[0], goal[1] - start[1]
     cos, sin = np.cos(start[2]), np.sin(start[2])
@@ -186,7 +186,7 @@ def _reeds_shepp(
 
 @inner_kernel
 def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
-    """Tell whether one of the `n` arcs of a word is shorter [m], but not none."""
+    """Return whether one of the `n` arcs of a word is shorter than `shortest` [m] but longer than zero."""
     is_short = False
     for k in range(n):
         is_short |= ZERO_LENGTH <= abs(word[k]) * radius < shortest
@@ -195,7 +195,7 @@ def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
 
 @inner_kernel
 def _word(family: int, x: float, y: float, phi: float, word: Floats) -> int:
-    """Fill `word` with the signed lengths, in radii, of a family's word to (x, y, phi); return their count, 0: none."""
+    """Write a family's word to (x, y, phi), as signed lengths [radii]; return their number, 0: no word."""
     if family == 0:
         return _left_straight_left(x, y, phi, word)
     if family == 1:
@@ -243,7 +243,7 @@ def _left_straight_right(x: float, y: float, phi: float, word: Floats) -> int:
 
 @inner_kernel
 def _three_arcs(x: float, y: float, phi: float, word: Floats) -> int:
-    """L+ R- L and, read backward, the other words of three arcs, (8.3) and (8.4)."""
+    """L+ R- L and, reversed, the other words of three arcs, (8.3) and (8.4)."""
     dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
     far = np.hypot(dx, dy)
     if far > 4:
@@ -369,7 +369,7 @@ def _dubins(
 
 @inner_kernel
 def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
-    """LSL, RSR, LSR and RSL of a car that goes d radii along the x axis, from heading a to b."""
+    """LSL, RSR, LSR and RSL over d radii along the x axis, from heading a to heading b."""
     one, other = DUBINS_BENDS[kind, 0], DUBINS_BENDS[kind, 2]
     dx = d + one * np.sin(a) - other * np.sin(b)
     dy = other * np.cos(b) - one * np.cos(a)
@@ -385,7 +385,7 @@ def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> boo
 
 @inner_kernel
 def _without_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
-    """RLR and LRL."""
+    """RLR and LRL, as `_with_straight`."""
     one = DUBINS_BENDS[kind, 0]
     dx = d + one * (np.sin(a) - np.sin(b))
     dy = one * (np.cos(b) - np.cos(a))

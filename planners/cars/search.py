@@ -1,4 +1,4 @@
-"""The search of a car over several rooms, one after the other, and the order of rooms."""
+"""Search of a car over several rooms, one after the other, and the order of the rooms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def search_floor(
 ) -> RoomDrive | None:
     """Search for a car's drive through the bins `todo` (nx, ny, n_phi), one room after the other.
 
-    Bins that the log of some phase misses are searched for again, with longer stays. None if no bin is covered.
+    Bins that the log of some phase misses are searched again, with longer stays. None if no bin is covered.
     """
     vehicle, grid = task.vehicle, task.coverage
     area = search_area(task.reach)
@@ -68,7 +68,7 @@ def search_floor(
 
 
 def order_rooms(todo: Bools, start: Floats, task: Task) -> list[Bools]:
-    """Order the rooms (nx, ny): those of high priority first, and among equals each next to the one before."""
+    """Order the rooms (nx, ny) by priority; at equal priority, the room nearest to the one before is next."""
     reach, here, out = task.reach, start[:2], list[Bools]()
     found = rooms(reach, np.asarray(todo.any(axis=2)))
     bands = room_bands(task.priority, todo, found)

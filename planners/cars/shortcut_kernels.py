@@ -1,4 +1,13 @@
-"""Compiled kernels of `shortcuts`: which parts of a drive can be replaced by a quicker word, and which to replace."""
+"""Compiled kernels of `shortcuts`: find and choose the parts of a drive that a quicker word can replace.
+
+A word w between the ends of a part (arc i to arc j) can replace it if it saves enough time:
+
+    Condition: saved = T(runs around the part) - T(the same runs with w) > MIN_SAVING.
+
+In addition, w must be clear and must cover every critical bin: a bin that only this part covers. An upper
+bound of `saved` for all words is `max_saving`, the saving of a part that takes no time, less `min_length` /
+speed.
+"""
 
 from __future__ import annotations
 
@@ -36,18 +45,18 @@ MIN_SAVING = SHORTCUTS.min_saving
 
 
 class Replacements(NamedTuple):
-    """For each arc, the best part to replace that begins there."""
+    """The best part to replace that begins at each arc."""
 
     saved: Floats
-    """(n,) [s]; 0: none."""
+    """(n,) [s] saving; 0: no part."""
     end: Ints
-    """(n,) arc with which the drive goes on."""
+    """(n,) arc at which the drive continues."""
     via: Ints
-    """(n,) interval that the shortcut comes by, so that its bin is not lost; -1: none."""
+    """(n,) interval that the shortcut passes, so that its bin is not lost; -1: none."""
 
 
 class PathAnalysis(NamedTuple):
-    """A path, and what is derived from it."""
+    """A path and the quantities derived from it."""
 
     path: ArcPath
     intervals: BinIntervals
@@ -56,26 +65,26 @@ class PathAnalysis(NamedTuple):
 
 
 class ShortcutWorkspace(NamedTuple):
-    """Memory of one thread."""
+    """Work memory of one thread."""
 
     covering: Ints
-    """(n_bins,) count of intervals of the path that cover each bin."""
+    """(n_bins,) number of intervals of the path that cover each bin."""
     covering_inside: Ints
-    """(n_bins,) count of those inside the part."""
+    """(n_bins,) number of those inside the part."""
     touched: Ints
     """(n,) bins that the part covers."""
     critical: Ints
-    """(n,) bins that only the part covers."""
+    """(n,) critical bins, which only the part covers."""
     new_bins: Ints
-    """(MOST_WON,) bins that the shortcut covers."""
+    """(MAX_BINS,) bins that the shortcut covers."""
     arcs: Arcs
     word: Floats
-    """(MOST_ARCS,)"""
+    """(MAX_ARCS,) lengths of a word."""
 
 
 @kernel
 def covering_intervals(intervals: BinIntervals, context: CarContext) -> Bools:
-    """Return (m,) which intervals are long enough for a log of any phase to meet their bin."""
+    """Return whether each interval (m,) is long enough for a log of any phase to record its bin."""
     found = np.zeros(len(intervals.bin), np.bool_)
     for k in range(len(found)):
         found[k] = intervals.bin[k] >= 0 and is_logged(intervals.length[k], intervals.stops[k], context)
@@ -85,9 +94,9 @@ def covering_intervals(intervals: BinIntervals, context: CarContext) -> Bools:
 @inner_kernel
 def interval_middle(interval: int, path: ArcPath, intervals: BinIntervals, context: CarContext) -> Pose:
     """Return the pose in the middle of an interval."""
-    way = intervals.start[interval] + 0.5 * intervals.length[interval]
-    k = min(int(np.searchsorted(intervals.driven, way, side="right")) - 1, len(path.length) - 1)
-    return arc_end(pose_at(path, k), way - intervals.driven[k], path.bend[k], path.gear[k], context.radius)
+    at = intervals.start[interval] + 0.5 * intervals.length[interval]
+    k = min(int(np.searchsorted(intervals.driven, at, side="right")) - 1, len(path.length) - 1)
+    return arc_end(pose_at(path, k), at - intervals.driven[k], path.bend[k], path.gear[k], context.radius)
 
 
 @outer_kernel
@@ -101,12 +110,12 @@ def find_shortcut(
     word: Floats,
     out: Arcs,
 ) -> int:
-    """Write the quickest arcs from the start of arc i to that of arc j to `out`; return their count, -1: there are none.
+    """Write the quickest arcs from the start of arc i to that of arc j to `out`; return their number or -1.
 
     Parameters
     ----------
-    via : interval by whose middle the arcs lead; -1: none
-    word : (MAX_ARCS,) memory to work in
+    via : Interval whose middle the arcs pass; -1: none.
+    word : (MAX_ARCS,) Work memory.
     """
     gear, n = path.gear[i - 1], 0
     start = pose_at(path, i)
@@ -138,7 +147,7 @@ def find_shortcut(
 
 @inner_kernel
 def bins_lost(n_touched: int, n_covered: int, workspace: ShortcutWorkspace) -> tuple[int, int]:
-    """Return how many bins a shortcut would lose, counted up to two, and the last of them."""
+    """Return the number of bins that a shortcut would lose, counted up to two, and the last of them."""
     for k in range(n_covered):
         workspace.covering_inside[workspace.new_bins[k]] -= 1
     n_lost, one = 0, -1
@@ -163,10 +172,10 @@ def bins_missed(
     intervals: BinIntervals,
     context: CarContext,
 ) -> tuple[int, int]:
-    """Return how many of the critical bins a shortcut does not come by, counted up to two, and the last of them.
+    """Return the number of critical bins that a shortcut does not pass, counted up to two, and the last of them.
 
-    This is a quick test before `bins_covered`. Poses are sampled so densely that every interval which covers a bin holds
-    one of them, or the car stops at one.
+    This is a quick test before `bins_covered`. The samples are so dense that each interval which covers a bin
+    contains a sample or a stop of the car.
     """
     all_seen = (1 << n_critical) - 1
     seen = 0
@@ -199,18 +208,18 @@ def bins_missed(
 def evaluate(
     i: int,
     j: int,
-    n_alone: int,
+    n_critical: int,
     n_touched: int,
     analysis: PathAnalysis,
     workspace: ShortcutWorkspace,
     replacements: Replacements,
 ) -> None:
-    """Store the quickest shortcut from arc i to arc j, if it saves more than the one stored for arc i.
+    """Store the quickest shortcut from arc i to arc j if it saves more than the one stored for arc i.
 
     Parameters
     ----------
-    n_alone : bins that only this part covers
-    n_touched : all bins that it covers
+    n_critical : Number of bins that only this part covers.
+    n_touched : Number of bins that it covers.
     """
     path, intervals, runs, context = analysis
     best, before = max(replacements.saved[i], MIN_SAVING), section_time(i, j, runs)
@@ -227,9 +236,9 @@ def evaluate(
         if saved <= best:
             return
         n_lost, one = 0, -1
-        if n_alone > 0:
+        if n_critical > 0:
             n_lost, one = bins_missed(
-                i, j, arcs, n_arcs, workspace.critical, n_alone, path, intervals, context
+                i, j, arcs, n_arcs, workspace.critical, n_critical, path, intervals, context
             )
             if n_lost == 0:
                 n_covered = bins_covered(i, j, arcs, n_arcs, path, intervals, context, workspace.new_bins)
@@ -242,8 +251,8 @@ def evaluate(
             return
         via = longest_interval(one, intervals.before[i], intervals.after[j], intervals)
         middle = interval_middle(via, path, intervals, context)
-        way = min_length(start, middle, context.radius) + min_length(middle, goal, context.radius)
-        if most - way / context.speed <= best:
+        length = min_length(start, middle, context.radius) + min_length(middle, goal, context.radius)
+        if most - length / context.speed <= best:
             return
 
 
@@ -257,14 +266,14 @@ def search_from(
     workspace: ShortcutWorkspace,
     replacements: Replacements,
 ) -> None:
-    """Find the best part to replace that begins with arc i; see `search_replacements`."""
+    """Find the best part to replace that begins at arc i; see `search_replacements`."""
     path, intervals, runs, context = analysis
-    n_touched, n_alone, at = 0, 0, intervals.before[i] - 1
+    n_touched, n_critical, at = 0, 0, intervals.before[i] - 1
     for j in range(i + 1, len(path.length)):
         while at < intervals.after[j]:
             at += 1
             if must_stay[at]:
-                n_alone = most + 1
+                n_critical = most + 1
             if covers[at]:
                 own = intervals.bin[at]
                 if workspace.covering_inside[own] == 0:
@@ -272,11 +281,11 @@ def search_from(
                     n_touched += 1
                 workspace.covering_inside[own] += 1
                 if workspace.covering_inside[own] == workspace.covering[own]:
-                    workspace.critical[min(n_alone, most)] = own
-                    n_alone += 1
-        if n_alone > most or max_saving(i, j, path, runs, context) > MAX_SAVING:
+                    workspace.critical[min(n_critical, most)] = own
+                    n_critical += 1
+        if n_critical > most or max_saving(i, j, path, runs, context) > MAX_SAVING:
             break
-        evaluate(i, j, n_alone, n_touched, analysis, workspace, replacements)
+        evaluate(i, j, n_critical, n_touched, analysis, workspace, replacements)
     for k in range(n_touched):
         workspace.covering_inside[workspace.touched[k]] = 0
 
@@ -293,14 +302,14 @@ def search_replacements(
     count: Ints,
     replacements: Replacements,
 ) -> None:
-    """Find the best part to replace for each `fresh` (n,) arc from `begin` up to `stop`, not included.
+    """Find the best part to replace for each `fresh` (n,) arc from `begin` to `stop` (excluded).
 
     Parameters
     ----------
-    most : bins that only the replaced part covers, at most
-    covers : (m,) intervals that cover their bin
-    must_stay : (m,) intervals whose bin no interval covers for certain; they are not replaced
-    count : (n_bins,) intervals that cover each bin
+    most : Maximum number of bins that only the replaced part covers.
+    covers : (m,) Whether each interval covers its bin.
+    must_stay : (m,) Intervals whose bin no interval covers for certain; they are not replaced.
+    count : (n_bins,) Number of intervals that cover each bin.
     """
     n = len(analysis.path.length)
     workspace = ShortcutWorkspace(
@@ -319,7 +328,7 @@ def search_replacements(
 
 @inner_kernel
 def max_saving(i: int, j: int, path: ArcPath, runs: GearRuns, context: CarContext) -> float:
-    """Return the time [s] saved if the part from arc i to arc j took none: a bound for all shortcuts."""
+    """Return the time [s] saved if the part from arc i to arc j took none: an upper bound for all shortcuts."""
     outside = runs.before[i - 1] + path.length[i - 1] + runs.length[runs.run[j]] - runs.before[j]
     return float(section_time(i, j, runs) - outside / context.speed)
 
@@ -344,8 +353,11 @@ def choose_replacements(
     context: CarContext,
     replacements: Replacements,
 ) -> Ints:
-    """Choose parts to replace, those that save most first, none touching another; return the arcs (k,) where they begin,
-    in that order.
+    """Choose parts to replace, largest saving first; no two of them touch.
+
+    Returns
+    -------
+    The first arcs (k,) of the parts, in that order.
     """
     arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
     is_run_taken, is_taken = np.zeros(len(runs.length), np.bool_), np.zeros(len(intervals.bin), np.bool_)

@@ -1,10 +1,13 @@
-"""Shorten a car's drive by shortcuts: replace a part by the quickest word if all bins that it covers are covered elsewhere.
+"""Shorten a car's drive: replace parts by quicker words that keep every covered bin covered.
 
-A drive that was searched step by step meets many bins twice: on its first visit the search could not know that it would
-come by again. So each part of the drive, from the start of one arc to the start of a later one, is compared with the
-quickest word of Reeds and Shepp or of Dubins between its ends. The word takes its place if it is clear, quicker, and
-covers every bin that only this part covered; if it misses one such bin, the quickest words by way of that bin are tried.
-In each pass, the parts that save most are replaced first, and no two of them touch. Passes end when little is saved.
+A drive that is searched step by step visits many bins twice, because the search cannot know on the first
+visit that it will return. Each part of the drive, from one arc to a later one, is compared with the quickest
+word of Reeds and Shepp or of Dubins between its ends. The word replaces the part if it is clear, quicker, and
+covers every bin that only this part covers. If it misses one such bin, the quickest words through that bin
+are tried.
+
+In each pass, parts that save most are replaced first, and replaced parts do not touch. The passes end when
+they save little. `shortcut_kernels` defines the saving.
 """
 
 from __future__ import annotations
@@ -49,7 +52,10 @@ from planners.types import Bools, Ints
 
 
 def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
-    """Shorten a drive pass by pass, and yield each shorter one; the result does not depend on the count of processors."""
+    """Shorten a drive pass by pass, and yield each shorter one.
+
+    The result does not depend on the number of processors.
+    """
     fresh = np.ones(len(path.length), dtype=np.bool_)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         for number in range(SHORTCUTS.max_passes):
@@ -57,7 +63,7 @@ def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
             path, fresh = _one_pass(
                 path,
                 fresh,
-                SHORTCUTS.max_alone_later if number else SHORTCUTS.max_alone_first,
+                SHORTCUTS.max_critical_later if number else SHORTCUTS.max_critical_first,
                 context,
                 threads,
             )
@@ -69,18 +75,18 @@ def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
 
 
 def _one_pass(
-    path: ArcPath, fresh: Bools, n_alone: int, context: CarContext, threads: ThreadPoolExecutor
+    path: ArcPath, fresh: Bools, n_critical: int, context: CarContext, threads: ThreadPoolExecutor
 ) -> tuple[ArcPath, Bools]:
     """Replace parts of a drive that do not touch each other.
 
     Parameters
     ----------
-    fresh : (n,) arcs with which a part may begin; the others were tried before without success
-    n_alone : bins that only the replaced part covers, at most
+    fresh : (n,) Arcs at which a part may begin; parts at the others were tried before without success.
+    n_critical : Maximum number of bins that only the replaced part covers.
 
     Returns
     -------
-    path, and which of its arcs are fresh
+    The path, and whether each of its arcs is fresh.
     """
     n, intervals, runs = len(path.length), bin_intervals(path, context), gear_runs(path, context)
     analysis = PathAnalysis(path, intervals, runs, context)
@@ -93,7 +99,7 @@ def _one_pass(
             search_replacements,
             k,
             k + SHORTCUTS.arcs_per_job,
-            n_alone,
+            n_critical,
             fresh,
             analysis,
             covers,
@@ -116,13 +122,13 @@ def _one_pass(
 def _splice(
     path: ArcPath, intervals: BinIntervals, context: CarContext, replacements: Replacements, chosen: Ints
 ) -> tuple[ArcPath, Bools]:
-    """Replace the parts that begin with the arcs `chosen` (k,).
+    """Replace the parts that begin at the arcs `chosen` (k,).
 
     Returns
     -------
-    path, and (n,) which of its arcs are fresh: a part that begins there was not looked at before
+    The path, and whether each of its arcs (n,) is fresh: parts that begin there have not been evaluated.
     """
-    room, word, at = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), 0
+    buffer, word, at = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), 0
     before = Arcs(path.length, path.bend, path.gear)
     fresh = replacements.saved > 0
     for i in chosen.tolist():
@@ -130,8 +136,8 @@ def _splice(
     kept, is_fresh = list[Arcs](), list[Bools]()
     for i in chosen.tolist():
         end = int(replacements.end[i])
-        n = find_shortcut(i, end, int(replacements.via[i]), path, intervals, context, word, room)
-        kept += [take_arcs(before, slice(at, i)), take_arcs(room, slice(n))]
+        n = find_shortcut(i, end, int(replacements.via[i]), path, intervals, context, word, buffer)
+        kept += [take_arcs(before, slice(at, i)), take_arcs(buffer, slice(n))]
         is_fresh += [fresh[at:i], np.ones(n, dtype=np.bool_)]
         at = end
     kept.append(take_arcs(before, slice(at, None)))
@@ -141,7 +147,7 @@ def _splice(
 
 
 def arc_path_of(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[ArcPath, CarContext]:
-    """Return a car's curve as a chain of arcs driven at `speed` [m/s], and its context, in which the bins `todo` count."""
+    """Return a car's curve as a chain of arcs at `speed` [m/s], and its context with the bins `todo`."""
     limits, can_reverse = task.vehicle.limits, len(GEARS[task.vehicle.drive]) > 1
     context = car_context(task.reach, todo, limits, speed, task.rate, can_reverse=can_reverse)
     arcs = arcs_of_curve(curve)
@@ -154,11 +160,11 @@ def shorten_drive(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[
 
     Parameters
     ----------
-    speed : [m/s]
+    speed : [m/s] Speed of the car.
 
     Returns
     -------
-    the curve; and whether Ctrl-C ended the work, which leaves what was found by then
+    The curve; and whether Ctrl-C ended the work, in which case the curve is the best one so far.
     """
     limits, (original, context) = task.vehicle.limits, arc_path_of(curve, todo, task, speed)
     best, interrupted = original, False

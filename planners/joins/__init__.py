@@ -1,1 +1,1 @@
-"""Paths that join the parts of a drive: straight or shortest where that is clear, else by OMPL in a process of its own."""
+"""Paths that join the parts of a drive: direct where that is clear, else by OMPL in a separate process."""

@@ -1,9 +1,9 @@
 """Joins of cars: paths in the state space of Reeds and Shepp or of Dubins, from a pose to the nearest of several goals.
 
-The shortest curve is tried first. If it is blocked, RRTConnect searches, and its path is cut short. (A roadmap would not
-do: OMPL's are undirected, and a Dubins car's paths are not.) OMPL does not tell the arcs of its curves, so they are read
-off poses along them. What is driven is a chain of those arcs, certified by exact distances. OMPL works in a process of
-its own (`ompl_car_paths`).
+The shortest curve is tried first. If it is blocked, RRTConnect searches, and its path is shortened. (A
+roadmap is no alternative: OMPL's roadmaps are undirected, and a Dubins car's paths are directed.) OMPL does
+not return the arcs of its curves, so they are reconstructed from poses along them. The car drives a chain of
+those arcs, certified by exact distances. OMPL runs in a separate process (`ompl_car_paths`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from planners.cars.reeds_shepp import MAX_ARCS, Pose, arc_end, empty_arcs, quick
 from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.joins.ompl_car_paths import ArcRows
-from planners.joins.ompl_process import ask_ompl
+from planners.joins.ompl_process import call_ompl
 from planners.joins.paths import floor_arrays
 from planners.joins.settings import JOINS
 from planners.reach import Reach
@@ -30,12 +30,12 @@ from planners.vehicle import SHORTEST_ARC, Vehicle
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarPath:
-    """A drive from a pose to one of the goals."""
+    """A path from a pose to one of the goals."""
 
     curve: Curve | None
-    """None if the car is there already."""
+    """None if the car is already at the goal."""
     goal: int
-    """Number of the goal that it leads to."""
+    """Index of the goal."""
 
 
 def connect_cars(
@@ -47,18 +47,18 @@ def connect_cars(
     vehicle: Vehicle,
     seed: int,
 ) -> tuple[list[CarPath | None], JoinCounts]:
-    """Find a drive from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
+    """Find a path from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
 
     Returns
     -------
-    paths, None where none was found; and their counts
+    The paths, None where none was found; and their counts.
 
     Raises
     ------
-    PlanError : OMPL is not installed, or its process failed
+    PlanError : OMPL is not installed, or its process failed.
     """
     within = [np.flatnonzero(_are_connected(own, reach)) for own in goals]
-    answer = ask_ompl(
+    response = call_ompl(
         "planners.joins.ompl_car_paths",
         seed=seed,
         starts=starts,
@@ -68,11 +68,11 @@ def connect_cars(
         backward=vehicle.drive == "reeds_shepp",
         **floor_arrays(reach),
     )
-    found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
+    found_arcs = np.split(response["arcs"], np.cumsum(response["lengths"])[:-1])
     paths: list[CarPath | None] = []
     joins = JoinCounts()
     for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
-        found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
+        found, straight = int(response["goal"][k]), bool(response["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
         tried = _without_steering_chatter(start, own, vehicle) if goal >= 0 else iter(())
         made = (_certified_drive(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
@@ -88,10 +88,10 @@ def connect_cars(
 
 
 def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) -> Iterator[ArcRows]:
-    """Yield the path with its steering chatter replaced by a word without any; at last, yield the path itself.
+    """Yield the path with its steering chatter replaced by a word without any; last, yield the path itself.
 
-    Steering chatter are arcs so short that the wheel turns there and back within a sample. More and more arcs around them
-    are replaced, too.
+    Steering chatter is a sequence of arcs so short that the wheels turn there and back within a sample. The
+    replaced part grows by one arc on each side per attempt.
     """
     short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
     n, radius = len(arcs), vehicle.limits.turning_radius
@@ -99,16 +99,16 @@ def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) ->
     for gear, bend, length in arcs.tolist():
         poses.append(arc_end(poses[-1], length, int(bend), int(gear), radius))
     gears = [0, *arcs[:, 0].astype(int).tolist(), 0]
-    room, word = empty_arcs(MAX_ARCS), np.empty(MAX_ARCS)
+    buffer, word = empty_arcs(MAX_ARCS), np.empty(MAX_ARCS)
     for wide in range(1, n + 1) if len(short) else ():
         i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
         ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
         m = quickest_word(
-            *ends, JOINS.gear_change_cost, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room
+            *ends, JOINS.gear_change_cost, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, buffer
         )
         if m >= 0:
             yield np.concatenate(
-                [arcs[:i], np.column_stack([room.gear, room.bend, room.length])[:m], arcs[k:]]
+                [arcs[:i], np.column_stack([buffer.gear, buffer.bend, buffer.length])[:m], arcs[k:]]
             )
         if i == 0 and k == n:
             break
@@ -116,7 +116,7 @@ def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) ->
 
 
 def _are_connected(goals: Floats, reach: Reach) -> Bools:
-    """Tell which goals (m, 3) lie beside a reachable node of the raster; no path leads to the others."""
+    """Return whether each goal (m, 3) is at or next to a reachable node of the raster; no path leads to the others."""
     near = ndimage.binary_dilation(reach.mask, np.ones((3, 3), dtype=np.bool_))
     at = np.floor((goals[:, :2] - reach.origin) / reach.step).astype(np.int64)
     inside = ((at >= 0) & (at < near.shape)).all(axis=1)
@@ -127,7 +127,10 @@ def _are_connected(goals: Floats, reach: Reach) -> Bools:
 def _certified_drive(
     start: Floats, arcs: ArcRows, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
 ) -> CarPath | None:
-    """Return the drive along some arcs; None unless it keeps the clearance all along, less the slack that OMPL is given."""
+    """Return the drive along arcs; None if it violates the clearance.
+
+    The clearance is reduced by the slack that OMPL is given.
+    """
     if not len(arcs):
         return CarPath(curve=None, goal=goal)
     curve = curve_of_arcs(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)

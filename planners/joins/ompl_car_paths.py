@@ -1,6 +1,6 @@
-"""OMPL's side of `car_paths`: paths in the state space of Reeds and Shepp or of Dubins.
+"""OMPL side of `car_paths`: paths in the state space of Reeds and Shepp or of Dubins.
 
-Run as `python -m planners.joins.ompl_car_paths`, this file is the process that answers.
+This module runs as a separate process: `python -m planners.joins.ompl_car_paths`.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from planners.types import Floats
 from planners.vehicle import SHORTEST_ARC
 
 SAME_POSE = 1e-7
-"""[m, rad] Poses closer than this are the same."""
+"""[m, rad] Poses closer than this are equal."""
 
 ArcRows = Floats
-"""(k, 3) gear (1, -1), bend (1 turns counter-clockwise, 0 not, -1 clockwise), length [m] of each arc of a path."""
+"""(k, 3) gear (1, -1), bend (1 counter-clockwise, 0 straight, -1 clockwise) and length [m] of each arc of a path."""
 
 
-def _drives(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Answer the queries of `connect_cars`, with OMPL."""
-    solver = _CarSolver(base, geometric, question)
-    goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
-    found = [solver.solve(start, own) for start, own in zip(question["starts"], goals, strict=True)]
+def _drives(base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Answer the queries of `connect_cars`."""
+    solver = _CarSolver(base, geometric, request)
+    goals = np.split(request["goals"], np.cumsum(request["counts"])[:-1])
+    found = [solver.solve(start, own) for start, own in zip(request["starts"], goals, strict=True)]
     return {
         "arcs": np.concatenate([arcs for arcs, _, _ in found]),
         "lengths": [len(arcs) for arcs, _, _ in found],
@@ -38,30 +38,30 @@ def _drives(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> di
 
 
 class _CarSolver:
-    """One OMPL problem in a car's state space, used again for every query."""
+    """One OMPL problem in a car's state space, reused for every query."""
 
-    def __init__(self, base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> None:
-        distance, origin, step = question["distance"], question["origin"], float(question["step"])
-        self.base, self.radius = base, float(question["radius"])
-        self.gears = (1.0, -1.0) if question["backward"] else (1.0,)
-        kind = base.ReedsSheppStateSpace if question["backward"] else base.DubinsStateSpace
+    def __init__(self, base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> None:
+        distance, origin, step = request["distance"], request["origin"], float(request["step"])
+        self.base, self.radius = base, float(request["radius"])
+        self.gears = (1.0, -1.0) if request["backward"] else (1.0,)
+        kind = base.ReedsSheppStateSpace if request["backward"] else base.DubinsStateSpace
         self.space = kind(self.radius)
         self.low, self.high = origin, origin + np.array(distance.shape) * step
         self._bound(self.low, self.high)
         self.setup = geometric.SimpleSetup(self.space)
         self.information = self.setup.getSpaceInformation()
         self.information.setStateValidityCheckingResolution(JOINS.check_step / self.space.getMaximumExtent())
-        self.clearance = float(question["clearance"])
+        self.clearance = float(request["clearance"])
         self.field = field = DistanceField(distance, origin, step)
         self.setup.setStateValidityChecker(
             lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
         )
-        self.planner = planner_named(str(question["planner"]), geometric, self.information)
+        self.planner = planner_named(str(request["planner"]), geometric, self.information)
         self.setup.setPlanner(self.planner)
         self.ready = False
 
     def solve(self, start: Floats, goals: Floats) -> tuple[ArcRows, int, bool]:
-        """Return the arcs to one of the goals (m, 3), its number (-1: no path), and whether it is the shortest curve."""
+        """Return the arcs to one of the goals (m, 3), its index (-1: no path), and whether it is the shortest curve."""
         if not len(goals):
             return np.zeros((0, 3)), -1, False
         here, there = self._state(start), [self._state(goal) for goal in goals]
@@ -75,7 +75,7 @@ class _CarSolver:
             if self.information.checkMotion(here, there[k])
         ]
         if clear:
-            return min(clear, key=lambda way: _n_chatter(way[0]))
+            return min(clear, key=lambda path: _n_chatter(path[0]))
         for stage in CAR_PATHS.stages:
             if hasattr(self.planner, "setRange"):
                 self.planner.setRange(stage.max_step)
@@ -89,8 +89,8 @@ class _CarSolver:
                 others = [
                     self._attempt(here, there, stage.iterations) for _ in range(CAR_PATHS.solutions - 1)
                 ]
-                found = [first, *(way for way in others if way is not None)]
-                arcs, k = min(found, key=lambda way: _cost(way[0]))
+                found = [first, *(path for path in others if path is not None)]
+                arcs, k = min(found, key=lambda path: _cost(path[0]))
                 return arcs, k, False
             self.field.clearance = self.clearance - 1e-9
         return np.zeros((0, 3)), -1, False
@@ -102,14 +102,14 @@ class _CarSolver:
         self.setup.clear()
         self.setup.setStartState(here)
         self.setup.setGoal(goals)
-        if not self.ready:  # crashes before there are a start and a goal
+        if not self.ready:  # OMPL crashes in setup() without a start and a goal
             self.setup.setup()
             self.ready = True
 
     def _attempt(self, here: Any, there: list[Any], iterations: int) -> tuple[ArcRows, int] | None:
         self._begin(here, there)
         self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
-        if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
+        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
             return None
         path = self.setup.getSolutionPath()
         simplifier = self.setup.getPathSimplifier()
@@ -128,7 +128,7 @@ class _CarSolver:
     def _arcs(self, a: Any, b: Any) -> Iterator[tuple[float, float, float]]:
         """Yield gear, bend and length [m] of the arcs of the shortest curve between two states.
 
-        A stretch whose end is where one arc would lead is that arc; any other is halved.
+        A stretch is one arc if a single arc leads from its start to its end; any other stretch is halved.
         """
         length, between = float(self.space.distance(a, b)), self.space.allocState()
 
@@ -156,7 +156,7 @@ class _CarSolver:
             yield last
 
     def _arc_kind(self, start: Floats, end: Floats, length: float) -> tuple[float, float] | None:
-        """Return gear and bend of the single arc between two poses; None if no single arc joins them."""
+        """Return gear and bend of the arc between two poses; None if no single arc joins them."""
         for gear in self.gears:
             for bend in (0.0, 1.0, -1.0):
                 if (
@@ -185,7 +185,7 @@ class _CarSolver:
 
 
 def arc_end(pose: Floats, gear: float, bend: float, length: float, radius: float) -> Floats:
-    """Return the pose (3,) at the end of an arc of some length [m]."""
+    """Return the pose (3,) at the end of an arc of a length [m]."""
     x, y, phi = pose.tolist()
     turned = phi + bend * length / radius
     if bend == 0:
@@ -197,7 +197,7 @@ def arc_end(pose: Floats, gear: float, bend: float, length: float, radius: float
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """Return (3,) the difference of two poses."""
+    """Return the difference (3,) of two poses, with the heading wrapped."""
     return np.append(a[:2] - b[:2], wrap(float(a[2] - b[2])))
 
 
@@ -209,7 +209,7 @@ def _cost(arcs: ArcRows) -> float:
 
 
 def _n_chatter(arcs: ArcRows) -> int:
-    """Count the arcs that are too short to steer."""
+    """Count the arcs shorter than `SHORTEST_ARC`."""
     return int((arcs[:, 2] < SHORTEST_ARC).sum())
 
 

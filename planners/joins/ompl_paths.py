@@ -1,6 +1,6 @@
-"""OMPL's side of `paths`: paths in the plane, by RRTConnect, or the planner asked for, and OMPL's path simplifier.
+"""OMPL side of `paths`: paths in the plane by RRTConnect, or another given planner, and OMPL's path simplifier.
 
-Run as `python -m planners.joins.ompl_paths`, this file is the process that answers.
+This module runs as a separate process: `python -m planners.joins.ompl_paths`.
 """
 
 from __future__ import annotations
@@ -16,22 +16,20 @@ from planners.joins.settings import JOINS, PLANE_PATHS
 from planners.types import Floats
 
 
-def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Answer queries (n, 2) [m], each with its goals."""
-    solver = _PlaneSolver(base, geometric, question)
-    clearance = float(question["clearance"])
-    goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
-    paths = [
-        solver.solve(start, own, clearance) for start, own in zip(question["starts"], goals, strict=True)
-    ]
+def _paths(base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Answer queries from places (n, 2) [m], each with its goals."""
+    solver = _PlaneSolver(base, geometric, request)
+    clearance = float(request["clearance"])
+    goals = np.split(request["goals"], np.cumsum(request["counts"])[:-1])
+    paths = [solver.solve(start, own, clearance) for start, own in zip(request["starts"], goals, strict=True)]
     return {"points": np.concatenate(paths), "lengths": [len(path) for path in paths]}
 
 
 class _PlaneSolver:
-    """One OMPL problem, reused for every query: nothing leaks, and its random streams go on."""
+    """One OMPL problem, reused for every query, so that nothing leaks and its random streams continue."""
 
-    def __init__(self, base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> None:
-        distance, origin, step = question["distance"], question["origin"], float(question["step"])
+    def __init__(self, base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> None:
+        distance, origin, step = request["distance"], request["origin"], float(request["step"])
         self.base, self.geometric = base, geometric
         self.field = DistanceField(distance, origin, step)
         self.low, self.high = origin, origin + np.array(distance.shape) * step
@@ -41,8 +39,8 @@ class _PlaneSolver:
         self.setup = geometric.SimpleSetup(space)
         information = self.setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
-        self.setup.setStateValidityChecker(self.field.is_valid)  # holds lists and floats, nothing of OMPL
-        planner = planner_named(str(question["planner"]), geometric, information)
+        self.setup.setStateValidityChecker(self.field.is_valid)  # holds lists and floats, no OMPL object
+        planner = planner_named(str(request["planner"]), geometric, information)
         self.setup.setPlanner(planner)
         self.planner, self.iterations = planner, 0
 
@@ -80,7 +78,7 @@ class _PlaneSolver:
         self.setup.setStartState(here)
         self.setup.setGoal(goals)
         self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(self.iterations)))
-        if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
+        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
             return np.zeros((0, 2))
         path = self.setup.getSolutionPath()
         simplifier = self.setup.getPathSimplifier()

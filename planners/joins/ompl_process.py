@@ -1,9 +1,10 @@
-"""OMPL in a process of its own: how it is asked, and what answers there.
+"""OMPL in a separate process: the client (`call_ompl`) and the server (`serve`).
 
-Each question is answered by a fork that is seeded first. So the same queries give the same paths whatever ran before
-(OMPL's random streams advance over a whole process), a crash of the bindings becomes an error here, and what they leak
-or print at exit stays there. Searches stop by count, never by the clock, so that a plan does not depend on the load of
-the machine. The process imports little, so that it starts fast.
+Each request is answered in a fork that is seeded first. Equal queries therefore give equal paths, whatever
+ran before, although OMPL's random streams advance over the life of a process. A crash of the bindings becomes
+an error of the caller. Memory leaks and prints at exit stay in the fork. Searches stop by iteration count,
+not by time, so a plan does not depend on the load of the machine. The process imports little, so it starts
+fast.
 """
 
 from __future__ import annotations
@@ -32,34 +33,34 @@ INSTALL_HINT = (
     "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
 )
 EXIT_WITHOUT_OMPL = 3
-"""Exit code of the process when ompl cannot be imported."""
+"""Exit code of the process if ompl cannot be imported."""
 
 HEADER = struct.Struct("<qq")
-"""Length of the message that follows, and an exit code."""
+"""Length of the following message, and an exit code."""
 
 
 class _OmplServer:
-    """A process that has imported OMPL, and forks for each question."""
+    """A process that has imported OMPL and forks for each request."""
 
     def __init__(self, module: str) -> None:
-        root = Path(__file__).parents[2]  # where `planners` lies
+        root = Path(__file__).parents[2]  # the folder that contains `planners`
         others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the one who asks
+            start_new_session=True,  # only the client handles Ctrl-C
             env=os.environ
             | {"PYTHONPATH": os.pathsep.join([str(root), *others]), "OPENBLAS_NUM_THREADS": "1"},
         )
 
-    def answer_to(self, question: bytes) -> tuple[int, bytes]:
-        """Return the exit code of the fork that answered, and its answer or its error message."""
+    def response_to(self, request: bytes) -> tuple[int, bytes]:
+        """Return the exit code of the fork, and its response or error message."""
         sent, got = self.process.stdin, self.process.stdout
         assert sent is not None and got is not None
         try:
-            sent.write(HEADER.pack(len(question), 0) + question)
+            sent.write(HEADER.pack(len(request), 0) + request)
             sent.flush()
             head = got.read(HEADER.size)
             if len(head) == HEADER.size:
@@ -70,7 +71,7 @@ class _OmplServer:
         return self.process.wait(), b""
 
     def close(self) -> None:
-        """End the process and its fork."""
+        """Kill the process and its fork."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.communicate()
@@ -90,25 +91,25 @@ def _close_all() -> None:
     _idle.clear()
 
 
-def ask_ompl(module: str, **question: Any) -> dict[str, np.ndarray]:
-    """Let a fork of a server answer a question; question and answer are arrays by name.
+def call_ompl(module: str, **request: Any) -> dict[str, np.ndarray]:
+    """Send a request to a server and return its response; both are arrays by name.
 
     Parameters
     ----------
-    module : dotted name of the module that answers, run by `python -m`
+    module : Dotted name of the server module, run by `python -m`.
 
     Raises
     ------
-    PlanError : OMPL is not installed, or the process failed
+    PlanError : OMPL is not installed, or the process failed.
     """
     sent = io.BytesIO()
-    np.savez(sent, **question)
+    np.savez(sent, **request)
     kind = module, os.environ.get("PYTHONPATH", ""), os.getpid()
     with _lock:
         servers = _idle.setdefault(kind, [])
         server = servers.pop() if servers else _OmplServer(module)
     try:
-        code, answer = server.answer_to(sent.getvalue())
+        code, response = server.response_to(sent.getvalue())
     except BaseException:
         server.close()
         raise
@@ -120,67 +121,69 @@ def ask_ompl(module: str, **question: Any) -> dict[str, np.ndarray]:
     if code == EXIT_WITHOUT_OMPL:
         raise PlanError(INSTALL_HINT)
     if code != 0:
-        (said,) = answer.decode(errors="replace").strip().splitlines()[:1] or ["no message"]
-        own = str(question.get("planner", ""))
-        if ":" in own:  # a user's
-            raise PlanError(f"join planner {own!r} ended with code {code} ({said}); mend it, or use another")
-        raise PlanError(f"OMPL ended with code {code} ({said}); please report the arena and seed")
-    with np.load(io.BytesIO(answer)) as data:
+        (detail,) = response.decode(errors="replace").strip().splitlines()[:1] or ["no message"]
+        own = str(request.get("planner", ""))
+        if ":" in own:  # a custom planner
+            raise PlanError(f"join planner {own!r} ended with code {code} ({detail}); fix it, or use another")
+        raise PlanError(f"OMPL ended with code {code} ({detail}); please report the arena and the seed")
+    with np.load(io.BytesIO(response)) as data:
         return dict(data)
 
 
 def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) -> int:
-    """Answer questions on standard input by `work(ompl.base, ompl.geometric, question)`, each in a fork.
+    """Serve requests on standard input by `work(ompl.base, ompl.geometric, request)`, each in a fork.
 
-    Returns an exit code when the input ends.
+    Returns
+    -------
+    An exit code when the input ends.
     """
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    responses = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # OMPL may print
     try:
         from ompl import base, geometric, util  # type: ignore[import-untyped]
     except ImportError:
         return EXIT_WITHOUT_OMPL
 
-    def answered(question: bytes) -> bytes:
-        with np.load(io.BytesIO(question)) as data:
-            asked = dict(data)
-        util.RNG.setSeed(int(asked["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
+    def respond(request: bytes) -> bytes:
+        with np.load(io.BytesIO(request)) as data:
+            arrays = dict(data)
+        util.RNG.setSeed(int(arrays["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
         util.setLogLevel(util.LOG_NONE)
-        answer = io.BytesIO()
-        np.savez(answer, **work(base, geometric, asked))
-        return answer.getvalue()
+        response = io.BytesIO()
+        np.savez(response, **work(base, geometric, arrays))
+        return response.getvalue()
 
     while len(head := sys.stdin.buffer.read(HEADER.size)) == HEADER.size:
-        code, answer = _forked(answered, sys.stdin.buffer.read(HEADER.unpack(head)[0]))
-        answers.write(HEADER.pack(len(answer), code) + answer)
-        answers.flush()
+        code, response = _forked(respond, sys.stdin.buffer.read(HEADER.unpack(head)[0]))
+        responses.write(HEADER.pack(len(response), code) + response)
+        responses.flush()
     return 0
 
 
-def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes]:
-    """Do some work in a fork; return its exit code, negative for a signal, and its answer or its error."""
+def _forked(work: Callable[[bytes], bytes], request: bytes) -> tuple[int, bytes]:
+    """Run `work` in a fork; return its exit code, negative for a signal, and its response or error message."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
-        code, answer = 1, b""
+        code, response = 1, b""
         try:
-            code, answer = 0, work(question)
+            code, response = 0, work(request)
         except BaseException as exc:
-            answer = f"{type(exc).__name__}: {exc}".encode()
+            response = f"{type(exc).__name__}: {exc}".encode()
         finally:
             with os.fdopen(write, "wb") as pipe:
-                pipe.write(answer)
+                pipe.write(response)
             os._exit(code)
     os.close(write)
-    answer = _answer_of(child, read)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), answer
+    response = _response_of(child, read)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), response
 
 
-def _answer_of(child: int, read: int) -> bytes:
-    """Return what a fork writes to a pipe until it closes it; end both it and this process where nobody asks any more."""
+def _response_of(child: int, read: int) -> bytes:
+    """Return what a fork writes to a pipe until it closes it; if the client is gone, end the fork and this process."""
     poll, parts = select.poll(), list[bytes]()
     poll.register(read, select.POLLIN)
-    poll.register(sys.stdin.fileno(), 0)  # its end is always told
+    poll.register(sys.stdin.fileno(), 0)  # reports only the end of the input
     while True:
         ready = dict(poll.poll())
         if read in ready:
@@ -196,13 +199,13 @@ def _answer_of(child: int, read: int) -> bytes:
 
 
 def planner_named(name: str, geometric: Any, information: Any) -> Any:
-    """Make a planner for a SpaceInformation: of ompl.geometric by its name, or a user's own by module:Class."""
+    """Make a planner for a SpaceInformation: one of ompl.geometric by name, or a custom one as module:Class."""
     module, _, kind = name.rpartition(":")
     return getattr(import_module(module) if module else geometric, kind)(information)
 
 
 class IterationLimit:
-    """A termination condition that is true after `left` calls."""
+    """A termination condition that becomes true after `left` calls."""
 
     def __init__(self, left: int) -> None:
         self.left = left
@@ -213,7 +216,7 @@ class IterationLimit:
 
 
 class DistanceField:
-    """The distance field as plain lists, which a callback reads several times faster than an array."""
+    """The distance field as nested lists, which a Python callback reads several times faster than an array."""
 
     def __init__(self, distance: Floats, origin: Floats, step: float) -> None:
         self.rows: list[list[float]] = distance.tolist()
@@ -223,17 +226,17 @@ class DistanceField:
         self.clearance = 0.0
 
     def value(self, x: float, y: float) -> float:
-        """Interpolate the distance [m]; 0 off the raster."""
+        """Interpolate the distance [m]; 0 outside the raster."""
         u, v = (x - self.low[0]) / self.step, (y - self.low[1]) / self.step
         i, j = int(u), int(v)
         if (
             u < 0 or v < 0 or i >= self.size[0] or j >= self.size[1]
-        ):  # bounds are closed: x may be the far one
+        ):  # OMPL's bounds are closed: x may be the upper one
             return 0.0
         a, b = u - i, v - j
         near, far = self.rows[i], self.rows[i + 1]
         return (1 - a) * ((1 - b) * near[j] + b * near[j + 1]) + a * ((1 - b) * far[j] + b * far[j + 1])
 
     def is_valid(self, state: Any) -> bool:
-        """Tell OMPL whether a state keeps `clearance`; it needs a Python bool."""
+        """Return whether a state keeps `clearance`, as a Python bool, which OMPL requires."""
         return bool(self.value(state[0], state[1]) >= self.clearance)

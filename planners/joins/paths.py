@@ -1,4 +1,4 @@
-"""Joins of robots that turn in place: straight where that is clear, else by OMPL in a process of its own (`ompl_paths`)."""
+"""Joins of robots that turn in place: straight where that is clear, else by OMPL (`ompl_paths`)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from planners.clearance import Barriers
-from planners.joins.ompl_process import ask_ompl
-from planners.joins.raster_way import raster_way
+from planners.joins.ompl_process import call_ompl
+from planners.joins.raster_path import raster_path
 from planners.joins.settings import JOINS
 from planners.reach import Reach
 from planners.rooms import cell_graph
@@ -26,25 +26,25 @@ def connect(
 
     Parameters
     ----------
-    in_parts : what OMPL does not find as a whole is searched for in parts
+    in_parts : Whether to search in parts for paths that OMPL does not find as a whole.
 
     Returns
     -------
-    paths : (k, 2) [m] with both ends, k = 2 for a straight one; None where no path was found
+    paths : (k, 2) [m] Corners with both ends, k = 2 for a straight path; None where no path was found.
 
     Raises
     ------
-    PlanError : OMPL is not installed, or its process failed
+    PlanError : OMPL is not installed, or its process failed.
     """
     direct = barriers.are_clear(starts, ends, reach.clearance)
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
     blocked = np.flatnonzero(~direct)
     if len(blocked):
         found = _query_in_batches(starts[blocked], ends[blocked], reach, seed)
-        for k, way in zip(blocked.tolist(), found, strict=True):
-            paths[k] = _certified_path(way, barriers, reach.clearance)
+        for k, corners in zip(blocked.tolist(), found, strict=True):
+            paths[k] = _certified_path(corners, barriers, reach.clearance)
             if paths[k] is None:
-                paths[k] = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
+                paths[k] = _certified_path(corners, barriers, reach.clearance - JOINS.clearance_slack)
             if paths[k] is None and in_parts:
                 paths[k] = _connect_in_parts(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
@@ -61,20 +61,20 @@ def connect_nearest(
 ) -> tuple[Floats | None, JoinCounts]:
     """Find a path from a place (2,) to one of the goals (m, 2) [m]: straight to the nearest if clear, else by OMPL.
 
-    One query holds them all (`ob.GoalStates`).
+    All goals are in one query (`ob.GoalStates`).
 
     Returns
     -------
-    path : (k, 2) [m] with both ends; None where none was found
+    path : (k, 2) [m] Corners with both ends; None where no path was found.
     """
     nearest = np.argsort(np.hypot(*(goals - start).T), kind="stable")
     clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
     if clear.any():
         return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
-    (way,) = _query(start[None], [goals[nearest[: JOINS.max_goals]]], reach, seed)
-    path = _certified_path(way, barriers, reach.clearance)
+    (found,) = _query(start[None], [goals[nearest[: JOINS.max_goals]]], reach, seed)
+    path = _certified_path(found, barriers, reach.clearance)
     if path is None:
-        path = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
+        path = _certified_path(found, barriers, reach.clearance - JOINS.clearance_slack)
     if path is None:
         path = _connect_in_parts(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
@@ -85,7 +85,7 @@ def connect_nearest(
 def _connect_in_parts(
     start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
 ) -> Floats | None:
-    """Find a path (k, 2) [m] that OMPL did not find as a whole: in legs from cell to cell, or else over the raster's nodes."""
+    """Find a path (k, 2) [m] that OMPL did not find as a whole: in legs over cells, else over raster nodes."""
     path = _path_over_cells(start, end, reach, barriers, seed)
     return _path_over_nodes(start, end, reach, barriers, seed) if path is None else path
 
@@ -93,7 +93,10 @@ def _connect_in_parts(
 def _path_over_cells(
     start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
 ) -> Floats | None:
-    """Find a path (k, 2) [m] in legs, over places on the shortest way from cell to cell; None where that is no longer than a leg."""
+    """Find a path (k, 2) [m] in legs between places on the shortest path over cells.
+
+    None if that path is shorter than a leg, or if a leg is not found.
+    """
     at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
     first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
     far, before = csgraph.dijkstra(
@@ -112,32 +115,32 @@ def _path_over_cells(
 def _path_over_nodes(
     start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
 ) -> Floats | None:
-    """Find a path (k, 2) [m] along the shortest way over the raster: straight pieces of it, or OMPL's paths from leg to leg."""
-    way = raster_way(start, end, reach)
-    if way is None:
+    """Find a path (k, 2) [m] along the shortest path over raster nodes, by straight pieces or OMPL in legs."""
+    nodes = raster_path(start, end, reach)
+    if nodes is None:
         return None
     for slack in (0.0, JOINS.clearance_slack):
-        path = _certified_path(way, barriers, reach.clearance - slack)
+        path = _certified_path(nodes, barriers, reach.clearance - slack)
         if path is not None:
             return path
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(nodes, axis=0).T))])
     if along[-1] <= JOINS.leg_length:
         return None
-    stops = way[np.searchsorted(along, np.arange(0.0, along[-1], JOINS.leg_length / 2))]
+    stops = nodes[np.searchsorted(along, np.arange(0.0, along[-1], JOINS.leg_length / 2))]
     return _joined_legs(np.concatenate([stops, end[None]]), reach, barriers, seed, in_parts=False)
 
 
 def _joined_legs(
     stops: Floats, reach: Reach, barriers: Barriers, seed: int, *, in_parts: bool = True
 ) -> Floats | None:
-    """Find a path (k, 2) [m] from stop to stop (n, 2); None where a leg is missing."""
+    """Find a path (k, 2) [m] through stops (n, 2); None if a leg is not found."""
     legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed, in_parts=in_parts)
     found = [leg for leg in legs if leg is not None]
     return np.concatenate([stops[:1], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
 
 
 def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
-    """Leave out needless corners; None unless the exact clearance holds all along."""
+    """Remove needless corners; None if the exact clearance does not hold along the path."""
     if len(path) < 2:
         return None
     kept = [0]
@@ -152,7 +155,7 @@ def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Float
 
 
 def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 2) -> (n, 2) [m], in as many processes as there are processors."""
+    """Solve queries (n, 2) -> (n, 2) [m] in batches, in one process per processor."""
     goals = list(ends[:, None])
     batches = [
         slice(k, k + JOINS.queries_per_process) for k in range(0, len(starts), JOINS.queries_per_process)
@@ -168,8 +171,8 @@ def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> 
 
 
 def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 2) [m], each to one of its goals (m, 2), in one process; an empty path: none was found."""
-    data = ask_ompl(
+    """Solve queries (n, 2) [m], each with its goals (m, 2), in one process; an empty path means that none was found."""
+    data = call_ompl(
         "planners.joins.ompl_paths",
         seed=seed,
         starts=starts,
@@ -181,7 +184,7 @@ def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list
 
 
 def floor_arrays(reach: Reach) -> dict[str, Any]:
-    """Return the arrays by which a process knows the floor, and the planner that it uses there."""
+    """Return the arrays that describe the floor to an OMPL process, and the name of its planner."""
     return {
         "distance": reach.distance,
         "origin": reach.origin,

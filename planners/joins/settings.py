@@ -1,7 +1,8 @@
-"""The tuned numbers of joins: what they mean, and the command that set them.
+"""Tuned parameters of joins, with the command that set each.
 
-Unless said otherwise they were set with `python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random
-offices for development, each `--drive`): joins that failed, and planning time. OMPL's processes import this file.
+Unless stated otherwise they were set with
+`python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random offices for development, each
+`--drive`), by failed joins and planning time. OMPL's processes import this module.
 """
 
 from __future__ import annotations
@@ -13,35 +14,36 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class JoinSettings:
-    """How joins are asked for, and certified."""
+    """Queries to OMPL, and their certification."""
 
     max_goals: int = 400
-    """Goals of one query; the nearest ones."""
+    """Maximum number of goals per query; the nearest ones are used."""
     leg_length: float = 4.0
-    """[m] A path that OMPL does not find as a whole is searched for in legs of this length
+    """[m] Length of the legs in which a path is searched that OMPL does not find as a whole
     (`python -m benchmarks.large_floor --side 42 --rooms 30`)."""
     queries_per_process: int = 48
-    """Queries of one process; so results do not depend on the count of processors."""
+    """Number of queries per process; fixed, so that results do not depend on the number of processors."""
     certify_step: float = 0.004
-    """[m] between the poses at which the clearance of a car's drive is measured."""
+    """[m] between the poses at which the clearance of a car's path is measured."""
     gear_change_cost: float = 0.3
-    """[m] that a change of gear costs when a word replaces steering chatter."""
+    """[m] Cost of a gear change when a word replaces steering chatter."""
     check_step: float = 0.01
     """[m] between the states of a motion that OMPL checks."""
     clearance_slack: float = 0.002
-    """[m] OMPL keeps so much more than the clearance where start and goal do. Where they do not, it may keep so much less."""
+    """[m] Added to the clearance in OMPL where start and goals allow it. A certified path may be this much below the
+    clearance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SamplingStage:
-    """One attempt of RRTConnect; stages follow each other until one succeeds."""
+    """One attempt of RRTConnect; the stages run in order until one succeeds."""
 
     window: float
     """[m] around start and goals, within which states are sampled."""
     max_step: float
-    """[m] of the tree's longest edge."""
+    """[m] maximum length of the tree's edges."""
     iterations: int
-    """Iterations until the stage gives up."""
+    """Maximum number of iterations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +59,11 @@ class PlanePathSettings:
     )
     """Most paths are short; the last two stages find gaps that the coarser ones miss."""
     solutions: int = 2
-    """Solutions of each query, of which the best is kept."""
+    """Number of solutions per query; the best is kept."""
     rope_parts: int = 15
-    """Parts that a path is cut into to be pulled straight; the time grows with its square."""
+    """Number of parts into which a path is cut to be straightened; the time grows with its square."""
     corner_cost: float = 0.5
-    """[m] that a corner costs when solutions are compared, since turning takes time."""
+    """[m] Cost of a corner when solutions are compared, since turning takes time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +76,13 @@ class CarPathSettings:
         SamplingStage(window=np.inf, max_step=0.5, iterations=3_000),
     )
     solutions: int = 3
-    """Solutions of each query, of which the best is kept."""
+    """Number of solutions per query; the best is kept."""
     direct_goals: int = 16
-    """Goals to which the shortest curve is tried before OMPL samples."""
+    """Number of goals to which the shortest curve is tried before OMPL samples."""
     gear_change_cost: float = 0.6
-    """[m] that a change of gear costs when solutions are compared: the car must stop."""
+    """[m] Cost of a gear change when solutions are compared: the car must stop."""
     chatter_cost: float = 10.0
-    """[m] that an arc too short to steer costs when solutions are compared."""
+    """[m] Cost of an arc too short to steer when solutions are compared."""
 
 
 JOINS = JoinSettings()

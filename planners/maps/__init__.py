@@ -1,4 +1,4 @@
-"""Map formats -> Arena, one file each; registry MAPS."""
+"""Map formats -> Arena, one module each; registry MAPS."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ MAPS: dict[str, Callable[[Path], Arena]] = {
 
 
 def load(path: Path) -> Arena:
-    """Read an arena in the format that its suffix names.
+    """Read an arena in the format given by its suffix.
 
     Raises
     ------
-    PlanError : no reader for the suffix, no such file, or the file is at fault
+    PlanError : There is no reader for the suffix, no such file, or the file is invalid.
     """
     path = Path(path)
     reader = MAPS.get(path.suffix.lower())

@@ -1,9 +1,11 @@
 """Arena <-> GeoJSON in metres, frame map: polygons of kind arena or obstacle, lines of kind wall.
 
-The wall from vertex i to i+1 of feature NAME is `NAME/edge_i`; of its k-th hole, `NAME/ring_k/edge_i`.
-`surfaces` maps `"i"` or `"ring_k/i"` to a surface name. Two additions make any Arena storable: an arena
-with `"walls": false` bounds the free space without being a wall (and may be a MultiPolygon), and a
-LineString or MultiLineString of kind `wall` holds walls that bound nothing; its `names`, if given, name them.
+The wall from vertex i to i+1 of feature NAME is `NAME/edge_i`; in its k-th hole it is `NAME/ring_k/edge_i`.
+`surfaces` maps `"i"` or `"ring_k/i"` to a surface name. Two additions can store any Arena:
+
+- An arena with `"walls": false` bounds the free space without being a wall. It may be a MultiPolygon.
+- A LineString or MultiLineString of kind `wall` holds walls that bound no area. Its optional `names` name
+  them.
 """
 
 from __future__ import annotations
@@ -34,9 +36,9 @@ GEOMETRIES = {
     "wall": ("LineString", "MultiLineString"),
 }
 MAX_COORDINATE = 1e8
-"""[m] from the origin: a corner farther off is a mistake."""
+"""[m] maximum distance from the origin; a larger coordinate is an error."""
 MIN_EXTENT = 0.05
-"""[m] A smaller arena is taken for one in degrees."""
+"""[m] An arena smaller than this is assumed to be in degrees."""
 _EDGE = re.compile(r"(?P<stem>.*)/edge_(?P<number>0|[1-9]\d*)")
 _RING = re.compile(r"(?P<feature>.*)/ring_(?P<number>[1-9]\d*)")
 
@@ -58,7 +60,7 @@ def read(path: Path) -> Arena:
 
     Raises
     ------
-    PlanError : the file is at fault; the message says where
+    PlanError : The file is invalid; the message states where.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -75,7 +77,7 @@ def loads(text: str) -> Arena:
 
     Raises
     ------
-    PlanError : the text is at fault; the message says where
+    PlanError : The text is invalid; the message states where.
     """
     features = [_feature(item, index) for index, item in enumerate(_items(text))]
     arenas = [f for f in features if f.kind == "arena"]
@@ -91,7 +93,7 @@ def loads(text: str) -> Arena:
     obstacles = [f.area for f in features if f.kind == "obstacle"]
     free = outline.difference(shapely.union_all(obstacles)) if obstacles else outline
     if not isinstance(free, Polygon | MultiPolygon):
-        raise PlanError(f"free space came out as a {free.geom_type}; expected an area")
+        raise PlanError(f"free space is a {free.geom_type}; expected an area")
     names = [name for f in features for name in f.names]
     _refuse_repeats("wall", names)
     segments = [segment for f in features for segment in f.segments]
@@ -112,7 +114,7 @@ def _items(text: str) -> list[Any]:
         kind = data.get("type") if isinstance(data, dict) else type(data).__name__
         raise PlanError(f"top level is {kind!r}, expected a GeoJSON FeatureCollection")
     if re.search(r"4326|CRS84", json.dumps(data.get("crs")), re.IGNORECASE):
-        raise PlanError("crs says longitude and latitude in degrees; expected metres in frame map")
+        raise PlanError("crs is longitude and latitude in degrees; expected metres in frame map")
     items = data.get("features")
     if not isinstance(items, list) or not items:
         raise PlanError("no features; expected one of kind arena and any number of obstacles")
@@ -155,7 +157,7 @@ def _feature(item: Any, index: int) -> _Feature:
     if not isinstance(walls, bool):
         raise PlanError(f"feature {name!r} has walls {walls!r}, expected true or false")
     if shape == "MultiPolygon" and walls:
-        raise PlanError(f'feature {name!r} is a MultiPolygon; split it, or say "walls": false')
+        raise PlanError(f'feature {name!r} is a MultiPolygon; split it, or set "walls": false')
     parts = geometry.get("coordinates")
     if not isinstance(parts, list):
         raise PlanError(f"feature {name!r} has coordinates {parts!r:.40}, expected a list")
@@ -181,7 +183,7 @@ def _refuse_misspelt(name: str, properties: Mapping[str, Any]) -> None:
 
 
 def _points(name: str, part: Any) -> Floats:
-    """Check one chain of vertices; returns (n, 2) [m]."""
+    """Check one chain of vertices and return it, (n, 2) [m]."""
     try:
         points = np.array([[x, y] for x, y, *_ in part])
     except (TypeError, ValueError):
@@ -204,21 +206,21 @@ def _points(name: str, part: Any) -> Floats:
 def _polygon(name: str, rings: Any) -> Polygon:
     if not isinstance(rings, list) or not rings:
         raise PlanError(
-            f"feature {name!r} has no rings; expected [[[x, y], ...]] with the first point last again"
+            f"feature {name!r} has no rings; expected [[[x, y], ...]] whose last point equals the first"
         )
     chains = [_points(name, ring) for ring in rings]
     for chain in chains:
         if len(chain) < 4 or (chain[0] != chain[-1]).any():
             raise PlanError(
                 f"feature {name!r} has an open ring from {chain[0].tolist()} to {chain[-1].tolist()}; "
-                "expected at least three corners and the first one again at the end"
+                "expected at least three corners, and the first one repeated at the end"
             )
     polygon = Polygon(chains[0], chains[1:])
     if not polygon.is_valid:
         raise PlanError(f"feature {name!r} crosses or touches itself: {explain_validity(polygon)}")
     if not polygon.area > 1e-9:
         raise PlanError(
-            f"feature {name!r} has an area of {polygon.area:g} m²; expected a polygon with room inside"
+            f"feature {name!r} has an area of {polygon.area:g} m²; expected a polygon with a positive area"
         )
     return polygon
 
@@ -240,7 +242,7 @@ def _with_walls(
     given = properties.get("names")
     if given is not None:
         if not isinstance(given, list) or [type(g) for g in given] != [str] * len(names):
-            raise PlanError(f"feature {name!r} has names that are no list of {len(names)} strings")
+            raise PlanError(f"feature {name!r}: names must be a list of {len(names)} strings")
         names = list(given)
     return _Feature(name=name, kind=kind, area=area, segments=segments, names=names, surfaces=surfaces)
 
@@ -272,7 +274,7 @@ def _key(feature: str, wall: str) -> str:
 
 
 def dumps(arena: Arena) -> str:
-    """Write an arena as text from which `loads` makes an equal one: walls, names, surfaces and free space."""
+    """Return an arena as text; `loads` restores its walls, names, surfaces and free space exactly."""
     for items in (_polygons(arena), _outline_and_lines(arena, by_feature=True)):
         text = _text(items) if items else ""
         if text and _is_equal(arena, text):
@@ -304,7 +306,7 @@ def _item(geometry: Mapping[str, Any], **properties: Any) -> dict[str, Any]:
 
 
 def _groups(arena: Arena) -> Iterator[tuple[str, slice]]:
-    """Yield each stem of wall names with the run of walls that carry it."""
+    """Yield each stem of wall names with its slice of consecutive walls."""
     stems = [match["stem"] if (match := _EDGE.fullmatch(name)) else "" for name in arena.names]
     at = 0
     for stem, run in groupby(stems):
@@ -319,7 +321,7 @@ def _given(arena: Arena, feature: str, walls: slice) -> dict[str, str] | None:
 
 
 def _polygons(arena: Arena) -> list[dict[str, Any]]:
-    """Read the features back out of the wall names; the largest is the arena. `dumps` tests the guess."""
+    """Reconstruct the features from the wall names, with the largest as the arena; `dumps` verifies the result."""
     rings: dict[str, list[list[list[float]]]] = {}
     spans: dict[str, slice] = {}
     for stem, span in _groups(arena):
@@ -348,7 +350,7 @@ def _polygons(arena: Arena) -> list[dict[str, Any]]:
 
 
 def _outline_and_lines(arena: Arena, *, by_feature: bool) -> list[dict[str, Any]]:
-    """Write free space as an outline without walls, and the walls as lines that bound nothing."""
+    """Return free space as an outline without walls, and the walls as lines that bound no area."""
     groups = list(_groups(arena)) if by_feature else [("walls", slice(0, arena.n_walls))]
     stems = {stem for stem, _ in groups}
     outline = next(name for name in ("free", "free space", "free space of the arena") if name not in stems)

@@ -1,8 +1,8 @@
-"""No-go zones: polygons that the robot may not enter, and that its sensor sees through.
+"""No-go zones: polygons that the robot may not enter and that do not block its sensor.
 
-A zone is taken out of the free space, and no wall is put round it. Whatever keeps clear of the border of free space
-(the reachable set, the search, joins, the checker) then keeps the robot's whole disc out of the zone, while the walls
-that a scan sees stay as they are.
+A zone is subtracted from the free space, without a wall around it. All parts of the planner keep clear of the
+border of free space: the reachable set, the search, joins and the checker. The robot's whole disc therefore
+stays outside the zone, and the walls in a scan do not change.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ KIND = "no_go"
 
 
 Zone = Polygon
-"""Where the robot may not go [m, map]."""
+"""Area that the robot may not enter [m, map]."""
 
 
 def zones(given: str) -> list[Polygon]:
-    """Return the polygons of a GeoJSON file (features of kind no_go), or the one of corners x,y,x,y,... [m].
+    """Return the polygons of a GeoJSON file (features of kind no_go), or the polygon with corners x,y,x,y,... [m].
 
     Raises
     ------
-    PlanError : neither a file nor corners, or not a valid polygon
+    PlanError : The text is neither a file nor corners, or a polygon is invalid.
     """
     if Path(given).is_file():
         return read(Path(given))
@@ -43,7 +43,7 @@ def zones(given: str) -> list[Polygon]:
         numbers = [float(part) for part in given.split(",")]
     except ValueError:
         raise PlanError(
-            f"no-go zone {given!r} is no file, nor corners x,y,x,y,... in metres such as 1,1,2,1,2,2"
+            f"no-go zone {given!r} is neither a file nor corners x,y,x,y,... in metres such as 1,1,2,1,2,2"
         ) from None
     if len(numbers) < 6 or len(numbers) % 2:
         raise PlanError(
@@ -53,11 +53,11 @@ def zones(given: str) -> list[Polygon]:
 
 
 def read(path: Path) -> list[Polygon]:
-    """Read the features of kind no_go; others, such as the arena itself, are passed over.
+    """Read the features of kind no_go; skip all others, such as the arena itself.
 
     Raises
     ------
-    PlanError : the file is no GeoJSON, has no zone, or a zone is no valid polygon
+    PlanError : The file is not GeoJSON, has no zone, or has a zone that is not a valid polygon.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -78,11 +78,11 @@ def read(path: Path) -> list[Polygon]:
 
 
 def without(arena: Arena, given: Sequence[Polygon]) -> Arena:
-    """Return the arena with free space less the zones, its walls being as before.
+    """Return the arena with the zones subtracted from its free space, and with the same walls.
 
     Raises
     ------
-    PlanError : a zone lies outside of the free space, or the zones cover all of it
+    PlanError : A zone lies outside the free space, or the zones cover all of it.
     """
     free: BaseGeometry = arena.free
     for zone in given:
@@ -90,12 +90,12 @@ def without(arena: Arena, given: Sequence[Polygon]) -> Arena:
             x, y = zone.exterior.coords[0][:2]
             raise PlanError(
                 f"the no-go zone from ({x:g}, {y:g}) lies outside the arena's free space "
-                f"({', '.join(f'{bound:g}' for bound in arena.bounds)}); metres in frame map are meant"
+                f"({', '.join(f'{bound:g}' for bound in arena.bounds)}); expected metres in frame map"
             )
         free = free.difference(zone)
     parts = [part for part in getattr(free, "geoms", [free]) if isinstance(part, Polygon)]
     if not parts:
-        raise PlanError("the no-go zones cover all of the arena's free space; nothing is left to drive in")
+        raise PlanError("the no-go zones cover all of the arena's free space; remove or shrink one")
     return replace(arena, free=parts[0] if len(parts) == 1 else MultiPolygon(parts))
 
 
@@ -113,11 +113,11 @@ def _checked(name: str, rings: Any) -> Polygon:
         is_finite = all((np.abs(chain) <= MAX_COORDINATE).all() for chain in chains)
         polygon = Polygon(chains[0], chains[1:]) if is_finite else Polygon()
     except (TypeError, ValueError, IndexError, shapely.errors.GEOSException):
-        raise PlanError(f"{name} is no polygon; expected rings of at least three x, y in metres") from None
+        raise PlanError(f"{name} is not a polygon; expected rings of at least three x, y in metres") from None
     if not is_finite:
         raise PlanError(f"{name} has a coordinate that is not finite, or beyond {MAX_COORDINATE:g} m")
     if not polygon.is_valid:
         raise PlanError(f"{name} crosses or touches itself: {explain_validity(polygon)}")
     if not polygon.area > 0:
-        raise PlanError(f"{name} has no area; expected a polygon with room inside")
+        raise PlanError(f"{name} has no area; expected a polygon with a positive area")
     return polygon

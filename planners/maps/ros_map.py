@@ -1,8 +1,9 @@
-"""Arena <- ROS map_server maps: yaml beside a pgm or png; free space is the union of the free cells.
+"""Arena <- ROS map_server maps: a yaml file with a pgm or png; free space is the union of the free cells.
 
-Walls are the borders of occupied cells, joined to the longest straight segments and named by their order,
-`map/edge_0` first. Unknown cells are neither free nor wall: in a trinary map those that map_saver writes as 205 are
-unknown whatever free_thresh says, for its usual 0.25 would make them free.
+Walls are the borders of occupied cells, merged into the longest straight segments and named by their order,
+`map/edge_0` first. Unknown cells are neither free nor wall. In a trinary map, the grey value 205 that
+map_saver writes for unknown cells is unknown for any free_thresh: with map_saver's usual 0.25 it would count
+as free.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
 """Environment variable; 1 allows an image outside the folder of its map."""
 MAX_CELLS = 100_000_000
 UNKNOWN_OCCUPANCY = 50
-"""[1/255] what map_saver writes for an unknown cell: grey 205, or 50 in a negated image."""
+"""[1/255] occupancy that map_saver writes for an unknown cell: grey 205, or 50 in a negated image."""
 
 
 def read(path: Path) -> Arena:
@@ -38,7 +39,7 @@ def read(path: Path) -> Arena:
 
     Raises
     ------
-    PlanError : the yaml or its image is at fault, no cell is free, or none is occupied
+    PlanError : The yaml or its image is invalid, no cell is free, or no cell is occupied.
     """
     facts = _facts(path)
     pixels, opaque = _pixels(path, _image(path, facts["image"]))
@@ -46,7 +47,7 @@ def read(path: Path) -> Arena:
     for name, cells in (("free", free), ("occupied", occupied)):
         if not cells.any():
             raise PlanError(
-                f"{path}: no cell is {name} ({_taken(pixels, occupied, free, facts)}); "
+                f"{path}: no cell is {name} ({_summary(pixels, occupied, free, facts)}); "
                 f"check negate, {name}_thresh and the image"
             )
     x, y, yaw = facts["origin"]
@@ -58,18 +59,18 @@ def read(path: Path) -> Arena:
     walls = place(_borders(occupied))
     area = shapely.transform(_union(free), place)
     if not isinstance(area, Polygon | MultiPolygon):
-        raise PlanError(f"{path}: the free cells make a {area.geom_type}, expected an area")
+        raise PlanError(f"{path}: the free cells form a {area.geom_type}, expected an area")
     return Arena(
         free=area,
         walls=walls,
         names=tuple(f"map/edge_{i}" for i in range(len(walls))),
         surfaces=("wall",) * len(walls),
-        notes=(f"{path.name}: {_taken(pixels, occupied, free, facts)}",),
+        notes=(f"{path.name}: {_summary(pixels, occupied, free, facts)}",),
     )
 
 
-def _taken(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]) -> str:
-    """Say which share of the cells was taken as free, occupied and unknown, and by what grey values."""
+def _summary(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]) -> str:
+    """Return the shares of free, occupied and unknown cells, with their ranges of grey values, as text."""
     grey = pixels[::-1].T
     parts = []
     for name, cells in (("free", free), ("occupied", occupied), ("unknown", ~(free | occupied))):
@@ -78,12 +79,12 @@ def _taken(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mappi
             f" (grey {values[0]}" + (f" to {values[-1]})" if len(values) > 1 else ")") if len(values) else ""
         )
         parts.append(f"{cells.mean():.1%} {name}{span}")
-    said = f"{', '.join(parts)}; {facts['mode']}"
+    text = f"{', '.join(parts)}; {facts['mode']}"
     if facts["mode"] == "trinary":
         share = UNKNOWN_OCCUPANCY / 255
         if share < facts["free_thresh"] and (_occupancy(grey, facts) == UNKNOWN_OCCUPANCY).any():
-            said += f", grey {50 if facts['negate'] else 205} is unknown though free_thresh is {facts['free_thresh']:g}"
-    return said
+            text += f", grey {50 if facts['negate'] else 205} is unknown although free_thresh is {facts['free_thresh']:g}"
+    return text
 
 
 def _facts(path: Path) -> dict[str, Any]:
@@ -98,7 +99,8 @@ def _facts(path: Path) -> dict[str, Any]:
     if len(missing) == len(REQUIRED):
         robot = "; is it a robot.yaml?" if {"drive", "sensor", "wheels", "limits"} & set(data) else ""
         raise PlanError(
-            f"{path} is no map_server map (keys {', '.join(map(str, [*data][:4])) or 'none'}); expected {', '.join(REQUIRED)}"
+            f"{path} is not a map_server map (keys {', '.join(map(str, [*data][:4])) or 'none'}); "
+            f"expected {', '.join(REQUIRED)}"
             f"{robot}"
         )
     if missing:
@@ -114,7 +116,8 @@ def _facts(path: Path) -> dict[str, Any]:
             raise PlanError(f"{path}: {key} is {facts[key]}, expected {low:g} to {high:g}")
     if facts["free_thresh"] > facts["occupied_thresh"]:
         raise PlanError(
-            f"{path}: free_thresh {facts['free_thresh']} is above occupied_thresh {facts['occupied_thresh']}"
+            f"{path}: free_thresh {facts['free_thresh']} is above occupied_thresh {facts['occupied_thresh']}; "
+            "expected free_thresh at or below it"
         )
     if not isinstance(data["image"], str) or not data["image"]:
         raise PlanError(f"{path}: image is {data['image']!r}, expected the name of a pgm or png")
@@ -131,15 +134,15 @@ def _facts(path: Path) -> dict[str, Any]:
 
 
 def _image(path: Path, name: str) -> Path:
-    """Return the image of a map; one outside the folder of the yaml is refused."""
+    """Return the path of a map's image; reject an image outside the folder of the yaml."""
     image = path.parent / name
-    homes = (path.parent.resolve(), path.resolve().parent)  # they differ where the yaml is a link
+    folders = (path.parent.resolve(), path.resolve().parent)  # they differ if the yaml is a link
     if os.environ.get(ALLOW_OUTSIDE) != "1" and not any(
-        image.resolve().is_relative_to(home) for home in homes
+        image.resolve().is_relative_to(folder) for folder in folders
     ):
         raise PlanError(
-            f"{path}: image is {name[:100]!r}, outside the folder of the map; copy it beside the yaml, or, if you trust "
-            f"the map, set {ALLOW_OUTSIDE}=1"
+            f"{path}: image is {name[:100]!r}, outside the folder of the map; copy it next to the yaml, or, if you "
+            f"trust the map, set {ALLOW_OUTSIDE}=1"
         )
     return image
 
@@ -151,9 +154,9 @@ def _number(path: Path, key: str, value: Any) -> float:
 
 
 def _pixels(path: Path, image: Path) -> tuple[NDArray[np.uint8], Bools]:
-    """Return grey values 0 to 255 and which pixels are opaque, both (height, width), row 0 on top."""
+    """Return grey values 0 to 255, and whether each pixel is opaque, both (height, width) with row 0 on top."""
     if not image.is_file():
-        raise PlanError(f"{path}: no image {image}; expected it beside the yaml, or give its path in image")
+        raise PlanError(f"{path}: no image {image}; expected it next to the yaml, or its path in `image`")
     try:
         with Image.open(image) as picture:
             if picture.width * picture.height > MAX_CELLS:
@@ -165,21 +168,22 @@ def _pixels(path: Path, image: Path) -> tuple[NDArray[np.uint8], Bools]:
             alpha = "A" in picture.getbands() or "transparency" in picture.info
             colour = np.asarray(picture.convert("RGBA" if alpha else "RGB"), dtype=np.uint16)
     except UnidentifiedImageError as exc:
-        raise PlanError(f"{image}: not an image that can be read; expected pgm or png") from exc
+        raise PlanError(f"{image}: not a readable image; expected pgm or png") from exc
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as exc:
         if isinstance(exc, PlanError):
             raise
         raise PlanError(f"{image}: broken ({exc}); expected pgm or png") from exc
-    grey = (colour[..., :3].sum(axis=2) // 3).astype(np.uint8)  # as map_server averages colours
+    grey = (colour[..., :3].sum(axis=2) // 3).astype(np.uint8)  # map_server averages the colours too
     opaque = colour[..., 3] > 0 if colour.shape[2] == 4 else np.ones(grey.shape, dtype=np.bool_)
     return grey, np.asarray(opaque, dtype=np.bool_)
 
 
 def classify(pixels: NDArray[np.uint8], opaque: Bools, facts: Mapping[str, Any]) -> tuple[Bools, Bools]:
-    """Tell occupied and free cells, each (nx, ny) with cell (0, 0) in the lower left corner.
+    """Return the occupied and the free cells, each (nx, ny) with cell (0, 0) in the lower left corner.
 
-    Between the thresholds a cell is neither; a transparent pixel is unknown, and so is in trinary mode the grey that
-    map_saver writes for it. In raw mode the value itself is the occupancy in percent, above 100 unknown.
+    A cell between the thresholds is neither. A transparent pixel is unknown; so is, in trinary mode, the grey
+    value that map_saver writes for unknown cells. In raw mode the pixel value is the occupancy in percent;
+    above 100 is unknown.
     """
     if facts["mode"] == "raw":
         share = pixels / 100.0
@@ -198,12 +202,12 @@ def classify(pixels: NDArray[np.uint8], opaque: Bools, facts: Mapping[str, Any])
 
 
 def _occupancy(pixels: NDArray[np.uint8], facts: Mapping[str, Any]) -> NDArray[np.uint8]:
-    """Return how occupied each cell is, in 1/255."""
+    """Return the occupancy of each cell in 1/255."""
     return np.asarray(pixels if facts["negate"] else 255 - pixels, dtype=np.uint8)
 
 
 def _borders(cells: Bools) -> Floats:
-    """Return (n, 2, 2) [cells] the borders between True and False cells as the longest straight segments."""
+    """Return the borders (n, 2, 2) [cells] between True and False cells, as the longest straight segments."""
     padded = np.pad(cells, 1)
     segments = []
     for axis in (0, 1):  # borders across x run along y
@@ -218,7 +222,7 @@ def _borders(cells: Bools) -> Floats:
 
 
 def _union(cells: Bools) -> Polygon | MultiPolygon:
-    """Return the union of the True cells [cells], built from its border lines alone."""
+    """Return the union of the True cells [cells], built from its border lines."""
     lines = shapely.linestrings(_borders(cells))
     faces = shapely.get_parts(shapely.polygonize([shapely.union_all(lines)]))
     inside = shapely.point_on_surface(faces)

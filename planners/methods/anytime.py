@@ -1,9 +1,15 @@
-"""The anytime order of a coverage plan: a drive of which every prefix is worth its minutes, and whose end is complete.
+"""Anytime order of a coverage plan: every prefix shows as much as possible, and the whole drive is complete.
 
-It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. For the first minutes
-a round is of views. Then it is of spins, chosen alike: each completes a cell, which the search at the end leaves out, so
-that such a round costs the plan only its ways. Without a survey, one cell is completed in every block of 3 m. At last
-all cells are completed.
+The drive has three phases:
+
+1. Rounds of views through the floor, chosen by what the sensor has not seen (`overview`), for the first
+   minutes.
+2. Rounds of spins, chosen the same way. Each spin completes a cell, which the final search then leaves out. A
+   round
+   therefore costs the plan only its transits.
+3. A search that completes all remaining cells.
+
+Without a survey, phases 1 and 2 are replaced by a spin in one cell of every 3 m block.
 """
 
 from __future__ import annotations
@@ -27,15 +33,15 @@ from planners.types import Bools, Floats, Ints, Progress
 
 
 def plan_anytime(task: Task) -> PlannedDrive:
-    """Plan a drive that shows most first, and is complete at its end.
+    """Plan a drive that shows most first and is complete at its end.
 
     Raises
     ------
-    PlanError : a priority is given, or every bin is covered already
-    KeyboardInterrupt : Ctrl-C came before anything was found
+    PlanError : A priority is given, or every bin is covered already.
+    KeyboardInterrupt : Ctrl-C came before any drive was found.
     """
     if task.priority is not None:
-        raise PlanError("a priority is an order of its own; leave out the order anytime")
+        raise PlanError("a priority excludes the order anytime; leave out `priority` or use order fast")
     drive = _AnytimeDrive(task, bins_to_visit(task))
     try:
         reference, survey = reference_time(task.coverage, task.vehicle), task.survey
@@ -54,7 +60,7 @@ def plan_anytime(task: Task) -> PlannedDrive:
 
 
 class _AnytimeDrive:
-    """The drive so far, and what it has met."""
+    """The drive so far, and the bins that it has not covered."""
 
     def __init__(self, task: Task, todo: Bools) -> None:
         self.task, self.todo, self.missing = task, todo, todo.copy()
@@ -65,38 +71,38 @@ class _AnytimeDrive:
 
     @property
     def is_enough(self) -> bool:
-        """Whether nothing more need be planned."""
+        """Whether planning can end."""
         budget = self.task.budget
         return self.interrupted or not self.missing.any() or (budget is not None and self.clock > budget)
 
     @property
     def here(self) -> Floats | None:
-        """(3,) where the drive so far ends."""
+        """(3,) end pose of the drive so far."""
         if not self.parts:
             return self.task.start
         curve = self.parts[-1].curve
         return np.asarray(curve.sample(np.array([curve.duration]))[0][0])
 
     def add(self, part: PlannedDrive) -> None:
-        """Append a drive that begins where this one ends, and count what it shows as seen."""
+        """Append a drive that begins where this one ends, and remove its bins from the missing ones."""
         task, curve = self.task, part.curve
         self.missing &= ~met(curve, task.coverage, task.rate, self.clock).all(axis=0)
         self.parts.append(part)
         self.clock += curve.duration
         self.interrupted |= part.interrupted
-        if task.progress and task.budget is None:  # a budget leaves most bins out
+        if task.progress and task.budget is None:  # with a budget, most bins stay missing
             task.progress(self.total - int(self.missing.sum()), self.total)
 
     def _mark(self, survey: Survey) -> None:
-        """Count what the last part shows as seen, and say how far the overview is."""
+        """Mark as seen what the last part shows, and report the progress of the overview."""
         curve = self.parts[-1].curve
         survey.mark(curve.sample(np.arange(0.0, curve.duration, OVERVIEW.look_period))[0])
         budget = self.task.budget
         of = "" if budget is None else f" of {budget / 60:.0f}"
-        self.task.say(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
+        self.task.show_status(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
 
     def look(self, survey: Survey, until: float) -> None:
-        """Drive rounds of views until so many seconds of the drive, or until nothing more need be planned."""
+        """Drive rounds of views up to a time [s] of the drive, or until planning can end."""
         for part in overview(self.task, survey, self.here, driven=self.clock, until=until):
             self.add(part)
             self._mark(survey)
@@ -104,7 +110,7 @@ class _AnytimeDrive:
                 return
 
     def spin_by_survey(self, survey: Survey, until: float) -> None:
-        """Drive rounds of spins likewise, which complete cells."""
+        """Drive rounds of spins, which complete cells, up to a time [s] of the drive or until planning can end."""
         rng = np.random.default_rng(self.task.seed)
         while (here := self.here) is not None and not self.is_enough and self.clock < until:
             length = min(max(OVERVIEW.first_round, OVERVIEW.spin_growth * self.clock), until - self.clock)
@@ -115,30 +121,34 @@ class _AnytimeDrive:
             self._mark(survey)
 
     def spin(self, cells: Bools) -> None:
-        """Complete cells (nx, ny, 1) by a spin in each."""
+        """Complete cells (nx, ny, 1) with one spin each."""
         wanted = np.asarray(self.missing & cells)
         self.add(_SpinTour(self._part(wanted), wanted).run())
 
     def complete(self) -> None:
-        """Complete all cells. Those of which least is met are covered anew: scattered bins would cost a search more than all."""
+        """Complete all cells.
+
+        Open cells are covered again as a whole: their scattered missing bins would cost a search more than
+        all bins.
+        """
         self.add(plan_spins(self._part(np.asarray(self.missing | self.todo & self._open()))))
 
     def _open(self) -> Bools:
-        """Return (nx, ny, 1) cells of which more than half of the bins are missing."""
+        """Return the open cells (nx, ny, 1): those with more than half of their bins missing."""
         return np.asarray(2 * self.missing.sum(axis=2, keepdims=True) > self.todo.sum(axis=2, keepdims=True))
 
     def _part(self, wanted: Bools) -> Task:
-        """Return the task to meet some bins (nx, ny, n_phi), from where the drive so far ends."""
+        """Return the task to cover the bins `wanted` (nx, ny, n_phi) from the end of the drive so far."""
         grid = replace(self.task.coverage, counts=np.where(wanted, 0, 1))
         left = int((self.missing & wanted).sum())
         return replace(self.task, coverage=grid, start=self.here, progress=self._progress(left))
 
     def _progress(self, wanted: int) -> Progress | None:
-        """Return the progress of a part that meets so many bins, as a part of the whole."""
+        """Return a progress callback that maps the progress of a part with `wanted` bins to the whole drive."""
         tick, done, total = self.task.progress, self.total - int(self.missing.sum()), self.total
         if tick is None or self.task.budget is not None:
             return None
-        whole = tick  # known to be a function, also within the next one
+        whole = tick  # narrows the type for the lambda
         return lambda n, of: whole(done + round(n * wanted / max(of, 1)), total)
 
     def planned(self) -> PlannedDrive:
@@ -157,7 +167,7 @@ class _AnytimeDrive:
 
 
 class _SpinTour(StopAndSpinPlanner):
-    """Spins in cells that lie apart, in an order that saves driving."""
+    """Spins in scattered cells, ordered to save driving time."""
 
     def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
         reach, limits = self.task.reach, self.task.vehicle.limits
@@ -175,9 +185,9 @@ class _SpinTour(StopAndSpinPlanner):
 
 
 def _one_in_each(missing: Bools, block: float, task: Task) -> Bools:
-    """Return (nx, ny, 1) one cell with missing bins of every block of that side [m].
+    """Return the cells (nx, ny, 1) with missing bins, one in each block with sides of `block` [m].
 
-    It is the roomiest, and of these the nearest to the middle of its block.
+    It is the cell with the largest reachable area; ties go to the cell nearest to the middle of the block.
     """
     cells, size = np.asarray(missing.any(axis=2)), max(round(block / task.reach.cell), 1)
     row, column = np.indices(cells.shape, dtype=np.int64)

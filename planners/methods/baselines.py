@@ -1,4 +1,4 @@
-"""Baselines: how robots explored without a plan (the trajectories of Nehmzow and Billings)."""
+"""Baselines: exploration without a plan, as in the trajectories of Nehmzow and Billings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
 WALL_ACCURACY = 1e-3
-"""[m] Accuracy of the distance to a wall ahead."""
+"""[m] accuracy of the distance to a wall ahead."""
 
 
 def random_bounce(task: Task) -> PlannedDrive:
@@ -22,16 +22,16 @@ def random_bounce(task: Task) -> PlannedDrive:
 
     Raises
     ------
-    PlanError : the vehicle cannot turn in place
+    PlanError : The vehicle cannot turn in place.
     """
     _only_in_place(task, "random_bounce")
     rng = np.random.default_rng(task.seed)
     builder = CurveBuilder(_start(task, rng), task.vehicle.limits)
     bounces = 0
     while builder.clock < _duration(task):
-        way = _free_way(task, builder.pose)
-        if way > WALL_ACCURACY:
-            builder.move(way, "move")
+        distance = _free_distance(task, builder.pose)
+        if distance > WALL_ACCURACY:
+            builder.move(distance, "move")
         bounces += 1
         heading = _open_heading(task, builder.pose, rng)
         builder.turn(float(wrap(heading - builder.pose[2])), "turn")
@@ -43,39 +43,39 @@ def random_bounce(task: Task) -> PlannedDrive:
 
 
 def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
-    """Return the first random heading that leads away from the wall."""
+    """Return the first random heading with free space ahead."""
     for _ in range(200):
         heading = float(rng.uniform(-np.pi, np.pi))
         if (
-            _free_way(task, np.array([pose[0], pose[1], heading]), BASELINES.min_bounce)
+            _free_distance(task, np.array([pose[0], pose[1], heading]), BASELINES.min_bounce)
             >= BASELINES.min_bounce - WALL_ACCURACY
         ):
             return heading
-    return float(pose[2] + np.pi)  # the way it came is open
+    return float(pose[2] + np.pi)  # the path by which the robot came is free
 
 
-def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
-    """Return how far [m] the robot can drive ahead, at most `most`, exact to `WALL_ACCURACY`."""
+def _free_distance(task: Task, pose: Floats, most: float | None = None) -> float:
+    """Return the free distance [m] ahead, at most `most`, with an accuracy of `WALL_ACCURACY`."""
     ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
     x0, y0, x1, y1 = task.arena.bounds
     low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
     while high - low > WALL_ACCURACY:
-        travel_times = np.linspace(low, high, 24)[1:]
-        here = np.repeat(pose[None, :2], len(travel_times), axis=0)
-        clear = task.barriers.are_clear(here, here + travel_times[:, None] * ahead, task.reach.clearance)
-        first = len(travel_times) if clear.all() else int(clear.argmin())
-        if first == len(travel_times):
+        distances = np.linspace(low, high, 24)[1:]
+        here = np.repeat(pose[None, :2], len(distances), axis=0)
+        clear = task.barriers.are_clear(here, here + distances[:, None] * ahead, task.reach.clearance)
+        first = len(distances) if clear.all() else int(clear.argmin())
+        if first == len(distances):
             return high
-        low, high = (float(travel_times[first - 1]) if first else low), float(travel_times[first])
+        low, high = (float(distances[first - 1]) if first else low), float(distances[first])
     return low
 
 
 def wall_following(task: Task) -> PlannedDrive:
-    """Follow the longest wall within reach at an even distance, lap after lap, for `task.duration`.
+    """Follow the longest wall within reach at a constant distance, lap after lap, for `task.duration`.
 
     Raises
     ------
-    PlanError : the vehicle cannot turn in place, no wall can be followed, or OMPL finds no path along it
+    PlanError : The vehicle cannot turn in place, no wall can be followed, or OMPL finds no path along it.
     """
     _only_in_place(task, "wall_following")
     rng = np.random.default_rng(task.seed)
@@ -91,7 +91,7 @@ def wall_following(task: Task) -> PlannedDrive:
     )
     if lead[0] is None or joins.failed:
         raise PlanError(
-            f"OMPL found no way along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
+            f"OMPL found no path along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
         )
     builder = CurveBuilder(start, task.vehicle.limits)
     corners = [*lead[0][1:], *path[1:]]
@@ -99,9 +99,9 @@ def wall_following(task: Task) -> PlannedDrive:
     while builder.clock < _duration(task):
         corner = corners[lap] if lap < len(corners) else path[1 + (lap - len(corners)) % (len(path) - 1)]
         lap += 1
-        way = corner - builder.pose[:2]
-        builder.turn(float(wrap(np.arctan2(way[1], way[0]) - builder.pose[2])), "turn")
-        builder.move(float(np.hypot(*way)), "lane")
+        leg = corner - builder.pose[:2]
+        builder.turn(float(wrap(np.arctan2(leg[1], leg[0]) - builder.pose[2])), "turn")
+        builder.move(float(np.hypot(*leg)), "lane")
         if task.progress:
             task.progress(int(min(builder.clock, _duration(task))), int(_duration(task)))
     return PlannedDrive(
@@ -110,7 +110,7 @@ def wall_following(task: Task) -> PlannedDrive:
 
 
 def _ring(task: Task) -> Floats:
-    """Return (n, 2) [m] the longest line at an even distance from walls, counter-clockwise."""
+    """Return the longest line (n, 2) [m] at a constant distance from walls, counter-clockwise."""
     for beyond in (BASELINES.wall_distance, BASELINES.wall_distance / 2, 0.01):
         inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
         parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
@@ -129,7 +129,7 @@ def _is_reached(task: Task, point: Floats) -> bool:
 
 
 def _start(task: Task, rng: np.random.Generator) -> Floats:
-    """Return the start asked for, or a random reachable pose."""
+    """Return the start of the task, or a random reachable pose."""
     if task.start is not None:
         return task.start
     i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + BASELINES.min_bounce))
@@ -149,5 +149,5 @@ def _duration(task: Task) -> float:
 def _only_in_place(task: Task, name: str) -> None:
     if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner {name} turns on the spot, which drive {task.vehicle.drive!r} cannot; use drive: diff"
+            f"planner {name} turns on the spot, which drive {task.vehicle.drive!r} cannot do; use drive: diff"
         )

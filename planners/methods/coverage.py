@@ -1,8 +1,8 @@
-"""The coverage planner, the default of `plan`: search each room by itself, and join the rooms by OMPL.
+"""The coverage planner, the default of `plan`: search each room independently, and join the rooms by OMPL.
 
-Robots that turn in place are planned in `coverage_spins`, cars in `coverage_cars`. Rooms do not wait for each other, so
-they are searched in parallel (`parallel_search`), with the same result on any count of processors. `stop_and_spin`, the older planner
-of robots that turn in place, does what earlier runs have left of single headings.
+`coverage_spins` plans for robots that turn in place, `coverage_cars` for cars. The rooms are searched in
+parallel (`parallel_search`), with the same result on any number of processors. `stop_and_spin`, the older
+planner of robots that turn in place, completes single headings that earlier runs have missed.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def plan_coverage(task: Task) -> PlannedDrive:
 
     Raises
     ------
-    PlanError : every bin is covered already, or no room can be reached
-    KeyboardInterrupt : Ctrl-C came before anything was found
+    PlanError : Every bin is covered already, or no room can be reached.
+    KeyboardInterrupt : Ctrl-C came before any drive was found.
     """
     if task.order == "anytime":
         return plan_anytime(task)
@@ -33,10 +33,10 @@ def plan_coverage(task: Task) -> PlannedDrive:
 
 
 def _plan_turning(task: Task) -> PlannedDrive:
-    """Plan for a robot that turns in place: by the search, or by stops where single headings are missing all over.
+    """Plan for a robot that turns in place: by the search, or by stops if most missing headings are scattered.
 
-    Cells of which earlier runs have left much are covered anew: one turn passes all headings of a cell, scattered ones need nearly the
-    same turn, and the search finds longer ways between them.
+    Cells with many missing bins are covered again as a whole. One turn passes all headings of a cell,
+    scattered headings need nearly the same turn, and the search finds longer paths between them.
     """
     missing = bins_to_visit(task)
     unmet = replace(task.coverage, counts=np.zeros_like(task.coverage.counts))

@@ -1,4 +1,4 @@
-"""The coverage planner for cars: search the rooms in parallel, join them by OMPL, then repair, shorten and repair again."""
+"""The coverage planner for cars: search rooms in parallel, join them by OMPL, repair, shorten, repair again."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from planners.types import Bools, Floats
 
 
 def plan_cars(task: Task) -> PlannedDrive:
-    """Plan a car's drive: search the rooms in parallel, join them by OMPL, and complete what is missing.
+    """Plan a car's drive: search the rooms in parallel, join them by OMPL, and cover the missing bins.
 
     Raises
     ------
-    PlanError : every bin is covered already, or the car cannot begin or reach a bin
+    PlanError : Every bin is covered already, or the car cannot start or reach a bin.
     """
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     if not todo.any():
@@ -45,7 +45,7 @@ def plan_cars(task: Task) -> PlannedDrive:
         return search_floor(missing, task, here, seed, lambda left, seconds: True, settings)
 
     room_drives, interrupted = search_in_parallel(search, [int(part.sum()) for part in parts], task)
-    task.say(f"joining {len(room_drives)} rooms")
+    task.show_status(f"joining {len(room_drives)} rooms")
     repair = CarRepair(task, todo, start, search_on)
     for part, begin, room_drive in zip(parts, begins, room_drives, strict=True):
         if room_drive is None:
@@ -57,7 +57,7 @@ def plan_cars(task: Task) -> PlannedDrive:
             interrupted = True
             break
     if not interrupted:
-        task.say("completing what the search left, and shortening the drive")
+        task.show_status("completing the drive and shortening it")
         interrupted = _complete(repair, task)
     if not repair.drive.curves:
         raise PlanError(
@@ -70,7 +70,7 @@ def plan_cars(task: Task) -> PlannedDrive:
 
 
 def _complete(repair: CarRepair, task: Task) -> bool:
-    """Repair, shorten, and repair again what logs met only by luck before; return whether Ctrl-C came."""
+    """Repair, shorten, and repair the bins that logs recorded only by chance before; return whether Ctrl-C came."""
     try:
         speed = float(abs(primitives_of(task).speeds[0]))
         if repair.missing().sum() < COVERAGE.few_missing * repair.todo.sum():
@@ -91,9 +91,11 @@ def _complete(repair: CarRepair, task: Task) -> bool:
 
 
 def _room_start(part: Bools, start: Floats, task: Task) -> Floats:
-    """Return the pose (3,) where a car begins a room: at the drive's start if that lies within, else in a free cell.
+    """Return the pose (3,) at which a car begins a room: the drive's start if it is inside, else one in a free cell.
 
-    part : (nx, ny, n_phi) bins of the room
+    Parameters
+    ----------
+    part : (nx, ny, n_phi) Bins of the room.
     """
     (bin_,), inside = task.coverage.bins(start[None])
     if inside[0] and part[bin_[0], bin_[1]].any():
@@ -113,14 +115,14 @@ def _room_start(part: Bools, start: Floats, task: Task) -> Floats:
 
 
 def _start_pose(task: Task) -> Floats:
-    """Return (3,) the middle of a free cell, with a heading between the borders of bins."""
+    """Return the middle of a free cell (3,), with a heading between the borders of bins."""
     pose = _free_pose(task.coverage.reachable, task)
     if pose is None:
-        raise PlanError("no place is free enough to begin; choose a start")
+        raise PlanError("no place has enough free space to start automatically; give a start pose")
     return pose
 
 
 def _free_pose(need: Bools, task: Task) -> Floats | None:
-    """Return a free pose (3,) in the cells of `need` (nx, ny, n_phi), with a heading that the search has; None: none."""
+    """Return a free pose (3,) in the cells of `need` (nx, ny, n_phi), at a heading of the search, or None."""
     middle = free_place(search_area(task.reach), task, need, np.random.default_rng(task.seed))
     return None if middle is None else np.array([*middle, primitives_of(task).first_heading])

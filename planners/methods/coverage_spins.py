@@ -1,4 +1,4 @@
-"""The coverage planner for robots that turn in place: search the rooms in parallel, join them, and repair what is missed."""
+"""The coverage planner for robots that turn in place: search rooms in parallel, join them, repair the drive."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from planners.task import PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
 
 SAME_PLACE = 1e-9
-"""[m] Places closer than this are the same."""
+"""[m] Places closer than this are equal."""
 
 
 def plan_spins(task: Task) -> PlannedDrive:
-    """Plan the drive of a robot that turns in place: it never stops turning, and the search chooses its speed."""
+    """Plan the drive of a robot that turns in place: it turns all the time, and the search chooses its speed."""
     todo = bins_to_visit(task)
     primitives = primitives_of(task)
     level = cell_bands(task.priority, todo, task.reach.cell)
@@ -59,7 +59,7 @@ def plan_spins(task: Task) -> PlannedDrive:
         ]
         here = ordered[-1].ends[1] if ordered else task.start
         ordered += [own[k] for k in _room_order(own, here, task)]
-    task.say(f"joining {len(ordered)} rooms")
+    task.show_status(f"joining {len(ordered)} rooms")
     joined_drive, came_meanwhile = defer_interrupt(partial(_join_rooms, ordered, task))
     if interrupted or came_meanwhile:
         return replace(joined_drive, interrupted=True)
@@ -74,26 +74,26 @@ def _search_room(
     tick: SearchTick,
     settings: SearchSettings,
 ) -> RoomDrive | None:
-    """Search for a drive through the bins `need` (nx, ny, n_phi); None if there is no place to begin or to stop."""
+    """Search for a drive through the bins `need` (nx, ny, n_phi); None without a place to start or stop."""
     area = search_area(task.reach, np.asarray(need.any(axis=2)))
     own = area.part(need)
     search = CoverageSearch(area, primitives, own, task.rate, seed=seed, settings=settings)
 
-    def told(left: int) -> bool:
+    def tick_room(left: int) -> bool:
         return tick(left, search.seconds)
 
     start = free_place(area, task, own, search.rng)
     if start is None:
         return None
     search.start_at(np.array([*start, 0.0, 0.0]))
-    search.complete(told)
+    search.complete(tick_room)
     given_up = search.given_up | search.world.need
     for dwell in COVERAGE.retry_dwell:
         again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
         search.want(again, dwell, inner=False)
-        search.run(told)
+        search.run(tick_room)
     if not search.come_to_rest():
         return None
     result = search.result()
@@ -107,7 +107,7 @@ def _missed_by(search: CoverageSearch, primitives: MotionPrimitives, task: Task,
 
 
 def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
-    """Return the stops (n, 4): where each revolution begins, and its angle."""
+    """Return the stops (n, 4): pose at the start of each revolution, and its angle."""
     end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
     every = curve.poses[:: primitives.n_headings]
     phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
@@ -115,7 +115,7 @@ def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
 
 
 def _room_order(room_drives: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
-    """Order the rooms by the way from the end of one to the start of another."""
+    """Order the rooms by the travel time from the end of one to the start of another."""
     if len(room_drives) < 2:
         return np.arange(len(room_drives))
     reach = task.reach
@@ -162,16 +162,16 @@ def _join_rooms(room_drives: list[RoomDrive], task: Task) -> PlannedDrive:
         stops.append(room_drive.stops)
         here = room_drive.ends[1]
     if not curves:
-        raise PlanError("no way leads to any room; choose another start")
+        raise PlanError("no path leads to any room; choose another start")
     return PlannedDrive(curve=join_curves(curves), stops=np.concatenate(stops), joins=joins)
 
 
 def _repair(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
-    """Let `SpinRepair` complete the drive."""
+    """Cover the missing bins of the drive with `SpinRepair`."""
     missing = missed(driven.curve, todo, task.coverage, task.rate)
     if not missing.any():
         return driven
-    task.say(f"completing {int(missing.sum()):,} bins that the search left")
+    task.show_status(f"completing {int(missing.sum()):,} bins that the search left")
     repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
     interrupted = False
     try:

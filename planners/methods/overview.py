@@ -1,8 +1,10 @@
-"""The overview of an anytime plan: rounds through the floor, each as long as a share of all before it.
+"""Overview of an anytime plan: rounds through the floor, each with a length proportional to the drive so far.
 
-A round is a tour of views: greedily, the view that adds most to what the drive so far has seen, scans on the way
-included, and whose cheapest detour still fits (an orienteering problem with a submodular reward: C. Chekuri and M. Pal, A
-recursive greedy algorithm for walks in directed graphs, FOCS 2005). A gain per second of detour would turn on the spot for long.
+A round is a tour of views V that maximises the gain g(V) with a driving time of at most `seconds`. The gain
+is what the scans at V and on the path show beyond what has been seen. This is an orienteering problem with a
+submodular reward (C. Chekuri and M. Pal, A recursive greedy algorithm for walks in directed graphs, FOCS
+2005). It is solved greedily: insert the view of the largest gain whose cheapest detour still fits. The gain
+per second of detour is no alternative: it makes the robot turn on the spot for long.
 """
 
 from __future__ import annotations
@@ -28,14 +30,14 @@ from planners.types import Bools, Floats, Ints
 def overview(
     task: Task, survey: Survey, here: Floats | None, *, driven: float, until: float
 ) -> Iterator[PlannedDrive]:
-    """Yield rounds, each from the end of the one before; whoever takes them marks what they show.
+    """Yield rounds, each from the end of the one before; the caller marks in the survey what a round shows.
 
     Parameters
     ----------
-    survey : what the drive so far has shown
-    here : (3,) where that drive ends; None: there is none, and the rounds begin at the view of most gain
-    driven : [s] that it takes
-    until : [s] that it may take with the rounds
+    survey : What the drive so far has shown.
+    here : (3,) End pose of the drive so far; None: the rounds begin at the view of largest gain.
+    driven : [s] Duration of the drive so far.
+    until : [s] Maximum duration including the rounds.
     """
     views = _views(task)
     if here is None:
@@ -53,7 +55,7 @@ def overview(
 
 
 def _views(task: Task) -> _Stops:
-    """Return random poses to choose from, at which the robot stands still for a scan."""
+    """Return random candidate poses at which the robot stands still for a scan."""
     rng, reach = np.random.default_rng(task.seed), task.reach
     nodes = np.nonzero(reach.mask)
     pick = rng.integers(len(nodes[0]), size=OVERVIEW.candidates)
@@ -65,16 +67,16 @@ def _views(task: Task) -> _Stops:
 def choose_spins(
     task: Task, survey: Survey, here: Floats, todo: Bools, seconds: float, rng: np.random.Generator
 ) -> Bools:
-    """Choose cells to complete by a spin each in so many seconds, ways from `here` (3,) included.
+    """Choose cells to complete with one spin each within `seconds`, including the transits from `here` (3,).
 
     Parameters
     ----------
-    survey : what the drive so far has shown; is not marked
-    todo : (nx, ny, n_phi) bins; their cells are to choose from
+    survey : What the drive so far has shown; it is not marked.
+    todo : (nx, ny, n_phi) Bins; their cells are the candidates.
 
     Returns
     -------
-    (nx, ny, 1) cells
+    The chosen cells (nx, ny, 1).
     """
     cells = standing_places(task.reach, task.barriers, todo)
     pick = rng.permutation(len(cells.index))[: OVERVIEW.candidates // OVERVIEW.looks]
@@ -90,16 +92,16 @@ def choose_spins(
 
 
 class _Stops:
-    """Poses to choose from, what is scanned at each, and the driving time between them."""
+    """Candidate stops: their poses, the scans at each, and the driving times between them."""
 
     def __init__(self, task: Task, poses: Floats, looks: Floats, turn: float) -> None:
-        """Prepare the ways.
+        """Prepare the graph of routes.
 
         Parameters
         ----------
-        poses : (n, 3) [m, m, rad] of the robot on arrival
-        looks : (n, k, 3) of its scans at each
-        turn : [rad] that it turns there, and on its way there
+        poses : (n, 3) [m, m, rad] Pose of the robot on arrival.
+        looks : (n, k, 3) [m, m, rad] Poses of the scans at each stop.
+        turn : [rad] Angle turned at a stop and on the route to it.
         """
         reach, limits = task.reach, task.vehicle.limits
         self.poses, self.looks, places = poses, looks, poses[:, :2]
@@ -107,49 +109,49 @@ class _Stops:
         self.places, n = cells.places, len(cells.places)
         number = np.full(reach.shape, -1)
         number[tuple(cells.index.T)] = np.arange(n)
-        pairs = np.concatenate([cells.pairs, _narrow_ways(reach, number, cells.pairs)])
+        pairs = np.concatenate([cells.pairs, _narrow_passages(reach, number, cells.pairs)])
         lengths = np.hypot(*(cells.places[pairs[:, 1]] - cells.places[pairs[:, 0]]).T)
         self.graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(pairs.T)), shape=(n, n))
         at = np.floor((places - reach.origin) / reach.cell).astype(np.int64)
-        self.near = number[tuple(at.T)]  # (n,) place of the cell that each pose lies in
+        self.near = number[tuple(at.T)]  # (n,) place in the cell of each pose
         lone = self.near < 0
         self.near[lone] = [((cells.places - place) ** 2).sum(axis=1).argmin() for place in places[lone]]
         self.speed = limits.v
         self.stop = limits.v / limits.a + turn / limits.omega + limits.omega / limits.alpha
-        """[s] that a stop adds to the way: to brake, to turn, and to get going."""
+        """[s] added by a stop: braking, turning, and accelerating."""
 
     def gains(self, survey: Survey) -> Floats:
-        """Return (n,) what a stop at each alone would add."""
+        """Return the gain (n,) of each stop on its own."""
         n, k, _ = self.looks.shape
         return np.asarray(survey.gain(self.looks.reshape(-1, 3)).reshape(n, k).sum(axis=1))
 
-    def ways_from(self, place: Floats) -> _Ways:
-        """Return the ways from a place (2,) to each view."""
+    def routes_from(self, place: Floats) -> _Routes:
+        """Return the routes from a place (2,) to each stop."""
         source = ((self.places - place) ** 2).sum(axis=1).argmin()
         far, before = csgraph.dijkstra(self.graph, directed=False, indices=source, return_predecessors=True)
-        return _Ways(far[self.near] / self.speed + self.stop, np.asarray(before, dtype=np.int64))
+        return _Routes(far[self.near] / self.speed + self.stop, np.asarray(before, dtype=np.int64))
 
-    def on_the_way(self, ways: _Ways, view: int) -> Floats:
-        """Return poses (m, 3) on the way to a view, heading along it."""
+    def poses_along(self, routes: _Routes, view: int) -> Floats:
+        """Return poses (m, 3) on the route to a stop, heading along it."""
         route = [int(self.near[view])]
-        while (before := int(ways.before[route[-1]])) >= 0:
+        while (before := int(routes.before[route[-1]])) >= 0:
             route.append(before)
         places = self.places[route[::-1]]
         step = np.diff(places, axis=0)
         return np.column_stack([places[1:], np.arctan2(step[:, 1], step[:, 0])])
 
 
-def _narrow_ways(reach: Reach, number: Ints, pairs: Ints) -> Ints:
-    """Return pairs (k, 2) of cells, between which no straight way is clear, that join parts of the floor by its finer grid.
+def _narrow_passages(reach: Reach, number: Ints, pairs: Ints) -> Ints:
+    """Return pairs (k, 2) of cells without a clear straight move that connect parts of the floor on its finer raster.
 
     Parameters
     ----------
-    number : (nx, ny) of each cell; -1: not to stand in
-    pairs : (m, 2) of cells with a straight way between them
+    number : (nx, ny) Index of each cell's place; -1: no place.
+    pairs : (m, 2) Pairs of cells with a clear straight move.
     """
     n = int(number.max()) + 1
-    ways = sparse.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
-    part = csgraph.connected_components(ways, directed=False)[1]
+    links = sparse.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
+    part = csgraph.connected_components(links, directed=False)[1]
     fine = np.where(
         reach.mask, np.kron(number, np.ones((reach.per_cell, reach.per_cell), dtype=np.int64)), -1
     )
@@ -161,13 +163,13 @@ def _narrow_ways(reach: Reach, number: Ints, pairs: Ints) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ways:
-    """Ways from one place to all views."""
+class _Routes:
+    """Shortest routes from one place to all stops."""
 
     seconds: Floats
-    """(n,) [s] to drive to each view, and to look there."""
+    """(n,) [s] to drive to each stop, including the stop."""
     before: Ints
-    """(n places,) the place before each on the shortest way; negative: none."""
+    """(n places,) predecessor of each place on its shortest route; negative: none."""
 
 
 def _choose(views: _Stops, survey: Survey, gains: Floats, here: Floats, seconds: float) -> Ints:
@@ -175,12 +177,12 @@ def _choose(views: _Stops, survey: Survey, gains: Floats, here: Floats, seconds:
 
     Parameters
     ----------
-    survey : is marked by the views
-    gains : (n,) what each view alone would add
+    survey : Marked with the views of the round.
+    gains : (n,) Gain of each view on its own.
     """
     tour: list[int] = []
     bound = gains.copy()
-    rows = {-1: views.ways_from(here[:2])}
+    rows = {-1: views.routes_from(here[:2])}
     for _ in range(2):
         _insert(tour, rows, bound, views, survey, seconds)
         if len(tour) > 1:
@@ -190,17 +192,18 @@ def _choose(views: _Stops, survey: Survey, gains: Floats, here: Floats, seconds:
 
 
 def _insert(
-    tour: list[int], rows: dict[int, _Ways], bound: Floats, views: _Stops, survey: Survey, seconds: float
+    tour: list[int], rows: dict[int, _Routes], bound: Floats, views: _Stops, survey: Survey, seconds: float
 ) -> None:
-    """Insert views into the tour, the one of most gain first, as long as the tour takes no more than `seconds`.
+    """Insert views into the tour, largest gain first, while the tour takes at most `seconds`.
 
-    Gains only fall as others are chosen, so those of earlier on are bounds (Minoux 1978).
+    Gains never increase as other views are chosen, so earlier gains are upper bounds (lazy greedy algorithm,
+    Minoux 1978).
     """
     while True:
         path = [-1, *tour]
         to = np.array([rows[k].seconds for k in path])  # (len(path), n) from each stop to each view
         legs = np.array([rows[a].seconds[b] for a, b in zip(path[:-1], tour, strict=True)])
-        # views are as far from a stop as it is from them
+        # the driving time between a stop and a view is the same in both directions
         detours = np.vstack([to[:-1] + to[1:] - legs[:, None], to[-1:]]) if tour else to
         where = detours.argmin(axis=0)
         extra = np.maximum(detours.min(axis=0), views.stop)
@@ -216,14 +219,14 @@ def _insert(
         bound[k] = 0.0
         at = int(where[k])
         tour.insert(at, k)
-        rows[k] = views.ways_from(views.poses[k, :2])
-        survey.mark(views.on_the_way(rows[path[at]], k))
+        rows[k] = views.routes_from(views.poses[k, :2])
+        survey.mark(views.poses_along(rows[path[at]], k))
         if at + 1 < len(tour):
-            survey.mark(views.on_the_way(rows[k], tour[at + 1]))
+            survey.mark(views.poses_along(rows[k], tour[at + 1]))
 
 
 def _drive(views: Floats, here: Floats, task: Task) -> PlannedDrive | None:
-    """Drive from `here` (3,) through views (n, 3); those to which no path is found are left out. None: there is no other."""
+    """Drive from `here` (3,) through the views (n, 3) to which a path is found; None if no path is found."""
     ends = np.concatenate([here[None, :2], views[:, :2]])
     paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
     builder = CurveBuilder(here, task.vehicle.limits)

@@ -1,4 +1,4 @@
-"""Searches of several rooms in parallel, with one progress and one Ctrl-C for all."""
+"""Parallel search of several rooms, with one progress and one Ctrl-C for all."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from planners.task import Task
 from planners.types import Bools, Floats
 
 COMPILE_NOTICE = 2.0
-"""[s] of compiling before the log says so."""
+"""[s] of compiling, after which a notice is logged."""
 POLL_INTERVAL = 0.1
-"""[s] between two updates of the progress."""
+"""[s] between two progress updates."""
 
 logger = logging.getLogger(__name__)
 
 SearchTick = Callable[[int, float], bool]
-"""Takes the bins left and the seconds driven, and tells whether to go on."""
+"""Takes the number of bins left and the seconds driven; returns whether to go on."""
 
 
 def primitives_of(task: Task) -> MotionPrimitives:
@@ -50,25 +50,25 @@ def search_in_parallel(
 ) -> tuple[list[RoomDrive | None], bool]:
     """Run each job `tries` times on all processors, and return its best drive.
 
-    Ctrl-C ends the searches where they are and keeps what they found; a second one ends all.
+    Ctrl-C ends the searches and keeps their results so far; a second Ctrl-C ends everything.
 
     Parameters
     ----------
-    job : (number, seed, tick) -> drive; `tick` takes the bins left and the seconds driven, and returns whether to go on
-    sizes : bins of each job
+    job : (number, seed, tick) -> drive, with `tick` a SearchTick.
+    sizes : Number of bins of each job.
 
     Returns
     -------
-    drives, None for a job that found none; and whether the searches were interrupted
+    The drives, None for a job without one; and whether the searches were interrupted.
 
     Raises
     ------
-    KeyboardInterrupt : Ctrl-C came before anything was found
+    KeyboardInterrupt : Ctrl-C came before any drive was found.
     """
     left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
     seconds = dict.fromkeys(left, 0.0)
-    each = reference_time(task.coverage, task.vehicle) / max(total // tries, 1)  # [s] of a bin
+    each = reference_time(task.coverage, task.vehicle) / max(total // tries, 1)  # [s] per bin
 
     def search(room: int, attempt: int) -> RoomDrive | None:
         def tick(now: int, driven: float) -> bool:
@@ -91,7 +91,7 @@ def search_in_parallel(
                 _, open_ = wait(open_, timeout=POLL_INTERVAL)
                 if task.progress:
                     task.progress((total - sum(left.values())) // tries, total // tries)
-                task.say(
+                task.show_status(
                     _quality(
                         sum(seconds.values()), each * (total - sum(left.values())), len(sizes), len(open_)
                     )
@@ -120,13 +120,13 @@ def search_in_parallel(
 
 
 def _quality(seconds: float, reference: float, rooms: int, open_: int) -> str:
-    """Say how many rooms are searched, and how long the drives so far take beside the reference time of their bins."""
+    """Return the status text: rooms left, and driving time so far over the reference time of its bins."""
     what = "searching the only room" if rooms == 1 else f"searching {rooms} rooms ({open_} left)"
     return what if reference <= 0 else f"{what}, {seconds / reference:.2f} of the reference time so far"
 
 
 def _compile(task: Task) -> None:
-    """Compile the kernels, or read them from disk, before the progress starts."""
+    """Compile the kernels, or load them from the cache, before the progress starts."""
     notice = threading.Timer(COMPILE_NOTICE, logger.warning, ["compiling the search for this machine, once"])
     notice.daemon = True
     cells = np.zeros(task.reach.shape, dtype=np.bool_)
@@ -143,14 +143,17 @@ def _compile(task: Task) -> None:
 
 
 def _compile_shortening(task: Task) -> None:
-    """Compile what shortens a car's drive, by shortening a straight line of three arcs."""
+    """Compile the kernels that shorten a car's drive, by shortening a straight line of three arcs."""
     arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
     line = curve_of_arcs(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
     shorten_drive(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
 
 
 def free_place(area: SearchArea, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
-    """Return (2,) [m] the middle of a random free cell of the room, or else its place farthest from walls; None: none."""
+    """Return the middle (2,) [m] of a random free cell of the room.
+
+    Without a free cell, return the room's place farthest from walls; None if the robot does not fit there.
+    """
     reach, cells = task.reach, np.asarray(need.any(axis=2))
     free = cells & area.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
     if free.any():

@@ -1,4 +1,4 @@
-"""A car's drive while it grows: its curves so far, and the bins that logs of it meet. It can go on from before its end."""
+"""A car's drive during planning: its curves so far, and their logged bins. It can be continued from before its end."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from planners.vehicle import Limits
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PartialDrive:
-    """Consecutive curves of a car. Immutable: every change returns a new drive."""
+    """Consecutive curves of a car; immutable: every change returns a new drive."""
 
     grid: Coverage
-    """Its bins; the counts are not used."""
+    """Grid of bins; the counts are not used."""
     rate: float
     """[Hz] of the log."""
     limits: Limits
     here: Floats
-    """(3,) [m, m, rad] where the car is."""
+    """(3,) [m, m, rad] pose of the car."""
     curves: tuple[Curve, ...] = ()
     clock: float = 0.0
-    """[s] at which the last curve begins."""
+    """[s] start of the last curve."""
     earlier: Bools | None = None
-    """(PHASES, nx, ny, n_phi) bins that a log of each phase meets before the last curve; None: none."""
+    """(PHASES, nx, ny, n_phi) bins in a log of each phase before the last curve; None: no bins."""
 
     @cached_property
     def seen(self) -> Bools:
-        """(PHASES, nx, ny, n_phi) bins that a log of each phase meets."""
+        """(PHASES, nx, ny, n_phi) bins in a log of each phase."""
         if not self.curves:
             return np.zeros((PHASES, *self.grid.reachable.shape), dtype=np.bool_)
         last = met(self.curves[-1], self.grid, self.rate, self.clock)
@@ -42,7 +42,7 @@ class PartialDrive:
 
     @property
     def met(self) -> Bools:
-        """(nx, ny, n_phi) bins that a log of every phase meets."""
+        """(nx, ny, n_phi) bins in a log of every phase."""
         return np.asarray(self.seen.all(axis=0))
 
     @property
@@ -52,11 +52,11 @@ class PartialDrive:
 
     @property
     def curve(self) -> Curve:
-        """All curves as one; there must be some."""
+        """All curves as one; there must be at least one."""
         return join_curves(list(self.curves))
 
     def extended(self, curve: Curve) -> PartialDrive:
-        """Return the drive that goes on along a curve, which starts at `here`."""
+        """Return the drive continued along a curve that starts at `here`."""
         return replace(
             self,
             here=_end(curve),
@@ -66,11 +66,11 @@ class PartialDrive:
         )
 
     def replaced_by(self, curve: Curve) -> PartialDrive:
-        """Return the drive along one curve in place of all curves."""
+        """Return the drive along one curve instead of all curves."""
         return replace(self, curves=(), clock=0.0, earlier=None).extended(curve)
 
     def without_last(self, back: float) -> PartialDrive | None:
-        """Return the drive without its last `back` [s]; None if nothing of the last curve would be left."""
+        """Return the drive without its last `back` [s]; None if the whole last curve would be removed."""
         if back == 0.0:
             return self
         if not self.curves:

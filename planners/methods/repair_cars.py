@@ -1,9 +1,9 @@
-"""Complete a car's drive: OMPL drives to the nearest missing bin, everything crossed on the way counts, and so on.
+"""Complete a car's drive: drive to the nearest missing bin by OMPL, count the bins on the path, and repeat.
 
-One query holds poses in all missing bins as its goals (`ob.GoalStates`); the shortest curve is tried first. If many bins
-are missing where a path ends, the search takes over again from there. So a car gets across floors on which the search
-gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot meet. If OMPL finds no
-path, a wavefront over the whole floor is tried. A bin is given up when both failed.
+All missing bins are goals of one query (`ob.GoalStates`); the shortest curve is tried first. If many bins are
+missing where a path ends, the search continues from there. This leads a car across floors on which the search
+gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot cover. If OMPL
+finds no path, a wavefront over the whole floor is tried. A bin is given up when both fail.
 """
 
 from __future__ import annotations
@@ -31,21 +31,23 @@ from planners.types import Bools, Floats, Ints
 
 OFFSETS = (0.0, -CAR_REPAIR.goal_offset, CAR_REPAIR.goal_offset)
 GOALS_IN_BIN = np.array([(x, y, turn) for turn in OFFSETS for x in OFFSETS for y in OFFSETS])
-"""(27, 3) goals within a bin, in shares of its width, height and heading from its middle; if many bins are missing, only
-the first `CAR_REPAIR.few_goals`. Each bin has three more goals at its place farthest from walls: slits hold no others."""
+"""(27, 3) goals within a bin, as offsets from its middle in shares of its width, height and heading.
+
+If many bins are missing, only the first `CAR_REPAIR.few_goals` are used. Each bin has three more goals at its
+place farthest from walls, because slits contain no others."""
 SearchOn = Callable[[Bools, Floats, int], RoomDrive | None]
-"""(bins wanted, pose (3,) to begin at, seed) -> drive; None if it covers no bin."""
+"""(wanted bins, start pose (3,), seed) -> drive; None if it covers no bin."""
 
 
 @dataclass(eq=False)
 class CarRepair:
-    """Completes the drive of a car."""
+    """Repair of a car's drive: extends it until the bins `todo` are covered or lost."""
 
     task: Task
     todo: Bools
-    """(nx, ny, n_phi)"""
+    """(nx, ny, n_phi) bins to cover."""
     start: Floats
-    """(3,) where the car is."""
+    """(3,) start pose of the car."""
     search: SearchOn
     joins: JoinCounts = field(default_factory=JoinCounts)
 
@@ -55,7 +57,7 @@ class CarRepair:
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins to which no path was found."""
         self.n_searches: Ints = np.zeros(self.todo.shape, dtype=np.int64)
-        """(nx, ny, n_phi) how often each bin was searched for."""
+        """(nx, ny, n_phi) number of searches for each bin."""
         self._no_ompl_path: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries for which OMPL found no path."""
         self._planner = ReachabilityPlanner(task)
@@ -65,21 +67,22 @@ class CarRepair:
         """[rad] from the middle of a heading bin to the headings that the search uses."""
 
     def append_curve(self, curve: Curve) -> None:
-        """Drive on along a curve that starts here."""
+        """Continue the drive along a curve that starts at its end."""
         self.drive = self.drive.extended(curve)
 
     def replace_all(self, curve: Curve) -> None:
-        """Replace everything driven so far by one curve."""
+        """Replace the whole drive by one curve."""
         self.drive = self.drive.replaced_by(curve)
 
     def missing(self) -> Bools:
-        """Return (nx, ny, n_phi) the bins that the log of some phase misses, without the lost ones."""
+        """Return the bins (nx, ny, n_phi) that the log of some phase misses, without the lost ones."""
         return np.asarray(self.todo & ~self.drive.met & ~self.lost)
 
     def drive_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
-        """Drive to a pose (3,), from the end of the drive or from some time [s] `before` it; return whether a path was found.
+        """Drive to a pose (3,) from the drive's end, or from a time [s] `before` it; return whether a path is found.
 
-        A drive may end where OMPL finds no way out in its time. The bins of what is cut off are missing again.
+        A drive may end where OMPL finds no way out within its iterations. The bins of the removed part are
+        missing again.
         """
         here = self.drive.here
         if np.allclose(here[:2], pose[:2]) and abs(wrap(here[2] - pose[2])) < 1e-9:
@@ -88,16 +91,16 @@ class CarRepair:
             drive = self.drive.without_last(back)
             if drive is None:
                 break
-            way = self._connect(drive.here, pose[None], 0)
-            if way is not None and way.curve is not None:
-                self.drive = drive.extended(way.curve)
+            path = self._connect(drive.here, pose[None], 0)
+            if path is not None and path.curve is not None:
+                self.drive = drive.extended(path.curve)
                 return True
         return False
 
     def search_path_to(self, wanted: Bools) -> bool:
-        """Drive to one of the bins `wanted` by a wavefront over the whole floor; return whether a path was found.
+        """Drive to one of the bins `wanted` by a wavefront over the whole floor; return whether a path is found.
 
-        If its lattice holds no path from the end of the drive, one may lead on from somewhat earlier.
+        If no path starts at the end of the drive, earlier poses of the drive are tried.
         """
         missing = self.missing()
         for back, explore in (
@@ -110,16 +113,18 @@ class CarRepair:
             if drive is None or curve is None:
                 continue
             longer = drive.extended(curve)
-            if (missing & longer.met).any():  # else the stay is too short for a log of some phase
+            if (missing & longer.met).any():  # otherwise the stay is too short for a log of some phase
                 self.drive = longer
                 self.joins += JoinCounts(by_wavefront=1)
                 return True
         return False
 
     def enter_room(self, room: Bools, start: Floats, curve: Curve, seed: int) -> None:
-        """Drive through a room by the `curve` that begins at `start` (3,); if no path leads there, search from where one does.
+        """Drive to `start` (3,) and along `curve` through a room; without a path, search it from another entry.
 
-        room : (nx, ny, n_phi) its bins
+        Parameters
+        ----------
+        room : (nx, ny, n_phi) Bins of the room.
         """
         if self.drive_to(start, (0.0,)):
             self.append_curve(curve)
@@ -131,7 +136,7 @@ class CarRepair:
             self.append_curve(curve)
 
     def add_detours(self, speed: float) -> None:
-        """Insert detours, at `speed` [m/s], to missing or lost bins beside the drive."""
+        """Insert detours, at `speed` [m/s], to missing or lost bins near the drive."""
         lost, self.lost = self.lost, np.zeros_like(self.lost)
         missing = self.missing()
         bins, goals = goals_in(missing, self.drive.here, self.heading_offset, self.task)
@@ -147,7 +152,7 @@ class CarRepair:
         self.lost = lost & self.missing()
 
     def run(self) -> None:
-        """Drive to missing bins until none is left that is not lost."""
+        """Drive to missing bins until all bins are covered or lost."""
         fewest, idle = self.todo.size, 0
         for round_ in count():
             missing = self.missing()
@@ -168,32 +173,34 @@ class CarRepair:
             self._drive_to_one_of(missing, round_)
 
     def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
-        """Drive to one of the missing bins by OMPL, else by a wavefront; mark as lost the bins for which both failed."""
+        """Drive to a missing bin by OMPL, else by a wavefront; mark as lost the bins for which both fail."""
         bins, goals = goals_in(missing & ~self._no_ompl_path, self.drive.here, self.heading_offset, self.task)
-        if len(GEARS[self.task.vehicle.drive]) == 1 and len(bins):  # else the car may be trapped in a corner
+        if len(GEARS[self.task.vehicle.drive]) == 1 and len(
+            bins
+        ):  # otherwise the car may be trapped in a corner
             can_return = self._planner.can_return(goals, self.drive.here)
             bins, goals = bins[can_return], goals[can_return]
-        way = self._connect(self.drive.here, goals, round_) if len(bins) else None
-        if way is None:
+        path = self._connect(self.drive.here, goals, round_) if len(bins) else None
+        if path is None:
             self._no_ompl_path[tuple(bins.T)] = True
             if not self.search_path_to(missing):
                 self.lost[tuple(bins.T)] = True
-                if not len(bins):  # no bin holds a free place: slits between the nodes of the raster
+                if not len(bins):  # no bin contains a raster node: slits between nodes
                     self.lost |= missing
             return
-        goal = tuple(bins[way.goal])
-        if way.curve is not None:
-            self.append_curve(way.curve)
+        goal = tuple(bins[path.goal])
+        if path.curve is not None:
+            self.append_curve(path.curve)
         self.lost[goal] = self.missing()[goal]  # reached, but the stay is too short
 
     def _nearby_cells(self) -> Bools:
-        """Return the cells (nx, ny) near the end of the drive; a search from there reaches no others."""
+        """Return whether each cell (nx, ny) is near the end of the drive; a search from there reaches only these."""
         rows, columns = np.indices(self.todo.shape[:2])
         i, k = _cell(self.drive.here, self.task)
         return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= CAR_REPAIR.search_radius)
 
     def _search_nearby(self, wanted: Bools, round_: int) -> bool:
-        """Let the search go on from the end of the drive; return whether it covered something."""
+        """Continue the search from the end of the drive; return whether it covers a bin."""
         visit = self.search(wanted, self.drive.here, self.task.seed + round_)
         self.n_searches += wanted
         if visit is None or visit.left >= wanted.sum():
@@ -216,11 +223,11 @@ class CarRepair:
 
 
 def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) -> tuple[Ints, Floats]:
-    """Return poses (n, 3) in the bins that are missing, the nearest first, and the bin (n, 3) of each.
+    """Return the bins (n, 3) of goals, nearest first, and their poses (n, 3); several goals per missing bin.
 
     Parameters
     ----------
-    heading_offset : [rad] from the middle of a heading bin to the headings that the search uses
+    heading_offset : [rad] From the middle of a heading bin to the headings that the search uses.
     """
     reach, grid = task.reach, task.coverage
     bins = np.argwhere(missing)

@@ -1,7 +1,7 @@
-"""Complete the drive of a robot that turns in place: OMPL drives to the nearest cell that misses headings.
+"""Complete the drive of a robot that turns in place: OMPL drives to the nearest cell with missing headings.
 
-The straight move is tried first. On arrival the robot turns through all headings that are missing there; what it crosses
-on the way counts, too.
+The straight move is tried first. On arrival the robot turns through all missing headings of the cell. Bins on
+the path count too.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from planners.types import Bools, Floats
 
 @dataclass(eq=False)
 class SpinRepair:
-    """Completes the drive of a robot that turns in place."""
+    """Repair of the drive of a robot that turns in place."""
 
     task: Task
     missing: Bools
-    """(nx, ny, n_phi)"""
+    """(nx, ny, n_phi) bins to cover."""
     here: Floats
-    """(3,) where the robot stands."""
+    """(3,) pose of the robot."""
     curves: list[Curve] = field(default_factory=list)
     stops: list[tuple[float, float, float, float]] = field(default_factory=list)
     joins: JoinCounts = field(default_factory=JoinCounts)
@@ -40,7 +40,7 @@ class SpinRepair:
         """(nx, ny, n_phi) bins to which no path was found."""
 
     def run(self) -> None:
-        """Drive to missing bins until none is left that is not lost."""
+        """Drive to missing bins until all bins are covered or lost, or their cells have been visited often enough."""
         cells = standing_places(self.task.reach, self.task.barriers, self.missing)
         visits = np.zeros(len(cells.index), dtype=np.int64)
         for round_ in range(SPIN_REPAIR.max_visits * len(visits)):

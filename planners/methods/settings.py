@@ -1,7 +1,8 @@
-"""The tuned numbers of the planners: what they mean, and the command that set them.
+"""Tuned parameters of the planners, with the command that set each.
 
-Unless said otherwise they were set with `python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random
-offices for development, each `--drive`) and `--arena square office`: coverage, driving time and planning time.
+Unless stated otherwise they were set with
+`python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random offices for development, each
+`--drive`) and `--arena square office`: coverage, driving time and planning time.
 """
 
 from __future__ import annotations
@@ -11,48 +12,49 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSettings:
-    """How searches of rooms become a drive."""
+    """Composition of a drive from the searches of rooms."""
 
     retry_dwell: tuple[float, ...] = (1.3, 1.6)
-    """Log periods to stay in bins that a log of some phase missed, at the first and the second try."""
+    """Minimum stay [log periods] in bins that a log of some phase missed, at the first and the second retry."""
     missed_bin_cost: float = 4.0
-    """[s] that a bin costs which a search leaves to the repair, when searches of a room are compared."""
+    """[s] Cost of a bin that a search leaves to the repair, when searches of a room are compared."""
     open_share: float = 0.25
-    """Cells of which earlier runs have left a larger share of the bins are covered anew (`python -m benchmarks.resumed`)."""
+    """Maximum share of missing bins after earlier runs; cells above it are covered again as a whole
+(`python -m benchmarks.resumed`)."""
     scattered_share: float = 0.75
-    """If more than half of the missing bins lie in cells of which at most this share is missing, stops are planned in place of a
-    search (likewise)."""
+    """If more than half of the missing bins are in cells with at most this share missing, stops are planned
+    instead of a search (`python -m benchmarks.resumed`)."""
     few_missing: float = 0.03
     """If a smaller share of the bins is missing, detours are tried before the repair."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CarRepairSettings:
-    """How a car's drive is completed."""
+    """Completion of a car's drive."""
 
     max_idle_queries: int = 12
-    """Queries in a row that leave no fewer bins missing, before the rest is given up. A path from before the end of the
-    drive may cut bins off, so the count can rise for a while."""
+    """Maximum number of successive queries that leave no fewer bins missing. A path from before the end of
+    the drive may remove bins, so the number of missing bins can rise temporarily."""
     step_back: tuple[float, ...] = (4.0, 16.0, 64.0, 256.0)
-    """[s] before the end of a drive from where a path is tried, if none leads on from the end."""
+    """[s] before the end of the drive, from which a path is tried if none starts at the end."""
     search_from: int = 12
-    """Missing bins nearby from which on the search takes over from OMPL."""
+    """Number of missing bins nearby, at and above which the search replaces OMPL."""
     max_searches: int = 3
-    """Times that one bin is searched for."""
+    """Maximum number of searches for one bin."""
     search_radius: float = 3.0
-    """[m] within which missing bins count as nearby."""
+    """[m] radius in which missing bins count as nearby."""
     goal_offset: float = 0.3
-    """Goals within a bin lie at its middle, and this share of its width and height beside it."""
+    """Offset of goals from the middle of a bin, as a share of its width and height."""
     few_goals: int = 9
-    """Goals of a bin when many bins are missing: those of its middle heading."""
+    """Number of goals per bin if many bins are missing: those at its middle heading."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpinRepairSettings:
-    """How the drive of a robot that turns in place is completed."""
+    """Completion of the drive of a robot that turns in place."""
 
     max_visits: int = 2
-    """Times that the robot stops in one cell for what is missing there."""
+    """Maximum number of stops in one cell for its missing headings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,29 +62,29 @@ class StopAndSpinSettings:
     """The planner `stop_and_spin` (`--planner stop_and_spin`)."""
 
     overlap: float = 0.5
-    """[s] that turns and moves overlap where there is room."""
+    """[s] overlap of turns and moves where there is enough free space."""
     blend_room: float = 0.012
     """[m] beyond the clearance that the blend of a move and a turn needs."""
     near_share: float = 0.75
-    """Cells with this share of the area that counts as reachable are visited, too: another raster may count them."""
+    """Share of the area required for reachability, above which cells are visited too: another raster may count them."""
     max_rounds: int = 4
-    """Times that bins which a log may miss are visited again."""
+    """Maximum number of extra rounds for bins that a log may miss."""
     step_back: tuple[int, ...] = (1, 4, 16, 64)
-    """Stops to go back when no path leads on."""
+    """Numbers of stops to go back when no path leads on."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpinSettings:
-    """Spins on the spot, in shares of a heading bin's width unless said otherwise."""
+    """Spins on the spot, in shares of a heading bin's width unless stated otherwise."""
 
     guard: float = 0.1
-    """How far into its last bin a spin goes, at least."""
+    """Minimum depth to which a spin enters its last bin."""
     border: float = 0.02
-    """An arrival this close to the border of a bin does not cover it."""
+    """An arrival closer than this to the border of a bin does not cover it."""
     zigzag: float = 0.22
-    """Moves of a lane lean this far left and right in turn, and spins save twice that."""
+    """Alternating lean of a lane's moves to the left and right; each spin is shorter by twice that."""
     max_reverse: float = 0.8
-    """[m] longest move that is driven backward to save turning."""
+    """[m] maximum length of a move driven backward to save turning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,41 +92,48 @@ class BaselineSettings:
     """Random bounce and wall following; set so that neither gets stuck in the square (`--race square office`)."""
 
     min_bounce: float = 0.05
-    """[m] that must be free ahead after a bounce."""
+    """[m] minimum free distance ahead after a bounce."""
     wall_distance: float = 0.15
-    """[m] beyond the clearance at which walls are followed."""
+    """[m] beyond the clearance, the distance of wall following."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OverviewSettings:
-    """The first minutes of an anytime plan; set by `python -m benchmarks.error_by_minutes --arena office` (seed 1)."""
+    """The first minutes of an anytime plan.
+
+    Set with `python -m benchmarks.error_by_minutes --arena office` (seed 1).
+    """
 
     share: float = 0.03
-    """Of the reference time that the rounds of views take together."""
+    """Total duration of the rounds of views, as a share of the reference time."""
     spin_share: float = 0.135
-    """Of the reference time at which the last round of spins ends: with more the office takes more than 1.25 of it."""
+    """End of the last round of spins, as a share of the reference time; with more, the office takes more than
+    1.25 of it."""
     first_round: float = 100.0
-    """[s] of the first round."""
+    """[s] duration of the first round."""
     growth: float = 1.0
-    """Length of each later round of views, as a share of all that was driven before."""
+    """Duration of each later round of views, as a share of the drive before it."""
     spin_growth: float = 0.5
-    """The same of rounds of spins."""
+    """Duration of each round of spins, as a share of the drive before it."""
     candidates: int = 2500
-    """Scans to choose from."""
+    """Number of candidate scans."""
     looks: int = 4
-    """Scans of a spin that count when it is chosen."""
+    """Number of scans of a spin that are evaluated when it is chosen."""
     turn: float = 3.0
-    """[rad] by which a robot turns at a view and on its way there, on average."""
+    """[rad] mean angle that a robot turns at a view and on the route to it."""
     look_period: float = 0.2
-    """[s] between scans of a drive that count as seen."""
+    """[s] between scans of a drive that are marked as seen."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AnytimeSettings:
-    """How an anytime plan begins that knows no sensor; set by `python -m benchmarks.coverage_planners --order anytime`."""
+    """An anytime plan without a sensor model.
+
+    Set with `python -m benchmarks.coverage_planners --order anytime`.
+    """
 
     block: float = 3.0
-    """[m] side of blocks: without a survey, one cell of each is completed before all cells are."""
+    """[m] side of blocks: without a survey, one cell of each block is completed before all others."""
 
 
 COVERAGE = CoverageSettings()

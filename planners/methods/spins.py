@@ -1,4 +1,4 @@
-"""How a robot covers a cell on the spot: a spin through all headings still missing that ends towards the next move."""
+"""Spins: turns on the spot through all missing headings of a cell that end towards the next move."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Departure:
 
 
 def least_sweep(phi: float, need: Bools, direction: int) -> float:
-    """Return the angle [rad, 0 or more] to turn from heading phi until every heading bin of `need` was met.
+    """Return the angle [rad, 0 or more] to turn from heading phi until every heading bin of `need` is visited.
 
     Parameters
     ----------
-    need : (n_phi,) bins still missing, phi's own included, which standing there covers
-    direction : 1 counter-clockwise, -1 clockwise
+    need : (n_phi,) Missing bins; the bin of phi is visited without a turn.
+    direction : 1 counter-clockwise, -1 clockwise.
     """
     width = 2 * np.pi / len(need)
     bins = np.flatnonzero(need)
@@ -42,13 +42,13 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
 def choose_departure(
     builder: CurveBuilder, target: Floats | None, need: Bools | None, overlap: tuple[float, float]
 ) -> Departure:
-    """Choose the shortest turn that passes the headings in `need` and ends facing `target`, or facing away from it.
+    """Choose the shortest turn that passes the headings in `need` and ends facing `target` or facing away from it.
 
     Parameters
     ----------
-    target : (2,) [m] next place; None at the end of the plan
-    need : (n_phi,) headings to pass here; None: just turn
-    overlap : [s] of the turn with the move before it and with the move after it
+    target : (2,) [m] Next place; None at the end of the plan.
+    need : (n_phi,) Headings to pass here; None: only turn towards the target.
+    overlap : [s] Overlap of the turn with the move before it and with the move after it.
     """
     best: tuple[float, Departure] | None = None
     phi = float(builder.pose[2])
@@ -77,16 +77,16 @@ def _towards(
     sweep: float,
     overlap: tuple[float, float],
 ) -> Departure:
-    """Turn at least `sweep` in this direction until the target lies ahead (gear 1) or behind (-1)."""
+    """Turn by at least `sweep` in this direction until the target is ahead (gear 1) or behind (-1)."""
     phi = float(builder.pose[2])
     heading, distance, angle = phi, 0.0, 0.0
     bend = np.zeros(2)
-    for _ in range(3):  # the blends' few mm depend on the angle, and the angle on them
+    for _ in range(3):  # fixed-point iteration: the offsets of the blends and the angle depend on each other
         cos, sin = np.cos(heading), np.sin(heading)
         here = builder.rest(angle, overlap[0]) if angle else builder.pose[:2]
-        way = target - here - np.array([cos * bend[0] - sin * bend[1], sin * bend[0] + cos * bend[1]])
-        distance = float(np.hypot(*way))
-        heading = float(np.arctan2(way[1], way[0])) + (np.pi if gear < 0 else 0.0)
+        leg = target - here - np.array([cos * bend[0] - sin * bend[1], sin * bend[0] + cos * bend[1]])
+        distance = float(np.hypot(*leg))
+        heading = float(np.arctan2(leg[1], leg[0])) + (np.pi if gear < 0 else 0.0)
         turn = direction * (heading - phi) % (2 * np.pi)
         if 2 * np.pi - turn < 1e-7:
             turn = 0.0
@@ -98,7 +98,7 @@ def _towards(
 
 
 def departure_offset(builder: CurveBuilder, angle: float, distance: float, overlap: float) -> Floats:
-    """Return by how much (2,) [m], in its own frame, a move misses its end if it starts before the turn has ended."""
+    """Return the end offset (2,) [m] of a move, in its own frame, if it starts before the turn has ended."""
     limits = builder.limits
     turn_ramp = min(builder.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))
     move_ramp = min(limits.v / limits.a, float(np.sqrt(abs(distance) / limits.a)))

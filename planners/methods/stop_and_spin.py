@@ -21,25 +21,26 @@ from planners.types import Bools, Floats, Ints
 
 
 def plan_stop_and_spin(task: Task) -> PlannedDrive:
-    """Visit every cell that misses a heading, in an order that saves time.
+    """Visit every cell with a missing heading, in an order that saves time.
 
     Raises
     ------
-    PlanError : the vehicle cannot turn in place, or every bin is covered already
+    PlanError : The vehicle cannot turn in place, or every bin is covered already.
     """
     if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot; use the planner coverage"
+            f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot do; "
+            "use the planner coverage"
         )
     return StopAndSpinPlanner(task, bins_to_visit(task)).run()
 
 
 def bins_to_visit(task: Task) -> Bools:
-    """Return (nx, ny, n_phi) the bins to visit: those still missing, and those of cells that almost count as reachable.
+    """Return the bins (nx, ny, n_phi) to visit: those still missing, also in cells that almost count as reachable.
 
     Raises
     ------
-    PlanError : every bin is covered already
+    PlanError : Every bin is covered already.
     """
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     near = (task.reach.areas() >= STOP_AND_SPIN.near_share * REACH.min_share) & ~task.reach.cells()
@@ -50,7 +51,7 @@ def bins_to_visit(task: Task) -> Bools:
 
 
 class StopAndSpinPlanner:
-    """Stops in every cell of `todo`, and leaves each stop in the direction of the next."""
+    """Stop in every cell of `todo`, and leave each stop towards the next one."""
 
     def __init__(self, task: Task, todo: Bools) -> None:
         self.task, self.todo = task, todo
@@ -61,7 +62,7 @@ class StopAndSpinPlanner:
         self.builder: CurveBuilder | None = None
 
     def run(self) -> PlannedDrive:
-        """Visit all cells, then again those with bins that the log of some phase misses."""
+        """Visit all cells, then visit again those with bins that the log of some phase misses."""
         self._visit(self.todo)
         missing = self._missed()
         for _ in range(STOP_AND_SPIN.max_rounds):
@@ -78,7 +79,7 @@ class StopAndSpinPlanner:
         )
 
     def _missed(self) -> Bools:
-        """Return (nx, ny, n_phi) the bins that the log of at least one phase misses."""
+        """Return the bins (nx, ny, n_phi) that the log of at least one phase misses."""
         assert self.builder is not None
         grid = self.task.coverage
         return missed(self.builder.curve(), self.todo, grid, self.task.rate) & grid.reachable
@@ -102,7 +103,7 @@ class StopAndSpinPlanner:
         return self.task.start if self.builder is None else self.builder.pose
 
     def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
-        """Order the cells: one band of priority after the other, each in lanes along x or along y, whichever is better."""
+        """Order the cells: one priority band after the other, each in lanes along x or y, whichever is better."""
         band = cell_bands(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
         here = self._here()
         found: list[Ints] = []
@@ -116,12 +117,12 @@ class StopAndSpinPlanner:
     def _add_stops(
         self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: JoinCounts
     ) -> None:
-        """Add the stops one by one; each is left in the direction of the next one that can be reached."""
+        """Add the stops one by one; each is left towards the next one that can be reached."""
         route: list[tuple[Floats, Bools | None, str]] = [(ends[0], needs[0], "move")]
         stuck = 0
         for k, path in enumerate(paths):
             if path is not None and not np.array_equal(path[0], route[-1][0]):
-                path = None  # the stop before could not be reached
+                path = None  # the stop before was not reached
             if path is None:
                 path = self._path_around([point for point, _, _ in route], ends[k + 1], stuck)
             stuck = stuck + 1 if path is None else 0
@@ -143,15 +144,15 @@ class StopAndSpinPlanner:
         self.builder = builder
         for k, (_, need, _) in enumerate(route):
             target = points[k + 1] if k + 1 < len(points) else None
-            way = choose_departure(builder, target, need, (float(blend[k]), float(blend[k])))
-            builder.turn(way.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
+            departure = choose_departure(builder, target, need, (float(blend[k]), float(blend[k])))
+            builder.turn(departure.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
             if target is not None:
-                builder.move(way.distance, route[k + 1][2], overlap=float(blend[k]))
+                builder.move(departure.distance, route[k + 1][2], overlap=float(blend[k]))
             if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
                 self.task.progress(k + 1, len(route))
 
     def _path_around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
-        """Find another path to a stop; if the last stops could not be reached either, go back along the route first."""
+        """Find another path to a stop; if the last stops were not reached either, go back along the route first."""
         back = [0] if not stuck else [b for b in STOP_AND_SPIN.step_back if b < len(route)]
         froms = np.array([route[-1 - b] for b in back])
         paths, joins = connect(
@@ -172,12 +173,12 @@ class StopAndSpinPlanner:
     def _first_pose(self, points: Floats) -> Floats:
         if self.task.start is not None:
             return self.task.start
-        way = points[1] - points[0] if len(points) > 1 else np.array([1.0, 0.0])
-        return np.array([*points[0], np.arctan2(way[1], way[0])])
+        leg = points[1] - points[0] if len(points) > 1 else np.array([1.0, 0.0])
+        return np.array([*points[0], np.arctan2(leg[1], leg[0])])
 
 
 def standing_places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
-    """Choose where to stand in each cell: at its centre if that is free, else deepest within its reachable part."""
+    """Choose a place in each cell: its centre if that is free, else the deepest place of its reachable part."""
     index = np.argwhere(todo.any(axis=2))
     centres = reach.origin + (index + 0.5) * reach.cell
     nodes = np.arange(reach.per_cell**2)
@@ -206,7 +207,7 @@ def _subset(cells: CellGraph, members: Ints) -> CellGraph:
 
 
 def _lanes(cells: CellGraph, here: Floats | None, task: Task) -> Ints:
-    """Order cells by runs along x or along y, whichever costs less."""
+    """Order cells by runs along x or along y, whichever takes less time."""
     limits = task.vehicle.limits
     best: tuple[float, Ints] | None = None
     for axis in (0, 1):
@@ -233,9 +234,9 @@ def _lanes(cells: CellGraph, here: Floats | None, task: Task) -> Ints:
 
 
 def zigzag(cells: CellGraph, sequence: Ints, task: Task, clearance: float) -> Floats:
-    """Return the stops (n, 2) [m]; those along a lane are shifted a little to its left and right by turns.
+    """Return the stops (n, 2) [m], with those along a lane shifted alternately to its left and right.
 
-    The moves then lean left and right in turn, and a spin from one lean to the other passes all headings in less
+    The moves then lean left and right in turn. A spin from one lean to the other passes all headings in less
     than a full turn.
     """
     lean = SPINS.zigzag * 2 * np.pi / task.coverage.headings

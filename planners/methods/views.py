@@ -19,11 +19,11 @@ def plan_views(task: Task) -> PlannedDrive:
 
     Raises
     ------
-    PlanError : the vehicle cannot turn in place, there are no targets, or the robot cannot stand at one
+    PlanError : The vehicle cannot turn in place, there are no targets, or the robot cannot be at a target.
     """
     if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner views turns on the spot, which drive {task.vehicle.drive!r} cannot; use drive: diff"
+            f"planner views turns on the spot, which drive {task.vehicle.drive!r} cannot do; use drive: diff"
         )
     if task.targets is None or len(task.targets) == 0:
         raise PlanError("planner views needs poses to visit; give at least one")
@@ -35,9 +35,7 @@ def plan_views(task: Task) -> PlannedDrive:
     paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
     for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
         if path is not None and not np.allclose(path[0], builder.pose[:2], atol=1e-9):
-            path, joins = _again(
-                task, builder.pose[:2], target, joins
-            )  # the view before could not be reached
+            path, joins = _reconnect(task, builder.pose[:2], target, joins)  # the view before was not reached
         if path is not None:
             builder.follow(path)
             builder.face(float(target[2]))
@@ -48,7 +46,7 @@ def plan_views(task: Task) -> PlannedDrive:
 
 
 def _check(task: Task, targets: Floats) -> None:
-    """Refuse a pose where the robot cannot stand."""
+    """Reject targets at which the robot cannot be."""
     if targets.ndim != 2 or targets.shape[1] != 3 or not np.isfinite(targets).all():
         raise PlanError(f"poses to visit have shape {targets.shape}, expected (n, 3) of finite x, y, phi")
     tight = task.barriers.distances(targets[:, :2]) < task.reach.clearance - 1e-9
@@ -56,13 +54,13 @@ def _check(task: Task, targets: Floats) -> None:
     if tight.any():
         x, y, _ = targets[int(tight.argmax())]
         raise PlanError(
-            f"the robot cannot stand at ({x:.2f}, {y:.2f}): it is outside, or less than {task.reach.clearance:.2f} m "
+            f"the robot cannot be at ({x:.2f}, {y:.2f}): it is outside, or less than {task.reach.clearance:.2f} m "
             "from a wall; choose another pose"
         )
 
 
 def _order(task: Task, targets: Floats) -> Ints:
-    """Order the poses (n, 3) by the ways between the cells they lie in."""
+    """Order the poses (n, 3) by the travel times between their cells."""
     if len(targets) == 1:
         return np.zeros(1, dtype=np.int64)
     limits = task.vehicle.limits
@@ -75,8 +73,10 @@ def _order(task: Task, targets: Floats) -> Ints:
     return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)
 
 
-def _again(task: Task, here: Floats, target: Floats, joins: JoinCounts) -> tuple[Floats | None, JoinCounts]:
-    """Find a path from where the robot really is."""
+def _reconnect(
+    task: Task, here: Floats, target: Floats, joins: JoinCounts
+) -> tuple[Floats | None, JoinCounts]:
+    """Find a path to a target from the robot's actual place."""
     paths, more = connect(
         here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
     )

@@ -1,1 +1,1 @@
-"""The receding-horizon search over motion primitives: beam search, nearest-goal search, and the kernels below them."""
+"""Receding-horizon search over motion primitives: beam search, nearest-goal search, and their compiled kernels."""

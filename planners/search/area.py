@@ -1,4 +1,4 @@
-"""The part of the floor that a search sees and may drive in."""
+"""The part of the floor on which a search plans."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from planners.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchArea:
-    """A rectangular part of the floor, as arrays of its own."""
+    """A rectangular part of the floor, with its own arrays."""
 
     corner: Ints
-    """(2,) cell of the whole grid that is cell (0, 0) here."""
+    """(2,) cell of the whole grid that is cell (0, 0) of the area."""
     origin: Floats
-    """(2,) [m]"""
+    """(2,) [m] lower left corner."""
     step: float
     """[m] between nodes of `distance`."""
     cell: float
-    """[m]"""
+    """[m] side of a cell."""
     clearance: float
-    """[m] distance that the robot's centre keeps."""
+    """[m] required distance of the robot's centre from barriers."""
     distance: Floats
-    """(mx, my) [m] of each node to the nearest barrier."""
+    """(mx, my) [m] distance of each node to the nearest barrier."""
     inner: Bools
-    """(nx, ny) cells of which only the inner half counts."""
+    """(nx, ny) cells whose bins count only in their inner half."""
     open_borders: Ints
-    """(nx, ny) bits, see `rooms.open_borders`; those out of the area are cleared."""
+    """(nx, ny) bits, see `rooms.open_borders`; borders to cells outside the area are closed."""
 
     def part(self, array: np.ndarray) -> np.ndarray:
-        """Return the part of an array (whole nx, whole ny, ...) that lies in this area."""
+        """Return the part of an array (whole nx, whole ny, ...) that belongs to this area."""
         (i, k), (nx, ny) = self.corner, self.inner.shape
         return np.ascontiguousarray(array[i : i + nx, k : k + ny])
 
@@ -52,7 +52,7 @@ def search_area(reach: Reach, cells: Bools | None = None) -> SearchArea:
     window = np.s_[low[0] : high[0], low[1] : high[1]]
     nodes = np.s_[low[0] * p : high[0] * p, low[1] * p : high[1] * p]
     linked = open_borders(reach)[window].copy()
-    for bit, (i, k) in enumerate(NEIGHBOUR_STEPS):  # nothing leads out of the area
+    for bit, (i, k) in enumerate(NEIGHBOUR_STEPS):  # close the borders of the area
         for axis, side in ((0, i), (1, k)):
             if side:
                 edge = linked[-1 if side > 0 else 0] if axis == 0 else linked[:, -1 if side > 0 else 0]
@@ -70,7 +70,7 @@ def search_area(reach: Reach, cells: Bools | None = None) -> SearchArea:
 
 
 def _inner(reach: Reach) -> Bools:
-    """Return (nx, ny) cells whose inner half can be reached, at least in part."""
+    """Return the cells (nx, ny) whose inner half can be reached, at least in part."""
     p = reach.per_cell
     blocks = reach.blocks(reach.mask).reshape(*reach.shape, p, p)
     within = abs((np.arange(p) + 0.5) / p - 0.5) <= 0.25

@@ -1,4 +1,24 @@
-"""Compiled kernels of the receding-horizon search: `beam_search` looks ahead, `drive` takes the first part of its way."""
+"""Compiled kernels of the receding-horizon search: `beam_search` looks ahead, `drive` executes the first part.
+
+State: place (x, y) [m], heading step h, mode m (speed level or gear). Branch j of mode m leads to the state
+f(s, j) of `kernel_world.end_state` after cost[m, j] units of time. It is allowed if its samples keep the
+clearance.
+
+Score. A node n' is the end of branch j from a node n at time t(n), so t(n') = t(n) + cost[m, j]. Its score is:
+
+    score(n') = score(n) + (1 - discount t(n)) Σ value[c] (1 + completion_weight (1 - missing[c] / n_phi)).
+
+The sum is over the bins that the branch covers and that the path to n has not covered; c is the cell of each
+bin. A node at or beyond the horizon, t(n') ≥ horizon, has a penalty:
+
+    goal_pull min(far[c], 1000) + overtime (t(n') - horizon).
+
+Here far[c] is the number of cell borders to the nearest cell with a missing bin.
+
+Beam. For each t = 0 ... horizon - 1, the `width` nodes of highest score with different lattice keys are
+expanded, among the best 3 width nodes and ties. Of the nodes at or beyond the horizon, the result is the one
+of highest score whose end is safe: the robot can go on or stop.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +35,7 @@ from planners.search.kernel_world import (
     trace_back,
     try_primitive,
 )
-from planners.search.workspace import BeamSettings, Workspace, beam_room_kernel
+from planners.search.workspace import BeamSettings, Workspace, beam_capacity_kernel
 from planners.types import Floats, Int32s, Ints
 
 
@@ -24,13 +44,13 @@ def _expand(
     node: int,
     layer: int,
     n_nodes: int,
-    room: int,
+    capacity: int,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
     workspace: Workspace,
 ) -> int:
-    """Add the children of a node to the pools of their layers, at most `room` a layer; return the count of nodes."""
+    """Add the children of a node to the pools of their layers, up to `capacity` each; return the number of nodes."""
     at, bins, fill = workspace.places, workspace.covered, workspace.pool_sizes
     covered = workspace.scratch.covered
     x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
@@ -39,7 +59,7 @@ def _expand(
         if primitives.next_mode[m, j] < 0 or primitives.is_fine[m, j]:
             continue
         later = layer + primitives.cost[m, j]
-        if fill[later] >= room or n_nodes >= len(at):
+        if fill[later] >= capacity or n_nodes >= len(at):
             continue
         free, n_covered = try_primitive(x, y, h, m, j, world, primitives, covered)
         if not free:
@@ -81,17 +101,16 @@ def beam_search(
     primitives: PrimitiveArrays,
     workspace: Workspace,
 ) -> tuple[int, int]:
-    """Search `settings.horizon` units of time ahead with a beam.
+    """Search `settings.horizon` units of time ahead with a beam; see the module docstring for score and beam.
 
-    Children wait in a pool for each unit of time. Of each pool the `settings.width` best that differ are expanded.
-    Of the sequences that reach the horizon, the best with a safe end is written to `workspace.way`.
+    The branches of the best sequence with a safe end are written to `workspace.sequence`.
 
     Returns
     -------
-    count of branches written, and of bins that they cover; 0, 0 where no end is safe
+    The number of branches, and the number of bins that they cover; 0, 0 if no end is safe.
     """
     horizon, most = settings.horizon, 3 * settings.width
-    room = beam_room_kernel(settings.width, primitives.next_mode.shape[1])
+    capacity = beam_capacity_kernel(settings.width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
     pool, fill, costs = workspace.pool, workspace.pool_sizes, workspace.costs
     slots = 4
@@ -119,11 +138,11 @@ def beam_search(
                 at[node, 0], at[node, 1], hs[node], ms[node], world, primitives, settings.lattice
             )
             if find_slot(workspace.hash_keys, slots, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
-                continue  # a better one is there
+                continue  # a better node has the same key
             kept += 1
             if kept > settings.width:
                 break
-            n_nodes = _expand(node, layer, n_nodes, room, settings, world, primitives, workspace)
+            n_nodes = _expand(node, layer, n_nodes, capacity, settings, world, primitives, workspace)
     n_leaves = 0
     for layer in range(horizon, horizon + primitives.max_cost + 1):
         for o in range(fill[layer]):
@@ -143,14 +162,14 @@ def beam_search(
             primitives,
             workspace.scratch,
         ):
-            n = trace_back(node, workspace.parents, workspace.branches, workspace.way)
+            n = trace_back(node, workspace.parents, workspace.branches, workspace.sequence)
             return n, workspace.total_covered[node]
     return 0, 0
 
 
 @inner_kernel
 def _is_covered(node: int, bin_: int, parents: Int32s, counts: Int32s, bins: Ints) -> bool:
-    """Tell whether a bin was covered on the way to a node."""
+    """Return whether a bin is covered on the path to a node."""
     while node > 0:
         for d in range(counts[node]):
             if bins[node, d] == bin_:
@@ -170,21 +189,21 @@ def drive(
     primitives: PrimitiveArrays,
     workspace: Workspace,
 ) -> tuple[int, int]:
-    """Drive the first of the `n` branches in `workspace.way`: so many `units` of time, or until no bin is left.
+    """Execute the first of `n` branches in `workspace.sequence`, for `units` of time or until no bin is missing.
 
-    A robot that must be able to stop drives on until it stands when no bin is left.
+    If no bin is missing, a robot that must be able to stop drives on until it is at rest.
 
     Returns
     -------
-    count of branches driven, and of bins `left`
+    The number of executed branches, and the number of bins `left`.
     """
-    spent, way = 0, workspace.way
+    spent, sequence = 0, workspace.sequence
     for k in range(n):
         if left == 0:
             if settings.safe_depth >= 0 or state[3] == 0:
                 return k, left
         elif spent >= units:
             return k, left
-        spent += primitives.cost[int(state[3]), way[k]]
-        left -= apply_primitive(state, way[k], world, primitives, workspace.scratch.covered)
+        spent += primitives.cost[int(state[3]), sequence[k]]
+        left -= apply_primitive(state, sequence[k], world, primitives, workspace.scratch.covered)
     return n, left

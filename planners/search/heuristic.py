@@ -1,9 +1,16 @@
-"""A cost-to-go map of a car around its pose: the time to the nearest missing bin, by a coarse lattice (compiled kernels).
+"""Cost-to-go map of a car around its pose: the time to the nearest missing bin, on a coarse lattice (compiled kernels).
 
-Distances in cells know nothing of headings: for a car, the bin beside it may be ten metres away. A wave (Dijkstra's
-algorithm, backward) runs from all missing bins near the car over a lattice of poses and gears. It guides the search for
-the nearest bin and proves nothing: primitives start and end at lattice points, rounded up or down by turns so that the
-errors average out.
+State s: lattice point (i, k), heading class c, gear g. Primitive j is driven in gear[j] and leads to f(s, j).
+The cost-to-go V [units of time] is 0 if the bin of s is missing. Otherwise:
+
+    V(s) = min over j of  cost[j] + pause [g ≠ gear[j]] + V(f(s, j)).
+
+Dijkstra's algorithm solves this backward from all missing
+bins near the car, with a bucket queue for the integer costs (Dial's algorithm).
+
+The map guides the search for the nearest bin; unlike distances in cells, it includes headings. For a car, the
+bin next to it may be ten metres away. The map is no bound: the ends of primitives are rounded to lattice
+points, up and down in turn, so that the errors average out.
 """
 
 from __future__ import annotations
@@ -23,31 +30,31 @@ RIM = HEURISTIC.rim
 OVERRUN = HEURISTIC.overrun
 ROUNDINGS = HEURISTIC.roundings
 UNREACHED = 1 << 12
-"""Units of time; the cost-to-go of poses that the wave does not reach."""
+"""[units of time] cost-to-go of poses that the wave does not reach."""
 
 
 class HeuristicLattice(NamedTuple):
-    """The coarse lattice of a car's poses, and how its primitives lead over it."""
+    """Coarse lattice of a car's poses, with the transitions of its primitives."""
 
     spacing: float
     """[m] between points."""
     steps_per_class: int
-    """Heading steps of the primitives in one heading class of the lattice."""
+    """Number of heading steps of the primitives in one heading class."""
     side: int
-    """Points of the window each way."""
+    """Number of points along each side of the window."""
     free: Bools
-    """(Lx, Ly) points of the area where the car may be, or almost."""
+    """(Lx, Ly) points of the area that are free, or almost free."""
     back: Ints
-    """(ROUNDINGS, n_classes, n_moves) offset within the map from a state to the one from which a primitive leads there,
-    the gear being the same."""
+    """(ROUNDINGS, n_classes, n_moves) index offset in the map from a state to its predecessor by a primitive, at equal
+    gear."""
     cost: Ints
-    """(n_moves,) units of time."""
+    """(n_moves,) [units of time] duration of each primitive."""
     gear: Ints
-    """(n_moves,)"""
+    """(n_moves,) gear of each primitive."""
     pause: int
-    """Units of time of a change of gear."""
+    """[units of time] duration of a gear change."""
     bins: Ints
-    """(n_classes,) heading bin."""
+    """(n_classes,) heading bin of each class."""
     n_gears: int
 
 
@@ -70,7 +77,7 @@ def heuristic_lattice(
     )
     ahead = (
         primitives.offsets[steps_per_class // 2 :: steps_per_class, 0][:, coarse, -1] / spacing
-    )  # (n_classes, n_moves, 2) points that a move leads on
+    )  # (n_classes, n_moves, 2) displacement of each move, in points
     classes, dither = np.arange(len(bins))[:, None], (np.arange(ROUNDINGS)[:, None, None] + 0.5) / ROUNDINGS
     before = (classes - turn // steps_per_class) % len(bins)
     i, k = np.moveaxis(ahead[before, np.arange(len(turn))], -1, 0)
@@ -103,14 +110,19 @@ def backward_wave(
     next_entry: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> tuple[int, int]:
-    """Fill `value (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
+    """Fill `cost_to_go (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
 
-    x, y : [m] of the car, from the area's origin; here, mode : its heading class, and its gear
-    queue, next_entry, heads : see `workspace.HeuristicBuffers`
+    The wave stops `OVERRUN` units after it has reached the car.
+
+    Parameters
+    ----------
+    x, y : [m] Place of the car, from the area's origin.
+    here, mode : Heading class and gear of the car.
+    queue, next_entry, heads : See `workspace.HeuristicBuffers`.
 
     Returns
     -------
-    the lattice point that is the window's (0, 0)
+    The lattice point at the window's (0, 0).
     """
     side, n_classes, n_gears, ring = lattice.side, len(lattice.bins), lattice.n_gears, len(heads)
     i0, k0 = int(x / lattice.spacing) - side // 2, int(y / lattice.spacing) - side // 2
@@ -125,7 +137,7 @@ def backward_wave(
             state = queue[entry]
             entry = next_entry[entry]
             if cost_to_go[state] != units:
-                continue  # reached earlier
+                continue  # already reached at a lower cost
             g, pose = state % n_gears, state // n_gears
             c, point = pose % n_classes, pose // n_classes
             phase = ((point // side) * 5 + (point % side) * 3 + c * 7) % ROUNDINGS
@@ -133,11 +145,11 @@ def backward_wave(
                 if lattice.gear[j] != g:
                     continue
                 before = state - g + lattice.back[phase, c, j]
-                for coarse in range(n_gears):
-                    later = units + lattice.cost[j] + (lattice.pause if coarse != g else 0)
-                    if later < cost_to_go[before + coarse] and n_queued < len(queue):
-                        cost_to_go[before + coarse] = later
-                        queue[n_queued] = before + coarse
+                for other in range(n_gears):
+                    later = units + lattice.cost[j] + (lattice.pause if other != g else 0)
+                    if later < cost_to_go[before + other] and n_queued < len(queue):
+                        cost_to_go[before + other] = later
+                        queue[n_queued] = before + other
                         next_entry[n_queued] = heads[later % ring]
                         heads[later % ring] = n_queued
                         n_queued += 1
@@ -157,9 +169,9 @@ def _start_wave(
     next_entry: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> int:
-    """Start the wave in every missing bin of the window whose (0, 0) is point (i0, k0); return the count of entries.
+    """Start the wave in every missing bin of the window whose (0, 0) is point (i0, k0); return the number of entries.
 
-    Points that are not free, and the window's rim, are nearer than any wave can come.
+    Points that are not free, and the rim of the window, get a cost of -1, so that the wave never enters them.
     """
     side, n_classes, n_gears, (n, m) = lattice.side, len(lattice.bins), lattice.n_gears, lattice.free.shape
     cost_to_go[:] = -1

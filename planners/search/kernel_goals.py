@@ -19,9 +19,9 @@ def is_safe(
     primitives: PrimitiveArrays,
     scratch: Scratch,
 ) -> bool:
-    """Tell whether the robot can go on from a state, or stop.
+    """Return whether the robot can go on from a state, or stop.
 
-    Unsafe states are remembered: in a pocket the test takes thousands of tries.
+    Unsafe states are cached: in a dead end, each test takes thousands of tries.
     """
     remembered = world.trapped.size > 1
     i, k = 0, 0
@@ -37,13 +37,17 @@ def is_safe(
 
 @inner_kernel
 def cell_distance(x: float, y: float, world: SearchWorld, far: Ints) -> int:
-    """Return the count of cell borders from a place to the nearest cell with a missing bin."""
+    """Return the number of cell borders from a place to the nearest cell with a missing bin."""
     return int(far[int((x - world.x0) / world.cell), int((y - world.y0) / world.cell)])
 
 
 @outer_kernel
 def cell_distances(world: SearchWorld, far: Ints, queue: Ints) -> None:
-    """Fill `far (nx, ny)` with the count of cell borders to the nearest cell with a missing bin, by a grassfire from all."""
+    """Fill `far (nx, ny)` with the number of cell borders to the nearest cell with a missing bin.
+
+    The recurrence is far[c] = 0 in cells with a missing bin, else 1 + min far over the neighbours with an
+    open border. It is solved by breadth-first search from all cells with a missing bin (grassfire transform).
+    """
     missing, open_borders = world.missing, world.open_borders
     nx, ny = missing.shape
     head, tail = 0, 0

@@ -1,4 +1,12 @@
-"""Compiled kernels of all searches: which primitives are clear from a state, where they end, and which bins they cover."""
+"""Compiled kernels of all searches: clearance of a primitive, its end state, and the bins that it covers.
+
+State s: place (x, y) [m], heading step h, mode m. Branch j of mode m leads to:
+
+    f(s, j) = (x + offset_x, y + offset_y, (h + turned_steps[m, j]) mod n_headings, next_mode[m, j]).
+
+The offsets are those of the last sample of (h, m, j). A bin is covered if the robot stays in it for at least
+`dwell`, or `inner_dwell` in its inner half.
+"""
 
 from __future__ import annotations
 
@@ -17,40 +25,40 @@ MAX_ESCAPE_TRIES = KERNELS.max_escape_tries
 
 
 class SearchWorld(NamedTuple):
-    """Where the robot drives, and which bins it wants."""
+    """The floor of a search and its wanted bins."""
 
     distance: Floats
     """(mx, my) [m] of each node to the nearest barrier."""
     need: Bools
     """(nx, ny, n_phi) bins still wanted."""
     missing: Ints
-    """(nx, ny) their count in each cell."""
+    """(nx, ny) number of wanted bins in each cell."""
     inner: Bools
-    """(nx, ny) cells in which only the inner half counts, and of it the middle half of the heading bin."""
+    """(nx, ny) cells whose bins count only in their inner half, and only in the middle half of the heading bin."""
     value: Floats
-    """(nx, ny) of a bin in each cell."""
+    """(nx, ny) value of a bin in each cell."""
     open_borders: Ints
     """(nx, ny) bits, see `rooms.open_borders`."""
     x0: float
-    """[m]"""
+    """[m] lower left corner, x."""
     y0: float
-    """[m]"""
+    """[m] lower left corner, y."""
     step: float
     """[m] between nodes."""
     cell: float
-    """[m]"""
+    """[m] side of a cell."""
     clearance: float
-    """[m] distance to keep."""
+    """[m] required distance from barriers."""
     dwell: float
-    """[s] to stay in a bin."""
+    """[s] minimum stay in a bin."""
     inner_dwell: float
-    """[s] to stay in the inner half of one."""
+    """[s] minimum stay in the inner half of a bin."""
     trapped: Bools
-    """(lx, ly, n_headings) lattice cells from which no way on was found; (1, 1, 1) where that is not remembered."""
+    """(lx, ly, n_headings) lattice cells known to be unsafe; (1, 1, 1) if they are not cached."""
 
 
 class PrimitiveArrays(NamedTuple):
-    """What the robot may do from a heading step and a mode; see the fields of `motion_primitives.MotionPrimitives`."""
+    """Motion primitives by heading step and mode; see the fields of `motion_primitives.MotionPrimitives`."""
 
     offsets: Floats
     bins: NDArray[np.int16]
@@ -63,27 +71,27 @@ class PrimitiveArrays(NamedTuple):
     stops_first: Bools
     heading_bin: NDArray[np.int16]
     max_offset: float
-    """[m] from the middle sample of a primitive to any other, and a node's diagonal."""
+    """[m] largest distance from the middle sample of a primitive to another sample, plus two raster steps."""
     max_cost: int
-    """Units of time of the slowest."""
+    """[units of time] duration of the slowest primitive."""
     core_margin: float
 
 
 class Scratch(NamedTuple):
-    """Memory that the kernels write to; they allocate none themselves, which would cost time to run and to compile."""
+    """Memory that the kernels write to; they allocate none themselves, which would cost run time and compile time."""
 
     covered: Ints
     """(MAX_BINS_PER_PRIMITIVE,) flat indices of the bins that the last primitive covers."""
     places: Floats
-    """(depth + 1, 2) [m] on the way that `find_escape` tries."""
+    """(depth + 1, 2) [m] places on the path that `find_escape` tries."""
     states: Ints
     """(depth + 1, 3) heading step, mode, and the next branch to try."""
     escape: Int32s
-    """(depth,) the branches of that way."""
+    """(depth,) branches of that path."""
 
 
 def new_scratch(depth: int) -> Scratch:
-    """Return memory for escapes of `depth` branches at most."""
+    """Return memory for escapes of up to `depth` branches."""
     return Scratch(
         covered=np.empty(MAX_BINS_PER_PRIMITIVE, dtype=np.int64),
         places=np.empty((depth + 1, 2)),
@@ -94,7 +102,7 @@ def new_scratch(depth: int) -> Scratch:
 
 @inner_kernel
 def interpolate(distance: Floats, i: int, k: int, a: float, b: float) -> float:
-    """Interpolate a raster from node (i, k) on, by the shares a and b of the way to the next nodes."""
+    """Interpolate a raster bilinearly between node (i, k) and the next ones, at shares a and b of the step."""
     near = (1 - b) * distance[i, k] + b * distance[i, k + 1]
     far = (1 - b) * distance[i + 1, k] + b * distance[i + 1, k + 1]
     return float((1 - a) * near + a * far)
@@ -104,14 +112,14 @@ def interpolate(distance: Floats, i: int, k: int, a: float, b: float) -> float:
 def try_primitive(
     x: float, y: float, h: int, m: int, j: int, world: SearchWorld, primitives: PrimitiveArrays, covered: Ints
 ) -> tuple[bool, int]:
-    """Tell whether branch j is clear, and which bins it covers.
+    """Return whether branch j is clear, and the number of bins that it covers; their indices are written to `covered`.
 
-    Returns
-    -------
-    whether it keeps its distance; and the count of covered bins, whose flat indices are written to `covered`
+    The distance to barriers is interpolated at every sample. A bin counts if the samples in a row stay in it
+    for at least the required time; the margins account for borders crossed between two samples.
 
-    One piece on purpose, as it is the innermost of all searches and inlined: it looks for walls, then at the few samples that
-    no stay can miss, and only where one of these is wanted at every stay.
+    One piece on purpose: it is the innermost kernel of all searches, and inlined. It first looks for walls.
+    Then it tests the few samples that no sufficient stay can miss, and evaluates the stays only if one of
+    these is in a wanted bin.
     """
     distance, need, inner = world.distance, world.need, world.inner
     offsets, bins, core = primitives.offsets, primitives.bins, primitives.core
@@ -126,7 +134,7 @@ def try_primitive(
     k = int((y + offsets[h, m, j, middle, 1]) * per_step)
     if i < 0 or k < 0 or i >= mx or k >= my:
         return False, 0
-    if distance[i, k] < clearance + primitives.max_offset:  # a wall may be near enough to matter
+    if distance[i, k] < clearance + primitives.max_offset:  # otherwise no wall is near enough to matter
         for s in range(n_samples + 1):
             u = (x + offsets[h, m, j, s, 0]) * per_step - 0.5
             v = (y + offsets[h, m, j, s, 1]) * per_step - 0.5
@@ -154,7 +162,9 @@ def try_primitive(
             n_covered = 1
     period = primitives.sample_period[m, j]
     least = min(world.dwell, world.inner_dwell) / period + min(primitives.core_margin, 0.5)
-    every = min(max(int(np.ceil(least - 1e-9)), 1), n_samples)  # samples in the shortest stay that counts
+    every = min(
+        max(int(np.ceil(least - 1e-9)), 1), n_samples
+    )  # number of samples in the shortest stay that counts
     is_seen = False
     for s in range(every - 1, n_samples, every):
         cell_u, cell_v = (x + offsets[h, m, j, s, 0]) * per_cell, (y + offsets[h, m, j, s, 1]) * per_cell
@@ -200,10 +210,10 @@ def end_state(
     x: float, y: float, h: int, m: int, j: int, primitives: PrimitiveArrays
 ) -> tuple[float, float, int, int]:
     """Return the state after branch j."""
-    way = primitives.offsets[h, m, j, primitives.bins.shape[3]]
+    offset = primitives.offsets[h, m, j, primitives.bins.shape[3]]
     return (
-        x + way[0],
-        y + way[1],
+        x + offset[0],
+        y + offset[1],
         (h + primitives.turned_steps[m, j]) % len(primitives.offsets),
         primitives.next_mode[m, j],
     )
@@ -220,15 +230,16 @@ def find_escape(
     primitives: PrimitiveArrays,
     scratch: Scratch,
 ) -> int:
-    """Find a sequence of branches that the robot can drive from a state; depth first, branches that slow down coming first.
+    """Find a sequence of clear branches from a state: depth-first search, branches that slow down first.
 
     Parameters
     ----------
-    depth : count of branches; negative: at most so many, until the robot stands still (mode 0)
+    depth : Number of branches; if negative, up to -depth branches until the robot is at rest (mode 0).
 
     Returns
     -------
-    count of branches written to `scratch.escape`; -1: none was found, the state is not safe
+    The number of branches, which are written to `scratch.escape`; -1: none was found, so the state is not
+    safe.
     """
     until_rest = depth < 0
     most = abs(depth)
@@ -262,9 +273,12 @@ def find_escape(
 
 @inner_kernel
 def find_slot(table: Ints, size: int, stamp: int, marks: Ints, key: int) -> int:
-    """Return the slot of `key` in an open hash table, or -1 - slot if it is new; other stamps mark what is free.
+    """Return the slot of `key` in an open-addressing hash table, or insert it and return -1 - slot.
 
-    size : slots that are used, a power of two; a small table stays in the processor's cache
+    Parameters
+    ----------
+    size : Number of slots in use, a power of two; a small table stays in the processor's cache.
+    stamp : Number of the search; slots with another stamp in `marks` are free.
     """
     mask = size - 1
     z = key * np.int64(-7046029254386353131)
@@ -280,16 +294,16 @@ def find_slot(table: Ints, size: int, stamp: int, marks: Ints, key: int) -> int:
 
 @inner_kernel
 def lattice_key(
-    x: float, y: float, h: int, m: int, world: SearchWorld, primitives: PrimitiveArrays, fine: float
+    x: float, y: float, h: int, m: int, world: SearchWorld, primitives: PrimitiveArrays, lattice: float
 ) -> int:
-    """Return the lattice cell of a state."""
-    i, k = int((x - world.x0) / fine), int((y - world.y0) / fine)
+    """Return the index of the lattice cell of a state."""
+    i, k = int((x - world.x0) / lattice), int((y - world.y0) / lattice)
     return int(((i * 65536 + k) * primitives.offsets.shape[0] + h) * primitives.offsets.shape[1] + m)
 
 
 @inner_kernel
 def trace_back(node: int, parents: Int32s, branches: Int32s, out: Int32s) -> int:
-    """Write the branches that lead from the root to a node to `out`; return their count."""
+    """Write the branches from the root to a node to `out`; return their number."""
     n, up = 0, node
     while parents[up] >= 0:
         n += 1
@@ -304,7 +318,7 @@ def trace_back(node: int, parents: Int32s, branches: Int32s, out: Int32s) -> int
 def apply_primitive(
     state: Floats, j: int, world: SearchWorld, primitives: PrimitiveArrays, covered: Ints
 ) -> int:
-    """Drive branch j, take the bins that it covers off the needed ones, and return their count."""
+    """Execute branch j, remove the bins that it covers from the wanted ones, and return their number."""
     n_covered, ny, n_phi = 0, world.need.shape[1], world.need.shape[2]
     x, y, h, m = state[0], state[1], int(state[2]), int(state[3])
     _, n_credited = try_primitive(x, y, h, m, j, world, primitives, covered)

@@ -1,4 +1,11 @@
-"""Which bins the log of a drive meets, whatever its phase: a compiled kernel."""
+"""Bins in which the log of a drive has a pose, for every phase of the log's clock (a compiled kernel).
+
+A log of phase p has poses at first[p] + n / rate, n = 0, 1, ... The pose at time dt of a piece is the
+integral of `curve`. For alpha = 0 and omega ≠ 0 it has a closed form, with end = phi + omega dt:
+
+    Along x:   [(v + a dt) sin(end) - v sin(phi) + (a / omega) (cos(end) - cos(phi))] / omega.
+    Along y:   [v cos(phi) - (v + a dt) cos(end) + (a / omega) (sin(end) - sin(phi))] / omega.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +19,17 @@ from planners.types import Bools, Floats
 
 PHASES = KERNELS.phases
 END_TOLERANCE = 1e-9
-"""Share of a period by which the last pose may be logged after the end of the drive."""
+"""Maximum time from the end of the drive to the last logged pose, as a share of the log period."""
 MIN_CLOSED_FORM_TURN = KERNELS.min_closed_form_turn
 
 
 def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:
-    """Return (nx, ny, n_phi) bins of `todo` that the log [Hz] of at least one phase does not meet."""
+    """Return the bins (nx, ny, n_phi) of `todo` that the log [Hz] of at least one phase misses."""
     return np.asarray(todo & ~met(curve, grid, rate).all(axis=0))
 
 
 def met(curve: Curve, grid: Coverage, rate: float, clock: float = 0.0) -> Bools:
-    """Return (PHASES, nx, ny, n_phi) the bins that the log [Hz] of each phase meets on a curve that starts at `clock` [s]."""
+    """Return the bins (PHASES, nx, ny, n_phi) in the log [Hz] of each phase, for a curve that starts at `clock` [s]."""
     found = np.zeros((PHASES, *grid.reachable.shape), dtype=np.bool_)
     first = (np.arange(PHASES) / PHASES / rate - clock) % (1 / rate)
     ends = np.append(curve.starts[1:], curve.duration)
@@ -44,7 +51,7 @@ def mark(
     cell: float,
     found: Bools,
 ) -> None:
-    """Mark in `found` (p, nx, ny, n_phi) the bins that logs (p,) meet whose first poses are at stamps `first` [s]."""
+    """Mark in `found` (p, nx, ny, n_phi) the bins in logs (p,) whose first poses are at stamps `first` [s]."""
     _, nx, ny, n_phi = found.shape
     n = len(starts)
     for p in range(len(first)):
@@ -54,7 +61,7 @@ def mark(
             while stamp < last or (k == n - 1 and stamp <= last):
                 dt = min(stamp, ends[n - 1]) - starts[k]
                 phi, omega, alpha = poses[k, 2], twists[k, 1], rates[k, 1]
-                x, y = way(phi, twists[k, 0], rates[k, 0], omega, alpha, dt)
+                x, y = displacement(phi, twists[k, 0], rates[k, 0], omega, alpha, dt)
                 i = int(np.floor((poses[k, 0] + x - origin[0]) / cell))
                 j = int(np.floor((poses[k, 1] + y - origin[1]) / cell))
                 b = (
@@ -68,8 +75,10 @@ def mark(
 
 
 @inner_kernel
-def way(phi: float, v: float, a: float, omega: float, alpha: float, dt: float) -> tuple[float, float]:
-    """Return x and y [m] driven within `dt` [s]; see `curve.displace`."""
+def displacement(
+    phi: float, v: float, a: float, omega: float, alpha: float, dt: float
+) -> tuple[float, float]:
+    """Return the displacement x, y [m] within `dt` [s]; see `curve.displace`."""
     if v == 0 and a == 0:
         return 0.0, 0.0
     if omega == 0 and alpha == 0:

@@ -1,7 +1,9 @@
-"""Motion primitives: everything that the search may do from a heading step and a mode, in closed form.
+"""Motion primitives: the moves of the search from a heading step and a mode, in closed form.
 
-A robot that turns in place never stops turning: a primitive is one part of a heading bin at an even turn rate, and its
-modes are levels of speed. A car's primitive is an arc or a straight piece at an even speed, and its modes are gears.
+A robot that turns in place turns all the time. Its primitive is one part of a heading bin at a constant turn
+rate omega, with a linear change of v; its modes are levels of speed. A car's primitive is an arc of the
+minimum radius or a straight piece, at constant speed; its modes are gears. Offsets are the integral of
+`curve` at `SAMPLES` times and at the end.
 """
 
 from __future__ import annotations
@@ -23,51 +25,51 @@ SAMPLES = KERNELS.samples
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionPrimitives:
-    """Primitives, by heading step, mode and branch (the number of a primitive that leaves a mode)."""
+    """Primitives by heading step, mode and branch (index of a primitive that leaves a mode)."""
 
     first_heading: float
     """[rad] heading of step 0."""
     heading_step: float
     """[rad] from one heading step to the next."""
     offsets: Floats
-    """(n_headings, n_modes, n_branches, SAMPLES + 1, 2) [m] of the samples and of the end, in map axes."""
+    """(n_headings, n_modes, n_branches, SAMPLES + 1, 2) [m] displacement at the samples and at the end, in map axes."""
     bins: NDArray[np.int16]
     """(n_headings, n_modes, n_branches, SAMPLES) heading bin of each sample."""
     core: Bools
-    """As `bins`: the sample lies in the middle half of its bin; all do where a log is too slow to see that half."""
+    """As `bins`: whether the sample is in the middle half of its bin; all are, if the log is too slow for that half."""
     turned_steps: Ints
-    """(n_modes, n_branches) heading steps turned."""
+    """(n_modes, n_branches) number of heading steps turned."""
     next_mode: Ints
-    """(n_modes, n_branches) mode afterwards; -1: no such branch."""
+    """(n_modes, n_branches) mode at the end; -1: no such branch."""
     cost: Ints
-    """(n_modes, n_branches) units of time."""
+    """(n_modes, n_branches) duration in units of time."""
     unit: float
-    """[s]"""
+    """[s] unit of time."""
     sample_period: Floats
     """(n_modes, n_branches) [s] between samples."""
     speeds: Floats
-    """(n_modes,) [m/s] at the start of a primitive (cars: sign of the gear)."""
+    """(n_modes,) [m/s] speed at the start of a primitive (cars: the sign is the gear)."""
     is_fine: Bools
-    """(n_modes, n_branches) short branches, which only the search for the nearest bin uses."""
+    """(n_modes, n_branches) whether the branch is a short one, used only by the search for the nearest bin."""
     stops_first: Bools
-    """(n_modes, n_branches) branches before which the robot stops."""
+    """(n_modes, n_branches) whether the robot stops before the branch."""
     heading_bin: NDArray[np.int16]
     """(n_headings,) heading bin of each heading step."""
     safe_depth: int
-    """A state is safe if so many primitives can follow it; negative: if the robot can stop within so many."""
+    """Safety of a state: this many primitives must be able to follow; negative: the robot must stop within as many."""
     omega: float
-    """[rad/s] of the spin, signed; 0 for cars."""
+    """[rad/s] turn rate, signed; 0 for cars."""
     core_margin: float = 0.5
-    """Samples that a stay in the middle half of a bin is counted short at each end: its border may be crossed anywhere
-    between two samples. 0 for a sensor so slow that this would matter: the border of the half lies between them."""
+    """Number of samples subtracted at each end of a stay in the middle half of a bin, because its border may be crossed
+    anywhere between two samples. It is 0 for slow sensors, for which stays are counted exactly."""
 
     @property
     def n_headings(self) -> int:
-        """Count of heading steps."""
+        """Number of heading steps."""
         return len(self.offsets)
 
     def units(self, mode: int, branches: Int32s) -> int:
-        """Return the units of time that primitives (n,) take, one after the other, from a mode on."""
+        """Return the units of time of consecutive primitives (n,) from a mode."""
         total, cost, then = 0, self.cost, self.next_mode
         for branch in branches.tolist():
             total += int(cost[mode, branch])
@@ -76,20 +78,20 @@ class MotionPrimitives:
 
 
 def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) -> MotionPrimitives:
-    """Return the primitives of a robot that turns in place at an even rate, `sense` 1 counter-clockwise or -1.
+    """Return the primitives of a robot that turns in place at a constant rate, `sense` 1 counter-clockwise or -1.
 
     Parameters
     ----------
-    headings : count of heading bins
-    rate : [Hz] of the log, which must see every bin however its clock stands
+    headings : Number of heading bins.
+    rate : [Hz] Rate of the log, which must record every bin for any phase of its clock.
     """
     width = 2 * np.pi / headings
     omega = min(limits.omega, width * rate / LOG.dwell_periods)
     parts, core_margin, has_core = _cut_bin(width / omega, rate)
     step, tau = width / parts, width / parts / omega
-    cell_bands = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
-    rise = min(limits.a * tau, limits.v / cell_bands)  # [m/s] from one level to the next
-    level = np.array(sorted(range(-cell_bands, cell_bands + 1), key=abs))  # mode 0 stands still
+    n_levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
+    rise = min(limits.a * tau, limits.v / n_levels)  # [m/s] from one level to the next
+    level = np.array(sorted(range(-n_levels, n_levels + 1), key=abs))  # mode 0 is at rest
     then, speeds = _steps_of_level(level), rise * level
     n_headings = headings * parts
     stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]]) * tau
@@ -107,7 +109,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
             stamps,
         )
     ]
-    ways = np.stack(displace(*full), axis=-1)
+    offsets = np.stack(displace(*full), axis=-1)
     which = sense * (np.arange(n_headings) // parts) % headings
     bins = np.broadcast_to(which[:, None, None, None], (*shape[:3], SAMPLES)).astype(np.int16)
     within = (np.arange(n_headings)[:, None] % parts * step + stamps[:-1] * omega) / width - 0.5  # of the bin
@@ -115,7 +117,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     return MotionPrimitives(
         first_heading=-sense * width / 2,
         heading_step=sense * step,
-        offsets=ways,
+        offsets=offsets,
         bins=bins,
         core=np.ascontiguousarray(core),
         turned_steps=np.ones(then.shape, dtype=np.int64),
@@ -127,26 +129,28 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
         is_fine=np.zeros(then.shape, dtype=np.bool_),
         stops_first=np.zeros(then.shape, dtype=np.bool_),
         heading_bin=which.astype(np.int16),
-        safe_depth=-(cell_bands + 2),
+        safe_depth=-(n_levels + 2),
         omega=sense * omega,
         core_margin=core_margin,
     )
 
 
 def _cut_bin(duration: float, rate: float) -> tuple[int, float, bool]:
-    """Cut the turn through a heading bin into primitives that a log can see.
+    """Divide the turn through a heading bin into primitives that a log can resolve.
 
-    A bin counts as covered if a single primitive stays in its middle half for long enough. Where the usual cut is too short
-    for a slow sensor, stays are counted exactly; then the cut is coarser; and then headings count beyond that half.
+    A bin counts as covered if a single primitive stays in its middle half for long enough. If the usual
+    division is too short for a slow sensor, three relaxations follow in order: count stays without a margin,
+    divide more coarsely, and count headings outside the middle half.
 
     Parameters
     ----------
-    duration : [s] of the turn through a bin
-    rate : [Hz] of the log
+    duration : [s] Duration of the turn through a bin.
+    rate : [Hz] Rate of the log.
 
     Returns
     -------
-    count of primitives, `core_margin` of MotionPrimitives, and whether headings count in the middle half only
+    The number of primitives, `core_margin` of MotionPrimitives, and whether only the middle half of headings
+    counts.
     """
     usual = max(math.ceil(duration / PRIMITIVES.max_duration - 1e-9), 1)
     for parts in range(usual, 0, -1):
@@ -157,7 +161,7 @@ def _cut_bin(duration: float, rate: float) -> tuple[int, float, bool]:
 
 
 def _core_stay(parts: int, margin: float) -> float:
-    """Return the share of the turn through a bin that the best of its primitives is seen in its middle half."""
+    """Return the longest counted stay in the middle half of a bin by one of its primitives, as a share of the turn."""
     start = np.arange(parts) / parts
     low, high = np.maximum(start, 0.25), np.minimum(start + 1 / parts, 0.75)
     n_inside = (low > start + 1e-9).astype(int) + (high < start + 1 / parts - 1e-9)
@@ -165,7 +169,7 @@ def _core_stay(parts: int, margin: float) -> float:
 
 
 def _steps_of_level(level: Ints) -> Ints:
-    """Return (n_modes, 3) the modes one level away at most, slower ones first; -1 where there is none."""
+    """Return the modes (n_modes, 3) at most one level away, slower ones first; -1: no such mode."""
     then = np.full((len(level), 3), -1, dtype=np.int64)
     for m, own in enumerate(level.tolist()):
         near = [k for k, other in enumerate(level.tolist()) if abs(other - own) <= 1]
@@ -180,12 +184,13 @@ GEARS = {"reeds_shepp": (1, -1), "dubins": (1,)}
 def car_primitives(
     limits: Limits, headings: int, rate: float, gears: tuple[int, ...], phi: float | None = None
 ) -> MotionPrimitives:
-    """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
+    """Return the primitives of a car: arcs of the minimum radius and straight pieces, in each of its gears.
 
-    A car that can go back and forth also has halves, to shuffle along walls, and quarters for the search for the nearest bin. Modes are
-    gears; a change of gear costs the time of stopping and starting. Headings lie between the borders of bins, and
-    along no axis, unless `phi` [rad] must be one of them: a car that drives along the border of a bin logs this bin or
-    the next, as rounding has it.
+    A car with a reverse gear also has pieces of half length, to manoeuvre along walls, and of quarter length
+    for the search for the nearest bin. A gear change costs the time of stopping and starting.
+
+    No heading lies on a border of bins or along an axis, unless the heading `phi` [rad] requires it. On a
+    border, rounding would decide which of the two bins is logged.
     """
     width, radius = 2 * np.pi / headings, limits.turning_radius
     parts = max(math.ceil(width * radius / PRIMITIVES.max_arc - 1e-9), 1)
@@ -206,7 +211,7 @@ def car_primitives(
     speed = v * np.array(gears)[gear]
     shape = (n_headings, len(branches), SAMPLES + 1)
     zero = np.zeros(shape)
-    ways = np.stack(
+    offsets = np.stack(
         displace(
             zero + heading[:, None, None],
             zero + speed[:, None],
@@ -229,7 +234,7 @@ def car_primitives(
     return MotionPrimitives(
         first_heading=first,
         heading_step=unit_turn,
-        offsets=every_mode(ways),
+        offsets=every_mode(offsets),
         bins=every_mode(bins.astype(np.int16)),
         core=every_mode(core),
         turned_steps=np.tile(curve * length, (modes, 1)),

@@ -1,4 +1,11 @@
-"""The way to the nearest missing bin, by compiled kernels: a breadth-first search in time, over the primitives of the beam."""
+"""Path to the nearest missing bin, by compiled kernels: breadth-first search in time over the motion primitives.
+
+State and branches are those of `beam`. With arrival time t(f(s, j)) = t(s) + cost[m, j], the states are
+expanded in order of t, from a ring of max_cost + 1 buckets (Dial's algorithm). Each lattice cell is visited
+once, so t is the shortest time at the resolution of the lattice. If a bucket holds more than `width` states,
+only the `width` nearest to a missing bin are expanded; the search is then incomplete. The first bucket that
+holds a safe state whose last branch covers a bin ends the search.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +22,7 @@ from planners.search.kernel_world import (
     trace_back,
     try_primitive,
 )
-from planners.search.workspace import GOAL_ROOM, BeamSettings, HeuristicBuffers, Workspace
+from planners.search.workspace import GOAL_CAPACITY, BeamSettings, HeuristicBuffers, Workspace
 from planners.types import Floats
 
 
@@ -24,17 +31,17 @@ def _expand_nearest(
     node: int,
     layer: int,
     n_nodes: int,
-    room: int,
+    capacity: int,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
     workspace: Workspace,
 ) -> tuple[int, bool]:
-    """Add the children of a state.
+    """Add the children of a state to the pools of their layers.
 
     Returns
     -------
-    count of states, -1 if there are too many; and whether a child was left out because its layer is full
+    The number of states, -1 if there are too many; and whether a child was dropped because its layer is full.
     """
     at, fill, ring = workspace.places, workspace.pool_sizes, primitives.max_cost + 1
     x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
@@ -57,7 +64,7 @@ def _expand_nearest(
         later = (layer + primitives.cost[m, j]) % ring
         if n_nodes >= settings.goal_max_states:
             return -1, was_full
-        if fill[later] >= room:
+        if fill[later] >= capacity:
             was_full = True
             continue
         at[n_nodes, 0], at[n_nodes, 1], workspace.headings[n_nodes], workspace.modes[n_nodes] = x2, y2, h2, m2
@@ -83,17 +90,18 @@ def nearest_goal_search(
     heuristic: HeuristicBuffers,
     workspace: Workspace,
 ) -> int:
-    """Search breadth first for the nearest missing bin, and write the branches that lead there to `workspace.way`.
+    """Search breadth first for the nearest missing bin; write the branches to `workspace.sequence`.
 
-    Each lattice state is visited once, and once more by a primitive that covers a bin. Of each unit of time, the `width`
-    states nearest to a missing bin are expanded: nearest by the cost-to-go map if `is_guided`, else by cells.
+    Each lattice state is visited once, and once more by a primitive that covers a bin. Of each unit of time,
+    the `width` states nearest to a missing bin are expanded: by the cost-to-go map if `is_guided`, else by
+    the number of cells.
 
     Returns
     -------
-    count of branches; 0: no bin can be reached at this resolution; -1: the search gave up
+    The number of branches; 0: no bin can be reached at this resolution; -1: the search gave up.
     """
     at, hs, ms, gains = workspace.places, workspace.headings, workspace.modes, workspace.n_covered
-    ring, room = primitives.max_cost + 1, width * GOAL_ROOM
+    ring, capacity = primitives.max_cost + 1, width * GOAL_CAPACITY
     pool, fill, away = workspace.pool, workspace.pool_sizes, workspace.costs
     fill[:] = 0
     workspace.stamp[0] += 1
@@ -120,7 +128,7 @@ def nearest_goal_search(
             ):
                 top, chosen = gains[node], node
         if top > 0:
-            return trace_back(chosen, workspace.parents, workspace.branches, workspace.way)
+            return trace_back(chosen, workspace.parents, workspace.branches, workspace.sequence)
         for o in range(here):
             node = pool[row, o]
             if is_guided:
@@ -133,7 +141,7 @@ def nearest_goal_search(
             node = pool[row, pop_least(workspace.heap, here - popped, away)]
             before = n_nodes
             n_nodes, was_full = _expand_nearest(
-                node, layer, n_nodes, room, settings, world, primitives, workspace
+                node, layer, n_nodes, capacity, settings, world, primitives, workspace
             )
             is_cut = is_cut or was_full
             if n_nodes < 0:
@@ -152,9 +160,9 @@ def find_nearest_goal(
     heuristic: HeuristicBuffers,
     workspace: Workspace,
 ) -> int:
-    """Search for the nearest missing bin: narrowly by the cost-to-go map if the settings say so, else (or then) widely.
+    """Search for the nearest missing bin, first guided by the cost-to-go map if the settings request it, then widely.
 
-    The way is written to `workspace.way` if there is one. See `nearest_goal_search` for what is returned.
+    The branches are written to `workspace.sequence`. The result is that of `nearest_goal_search`.
     """
     if settings.guided_width > 0:
         update_heuristic(state, world, heuristic)
@@ -189,7 +197,7 @@ def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuff
 
 @outer_kernel
 def time_to_goal(x: float, y: float, h: int, m: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
-    """Return the units of time to the nearest missing bin; UNREACHED outside of the map."""
+    """Return the units of time from a state to the nearest missing bin; UNREACHED outside the map."""
     i = int((x - world.x0) / heuristic.lattice.spacing) - heuristic.corner[0]
     k = int((y - world.y0) / heuristic.lattice.spacing) - heuristic.corner[1]
     if i < 0 or k < 0 or i >= heuristic.lattice.side or k >= heuristic.lattice.side:

@@ -1,4 +1,4 @@
-"""The drive through one room, and the curve of a search by a robot that spins."""
+"""The drive through one room, and the curve of a search by a robot that turns in place."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from planners.types import Floats, Ints
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomDrive:
-    """How one room is driven, from rest to rest."""
+    """The drive through one room, from rest to rest."""
 
     curve: Curve
     stops: Floats
-    """(n, 4) [m, m, rad, rad] where each revolution begins, and its angle."""
+    """(n, 4) [m, m, rad, rad] pose at the start of each revolution, and its angle."""
     left: int
-    """Bins of the room that it does not get."""
+    """Number of bins of the room that the drive does not cover."""
 
     @property
     def ends(self) -> tuple[Floats, Floats]:
-        """Poses (3,) at rest before and after."""
+        """Poses (3,) at rest at the start and at the end."""
         poses = self.curve.sample(np.array([0.0, self.curve.duration]))[0]
         return poses[0], poses[1]
 
 
 def spin_curve(result: SearchResult, primitives: MotionPrimitives, alpha: float) -> Curve:
-    """Return the curve of a spinning drive: spin up, the primitives, spin down.
+    """Return the curve of a drive with a continuous spin: spin up, the primitives, spin down.
 
     Parameters
     ----------
-    alpha : [rad/s²] of spinning up and down
+    alpha : [rad/s²] Angular acceleration of spinning up and down.
     """
     omega, sense = primitives.omega, float(np.sign(primitives.omega))
     modes = _modes(result, primitives)
@@ -57,7 +57,7 @@ def spin_curve(result: SearchResult, primitives: MotionPrimitives, alpha: float)
 
 
 def _modes(result: SearchResult, primitives: MotionPrimitives) -> Ints:
-    """Return (n + 1,) the mode before each primitive, and after the last."""
+    """Return the modes (n + 1,) before each primitive and after the last."""
     modes = np.empty(len(result.sequence) + 1, dtype=np.int64)
     modes[0] = int(result.start[3])
     then = primitives.next_mode.tolist()

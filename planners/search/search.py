@@ -1,4 +1,8 @@
-"""The search for a drive that covers bins: a receding-horizon beam search over closed-form primitives."""
+"""Search for a drive that covers bins: a receding-horizon beam search over closed-form primitives.
+
+In each step, `beam.beam_search` looks ahead over the horizon, and `beam.drive` executes the first part. If
+the beam covers too few bins, `nearest_goal.find_nearest_goal` replaces it.
+"""
 
 from __future__ import annotations
 
@@ -40,46 +44,46 @@ MAX_STOP_PRIMITIVES = KERNELS.max_stop_primitives
 
 
 class SearchStatus(IntEnum):
-    """How a run of the search ended."""
+    """Reason why a run of the search ended."""
 
     STOPPED = 0
-    """`tick` said stop."""
+    """`tick` returned False."""
     DONE = 1
     """No bin is missing."""
     UNREACHABLE = 2
-    """No way leads to what is missing, at the resolution of the lattice."""
+    """No path leads to the missing bins at the resolution of the lattice."""
     GAVE_UP = 3
-    """The search for the nearest bin ran out of states or of time units."""
+    """The search for the nearest bin exceeded its number of states or units of time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchResult:
-    """A drive of the search."""
+    """Result of a search."""
 
     start: Floats
-    """(4,) x, y [m], heading step, mode."""
+    """(4,) start state: x, y [m], heading step, mode."""
     sequence: Int32s
-    """(n,) branches."""
+    """(n,) branches of the drive."""
     left: Bools
-    """(nx, ny, n_phi) bins of the area that it did not cover."""
+    """(nx, ny, n_phi) bins of the area that the drive does not cover."""
 
 
 class _Snapshot(NamedTuple):
-    """A state to go back to."""
+    """A state of the search to return to."""
 
     state: Floats
-    """(4,)"""
+    """(4,) x, y [m], heading step, mode."""
     need: Bools
-    """(nx, ny, n_phi)"""
+    """(nx, ny, n_phi) bins still wanted."""
     missing: Ints
-    """(nx, ny)"""
+    """(nx, ny) number of wanted bins in each cell."""
     n_parts: int
     seconds: float
-    """Parts driven so far."""
+    """[s] driven; `n_parts`: number of parts driven."""
 
 
 class CoverageSearch:
-    """One search in one area: `want` bins, `start_at` a state, `run` or `complete`, then ask for the `result`."""
+    """A search in one area: call `want` and `start_at`, then `run` or `complete`, then `result`."""
 
     def __init__(
         self,
@@ -96,9 +100,9 @@ class CoverageSearch:
 
         Parameters
         ----------
-        need : (nx, ny, n_phi) bins of the area to cover
-        rate : [Hz] of the log
-        value : (nx, ny) value of a bin in each cell; None: all the same
+        need : (nx, ny, n_phi) Bins of the area to cover.
+        rate : [Hz] Rate of the log.
+        value : (nx, ny) Value of a bin in each cell; None: equal values.
         """
         self.area, self.primitives, self.rate = area, primitives, rate
         self.settings = settings or SearchSettings()
@@ -126,9 +130,9 @@ class CoverageSearch:
 
         Parameters
         ----------
-        need : (nx, ny, n_phi) bins of the area
-        dwell_factor : log periods to stay in each bin
-        inner : in cells whose inner half can be reached, count only that half
+        need : (nx, ny, n_phi) Bins of the area.
+        dwell_factor : Minimum stay in each bin, in log periods.
+        inner : Whether only the inner half counts, in cells whose inner half can be reached.
         """
         area, dwell = self.area, dwell_factor / self.rate
         self.world = SearchWorld(
@@ -149,16 +153,16 @@ class CoverageSearch:
         )
 
     def start_at(self, state: Floats) -> None:
-        """Start from (x, y, heading step, mode)."""
+        """Start from a state (x, y, heading step, mode)."""
         self.state, self.start = state.copy(), state.copy()
 
     @property
     def left(self) -> int:
-        """Count of bins still missing."""
+        """Number of bins still missing."""
         return int(self.world.missing.sum())
 
     def run(self, tick: Callable[[int], bool]) -> SearchStatus:
-        """Drive until no bin is missing or none can be reached; `tick` takes the bins left and tells whether to go on."""
+        """Drive until no bin is missing or reachable; `tick` gets the number of bins left, False ends the search."""
         settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
         workspace = workspace_for(settings, primitives, self.world.missing.shape)
         heuristic, left = heuristic_buffers(self.settings, self.primitives, self.area), self.left
@@ -174,7 +178,7 @@ class CoverageSearch:
         return SearchStatus.STOPPED
 
     def compile(self) -> None:
-        """Compile what `run` calls, or read it from disk, so that its progress starts with the search."""
+        """Compile the kernels of `run`, or load them from the cache, so that progress starts with the search."""
         settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
         world = self.world
         workspace = workspace_for(settings, primitives, world.missing.shape)
@@ -197,11 +201,11 @@ class CoverageSearch:
         heuristic: HeuristicBuffers,
         workspace: Workspace,
     ) -> tuple[SearchStatus | None, int]:
-        """Decide what to do next and drive it.
+        """Choose the next part of the drive and execute it.
 
         Returns
         -------
-        how the search ended, None if it goes on; and the count of bins left
+        The reason why the search ended, None if it goes on; and the number of bins left.
         """
         if left == 0:
             return SearchStatus.DONE, left
@@ -216,12 +220,12 @@ class CoverageSearch:
                 return SearchStatus.UNREACHABLE if found == 0 else SearchStatus.GAVE_UP, left
         mode = int(state[3])
         n_driven, left = drive(state, n, units, left, settings, world, primitives, workspace)
-        self._parts.append(workspace.way[:n_driven].copy())
+        self._parts.append(workspace.sequence[:n_driven].copy())
         self.seconds += self.primitives.unit * self.primitives.units(mode, self._parts[-1])
         return None, left
 
     def complete(self, tick: Callable[[int], bool]) -> None:
-        """Run until nothing more can be reached: give up cells that nothing leads into, and back out of traps."""
+        """Run until no more bins can be reached: give up cells that no path enters, and back out of dead ends."""
         for _ in range(self.settings.max_skipped_cells):
             status = self.run(tick)
             if status in (SearchStatus.STOPPED, SearchStatus.DONE):
@@ -234,17 +238,17 @@ class CoverageSearch:
                 return
 
     def _is_trapped(self) -> bool:
-        """Tell whether nothing leads from here back to where the robot began."""
+        """Return whether no path leads from here back to the start cell."""
         i, k = ((self.start[:2] - self.area.origin) / self.area.cell).astype(np.int64).tolist()
         home = np.zeros_like(self.world.need)
         home[i, k] = True
-        way_back = CoverageSearch(self.area, self.primitives, home, self.rate, settings=self.settings)
-        way_back.want(home, inner=False)
-        way_back.start_at(self.state)
-        return way_back.run(lambda _: False) == SearchStatus.UNREACHABLE
+        return_search = CoverageSearch(self.area, self.primitives, home, self.rate, settings=self.settings)
+        return_search.want(home, inner=False)
+        return_search.start_at(self.state)
+        return return_search.run(lambda _: False) == SearchStatus.UNREACHABLE
 
     def _backtrack(self) -> None:
-        """Undo the last decisions, and give up the cell from which the robot could not go on."""
+        """Undo the last decisions, and give up the cell in which the robot was trapped."""
         i, k = self._cell
         snapshot = self._snapshots.pop(0)
         self.state, self.seconds = snapshot.state, snapshot.seconds
@@ -254,7 +258,7 @@ class CoverageSearch:
         self._give_up(i, k)
 
     def _skip_nearest_cell(self) -> bool:
-        """Give up the nearest cell where something is missing; False if no such cell is connected to this one."""
+        """Give up the nearest cell with a missing bin; False if no such cell is connected to this one."""
         world = self.world
         far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
         cell_distances(world, far, queue)
@@ -277,28 +281,28 @@ class CoverageSearch:
 
     @property
     def _cell(self) -> tuple[int, int]:
-        """Cell of the area where the robot is."""
+        """Cell of the area in which the robot is."""
         i, k = ((self.state[:2] - self.area.origin) / self.area.cell).astype(np.int64).tolist()
         return i, k
 
     def _give_up(self, i: int, k: int) -> None:
-        """Want no more bins of a cell."""
+        """Remove the bins of a cell from the wanted ones."""
         self.given_up[i, k] |= self.world.need[i, k]
         self.world.need[i, k], self.world.missing[i, k] = False, 0
 
     def come_to_rest(self) -> bool:
-        """Drive on until the robot stands still but for its spin; False if no such sequence is found."""
+        """Drive on until v is zero; the robot may still turn. False if no such sequence is found."""
         x, y, h, m = self.state.tolist()
         primitives, scratch = self.primitive_arrays(), new_scratch(MAX_STOP_PRIMITIVES)
         n = find_escape(x, y, int(h), int(m), -MAX_STOP_PRIMITIVES, self.world, primitives, scratch)
-        way = scratch.escape[: max(n, 0)]
-        for j in way.tolist():
+        escape = scratch.escape[: max(n, 0)]
+        for j in escape.tolist():
             apply_primitive(self.state, j, self.world, primitives, scratch.covered)
-        self._parts.append(way)
+        self._parts.append(escape)
         return bool(n >= 0)
 
     def result(self) -> SearchResult:
-        """Return what was driven so far."""
+        """Return the drive so far."""
         return SearchResult(
             start=self.start,
             sequence=np.concatenate([np.empty(0, dtype=np.int32), *self._parts]),
@@ -306,7 +310,7 @@ class CoverageSearch:
         )
 
     def primitive_arrays(self) -> PrimitiveArrays:
-        """Return the primitives as the kernels take them."""
+        """Return the primitives in the form that the kernels take."""
         p = self.primitives
         apart = p.offsets - p.offsets[..., [(p.offsets.shape[3] - 1) // 2], :]
         farthest = float(np.hypot(*np.moveaxis(apart, -1, 0)).max()) + 2 * self.area.step

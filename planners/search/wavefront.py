@@ -1,4 +1,9 @@
-"""Compiled kernels of the wavefront over a whole floor: all states that a car can reach, or the way to the first bin."""
+"""Compiled kernels of a wavefront over a whole floor: all states that a car can reach, or the path to the first bin.
+
+The reached set R contains the lattice cell of the start state. For each state s in R it contains the cell of
+f(s, j), for every clear branch j with its end in `allowed`. Each cell keeps the first state that enters it
+(breadth-first search), so every state in R is one that the car can be in.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +25,10 @@ from planners.types import Bools, Floats, Int32s, Ints
 
 
 class WavefrontQueue(NamedTuple):
-    """The states that the wavefront has reached, in order."""
+    """The states that the wavefront has reached, in order of arrival."""
 
     at: Floats
-    """(n, 2)"""
+    """(n, 2) [m] places; `hs` (n,) heading steps, `parents` (n,), `branches` (n,)."""
     hs: Int32s
     parents: Int32s
     branches: Int32s
@@ -39,7 +44,7 @@ def new_queue(n: int) -> WavefrontQueue:
 
 @kernel
 def doubled(queue: WavefrontQueue) -> WavefrontQueue:
-    """Return a queue with twice the room."""
+    """Return the queue with twice its capacity."""
     n = len(queue.hs)
     more = new_queue(2 * n)
     for k in range(n):
@@ -61,9 +66,11 @@ def _expand_wavefront(
     lattice: float,
     covered: Ints,
 ) -> int:
-    """Queue the states that state `head` leads to; return the end of the queue.
+    """Queue the successors of state `head`; return the new end of the queue.
 
-    to_first : branches that come to a bin are noted as -1 - branch, and the bins are left
+    Parameters
+    ----------
+    to_first : Whether to look for the first bin: branches that cover a bin are then stored as -1 - branch.
     """
     ny, n_phi = world.need.shape[1], world.need.shape[2]
     x, y, h = queue.at[head, 0], queue.at[head, 1], queue.hs[head]
@@ -99,22 +106,21 @@ def wavefront(
     lattice: float,
     scratch: Scratch,
 ) -> Int32s:
-    """Visit all states that can be reached within `allowed`, or up to the first bin; breadth first over the primitives.
+    """Visit all states reachable within `allowed`, or stop at the first bin; breadth first over the primitives.
 
-    Every state is one that the car can be in; each lattice cell is entered once. The bins in which some primitive stays
-    long enough are taken off those that the world needs.
+    Bins in which a primitive stays long enough are removed from those that the world needs.
 
     Parameters
     ----------
-    state : (4,) where the wavefront begins
-    allowed : (n, n, n_headings) lattice cells that may be entered
-    reached : (n, n, n_headings) is filled with the lattice cells that were
-    depth : 0: visit all; else stop at the first bin from which so many branches go on
-    lattice : [m] side of a lattice cell
+    state : (4,) Start state.
+    allowed : (n, n, n_headings) Lattice cells that may be entered.
+    reached : (n, n, n_headings) Filled with the lattice cells that are entered.
+    depth : 0: visit all states. Otherwise: stop at the first bin from which this many branches can follow.
+    lattice : [m] Side of a lattice cell.
 
     Returns
     -------
-    (n,) the branches to the first bin; none if depth is 0, or no bin was found
+    The branches (n,) to the first bin; empty if depth is 0, or if no bin is found.
     """
     reached[:] = False
     queue = new_queue(1 << 16)

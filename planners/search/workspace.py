@@ -1,4 +1,4 @@
-"""What the kernels of a search take: its settings in units of time, and the memory that they write to."""
+"""Inputs of the search kernels: settings in units of time, and the memory that they write to."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from planners.search.motion_primitives import MotionPrimitives
 from planners.search.settings import KERNELS, SearchSettings
 from planners.types import Floats, Int16s, Int32s, Ints
 
-GOAL_ROOM = KERNELS.goal_room
+GOAL_CAPACITY = KERNELS.goal_capacity
 
 
 class BeamSettings(NamedTuple):
-    """`settings.SearchSettings` as the kernels take them: times in units of the primitives."""
+    """`settings.SearchSettings` for the kernels, with times in units of the primitives."""
 
     horizon: int
     executed: int
@@ -35,14 +35,14 @@ class BeamSettings(NamedTuple):
     completion_weight: float
     overtime: float
     lattice: float
-    """[m]"""
+    """[m] side of a lattice cell."""
     guided_width: int
     can_repeat: bool
-    """Whether a bin may be met twice within the horizon; a robot that spins meets each heading once in a revolution."""
+    """Whether a bin may be met twice within the horizon; a spinning robot meets each heading once per revolution."""
 
 
 def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> BeamSettings:
-    """Return the settings in units of time of the primitives."""
+    """Return the settings in the primitives' units of time."""
     s, unit = settings, primitives.unit
     horizon = max(round(s.horizon / unit), 4)
     return BeamSettings(
@@ -67,25 +67,25 @@ def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> Bea
 
 
 class HeuristicBuffers(NamedTuple):
-    """The cost-to-go map around a car, and the queue by which it is filled."""
+    """The cost-to-go map around a car, and the bucket queue that fills it."""
 
     lattice: HeuristicLattice
     cost_to_go: Int16s
-    """(side * side * n_classes * n_gears,) units of time."""
+    """(side * side * n_classes * n_gears,) units of time to the nearest missing bin."""
     queue: Int32s
-    """(n_entries,) states, as indices of `cost_to_go`."""
+    """(n_entries,) states as indices of `cost_to_go`."""
     next_entry: Int32s
-    """(n_entries,) the next entry with the same cost; -1: none."""
+    """(n_entries,) next entry with the same cost; -1: none."""
     heads: Int32s
-    """(ring,) the first entry of each cost, costs being taken modulo the length."""
+    """(ring,) first entry of each cost, modulo the length of the ring."""
     corner: Ints
-    """(2,) lattice point of the window's (0, 0)."""
+    """(2,) lattice point at the window's (0, 0)."""
 
 
 def heuristic_buffers(
     settings: SearchSettings, primitives: MotionPrimitives, area: SearchArea
 ) -> HeuristicBuffers:
-    """Return the memory of the cost-to-go map; next to none where the settings ask for no guided search."""
+    """Return the memory of the cost-to-go map; minimal if the settings request no guided search."""
     lattice = heuristic_lattice(primitives, area.distance, area.step, area.cell, area.clearance)
     side = lattice.side if settings.guided_width > 0 else 1
     cost_to_go = np.empty(side * side * len(lattice.bins) * lattice.n_gears, dtype=np.int16)
@@ -95,10 +95,10 @@ def heuristic_buffers(
 
 
 class Workspace(NamedTuple):
-    """Memory of the beam and of the search for the nearest bin, allocated once per run; n is the most nodes."""
+    """Memory of the beam and of the search for the nearest bin, allocated once per run, for up to n nodes."""
 
     places: Floats
-    """(n, 2) [m] of the nodes."""
+    """(n, 2) [m] places."""
     scores: Floats
     """(n,)"""
     headings: Int32s
@@ -106,57 +106,57 @@ class Workspace(NamedTuple):
     modes: Int32s
     """(n,)"""
     total_covered: Int32s
-    """(n,) bins covered on the way to each node, its own included."""
+    """(n,) number of bins covered on the path to each node, including its own."""
     parents: Int32s
-    """(n,) node that each comes from; -1: the root."""
+    """(n,) parent node; -1: the root."""
     branches: Int32s
-    """(n,) primitive that leads to each node."""
+    """(n,) branch that leads to each node."""
     n_covered: Int32s
-    """(n,) bins that this primitive covers."""
+    """(n,) number of bins that this branch covers."""
     covered: Ints
     """(n, MAX_BINS_PER_PRIMITIVE) flat indices of those bins."""
     pool: Int32s
-    """(layers, room) nodes that wait for each unit of time."""
+    """(layers, capacity) waiting nodes of each unit of time."""
     pool_sizes: Ints
-    """(layers,)"""
+    """(layers,) number of waiting nodes."""
     hash_keys: Ints
-    """(slots,) lattice states seen."""
+    """(slots,) visited lattice states."""
     hash_stamps: Ints
-    """(slots,) the search that wrote each slot; others are free."""
+    """(slots,) number of the search that wrote each slot; slots of other searches are free."""
     stamp: Ints
-    """(1,) number of the last search."""
+    """(1,) number of the current search."""
     costs: Floats
-    """(n,) of the nodes that are put in order, ..."""
+    """(n,) costs of the nodes to be ordered ..."""
     heap: Ints
-    """(n,) ... and the heap that does it."""
+    """(n,) ... and the heap that orders them."""
     leaves: Int32s
-    """(n,) nodes at the horizon."""
-    way: Int32s
-    """(n,) the branches that a search found."""
+    """(n,) nodes at or beyond the horizon."""
+    sequence: Int32s
+    """(n,) branches of the result."""
     far: Ints
-    """(nx, ny) count of cell borders to the nearest cell with a missing bin."""
+    """(nx, ny) number of cell borders to the nearest cell with a missing bin."""
     cell_queue: Ints
-    """(nx * ny,) cells that wait while `far` is filled."""
+    """(nx * ny,) queue of cells while `far` is filled."""
     scratch: Scratch
 
 
-def beam_room(width: int, n_branches: int) -> int:
-    """Return how many nodes of a beam may wait for each unit of time.
+def beam_capacity(width: int, n_branches: int) -> int:
+    """Return the capacity of each unit of time in the beam.
 
-    Primitives of cars differ in duration, so nodes of several layers wait for the same unit.
+    A car's primitives differ in duration, so nodes of several layers may wait for the same unit of time.
     """
     return width * n_branches * (2 if n_branches > 3 else 1)
 
 
-beam_room_kernel = inner_kernel(beam_room)
+beam_capacity_kernel = inner_kernel(beam_capacity)
 
 
 def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tuple[int, ...]) -> Workspace:
-    """Return the memory that searches with these settings need in an area of `shape` (nx, ny) cells."""
+    """Return the memory of searches with these settings in an area of `shape` (nx, ny) cells."""
     n_branches = primitives.next_mode.shape[1]
     layers = settings.horizon + primitives.max_cost + 1
-    room = max(beam_room(settings.width, n_branches), settings.goal_width * GOAL_ROOM)
-    most = max(settings.goal_max_states, layers * beam_room(settings.width, n_branches))
+    capacity = max(beam_capacity(settings.width, n_branches), settings.goal_width * GOAL_CAPACITY)
+    most = max(settings.goal_max_states, layers * beam_capacity(settings.width, n_branches))
     slots = 1 << int(np.ceil(np.log2(2 * most)))
     whole = np.empty((6, most), dtype=np.int32)
     return Workspace(
@@ -169,7 +169,7 @@ def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tu
         branches=whole[4],
         n_covered=whole[5],
         covered=np.empty((most, MAX_BINS_PER_PRIMITIVE), dtype=np.int64),
-        pool=np.empty((layers, room), dtype=np.int32),
+        pool=np.empty((layers, capacity), dtype=np.int32),
         pool_sizes=np.zeros(layers, dtype=np.int64),
         hash_keys=np.empty(slots, dtype=np.int64),
         hash_stamps=np.zeros(slots, dtype=np.int64),
@@ -177,7 +177,7 @@ def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tu
         costs=np.empty(most),
         heap=np.empty(most, dtype=np.int64),
         leaves=np.empty(most, dtype=np.int32),
-        way=np.empty(most, dtype=np.int32),
+        sequence=np.empty(most, dtype=np.int32),
         far=np.empty(shape, dtype=np.int64),
         cell_queue=np.empty(shape[0] * shape[1], dtype=np.int64),
         scratch=new_scratch(abs(settings.safe_depth)),

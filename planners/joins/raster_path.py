@@ -1,6 +1,14 @@
-"""The shortest way over the nodes of the raster, where places far apart are joined through doors that OMPL's samples miss.
+"""Shortest path over the nodes of the distance raster (Dijkstra's algorithm).
 
-Between the middles of large cells no straight way may lead through a door; from node to node one does.
+With the distance d of a node to the nearest wall, a step from node a to a neighbouring node b costs
+
+    |a - b| (c(a) + c(b)) / 2.
+
+    Cost per metre: c = 1 + 1 / (1 + max(d - clearance, 0) / step).
+
+Nodes next to walls cost twice their length. The path connects places that are far apart through doors that
+OMPL's samples miss. A straight line between the middles of large cells may not pass a door; a path over nodes
+does.
 """
 
 from __future__ import annotations
@@ -15,10 +23,10 @@ from planners.types import Floats, Ints
 NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
-def raster_way(start: Floats, end: Floats, reach: Reach) -> Floats | None:
-    """Return places (k, 2) [m] from one to the other, both included, over reachable nodes; None: there is no such way.
+def raster_path(start: Floats, end: Floats, reach: Reach) -> Floats | None:
+    """Return places (k, 2) [m] from `start` to `end`, both included, over reachable nodes; None if there is no path.
 
-    Nodes near walls cost up to twice their length, so that the way keeps to the middle where that is little longer.
+    The costs keep the path away from walls where that makes it only a little longer.
     """
     number = np.cumsum(reach.mask.ravel()).reshape(reach.mask.shape) - 1
     first, last = (_nearest_node(place, reach) for place in (start, end))
@@ -40,9 +48,9 @@ def raster_way(start: Floats, end: Floats, reach: Reach) -> Floats | None:
 
 
 def _node_graph(reach: Reach, number: Ints) -> sparse.csr_array:
-    """Return what it costs to go from each reachable node to its eight neighbours [m]."""
-    room = (reach.distance - reach.clearance) / reach.step
-    dear = 1 + 1 / (1 + np.maximum(room, 0.0))
+    """Return the costs [m] from each reachable node to its eight neighbours."""
+    depth = (reach.distance - reach.clearance) / reach.step
+    cost_per_metre = 1 + 1 / (1 + np.maximum(depth, 0.0))
     nx, ny = reach.mask.shape
     rows, columns, costs = [], [], []
     for i, j in NEIGHBOURS:
@@ -51,14 +59,14 @@ def _node_graph(reach: Reach, number: Ints) -> sparse.csr_array:
         both = reach.mask[here] & reach.mask[there]
         rows.append(number[here][both])
         columns.append(number[there][both])
-        costs.append(0.5 * np.hypot(i, j) * reach.step * (dear[here] + dear[there])[both])
+        costs.append(0.5 * np.hypot(i, j) * reach.step * (cost_per_metre[here] + cost_per_metre[there])[both])
     n = int(reach.mask.sum())
     entries = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
     return sparse.csr_array(sparse.coo_array(entries, shape=(n, n)))
 
 
 def _nearest_node(place: Floats, reach: Reach) -> Ints | None:
-    """Return the index (2,) of the reachable node nearest to a place, of those around it; None: there is none."""
+    """Return the index (2,) of the reachable node nearest to a place, among those around it, or None."""
     at = np.floor((place - reach.origin) / reach.step).astype(np.intp)
     low = np.maximum(at - 2, 0)
     around = np.argwhere(reach.mask[low[0] : at[0] + 3, low[1] : at[1] + 3]) + low

@@ -1,4 +1,4 @@
-"""Where OMPL finds no path as a whole, and no straight way leads from cell to cell, one leads over the nodes of the raster."""
+"""Paths over raster nodes, for joins that neither OMPL nor straight legs over cells find."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from conftest import polygon_arena
 import planners.joins.paths as paths
 from planners.arena import Arena
 from planners.clearance import Barriers
-from planners.joins.raster_way import raster_way
+from planners.joins.raster_path import raster_path
 from planners.reach import Reach, reach
 from planners.types import Floats
 
@@ -31,33 +31,33 @@ def floor() -> tuple[Reach, Barriers]:
     return reach(arena, barriers, clearance=CLEARANCE, cell=1.0, start=np.array([1.5, 1.5])), barriers
 
 
-def length(way: Floats) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+def length(path: Floats) -> float:
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
-def test_the_way_keeps_its_clearance_and_is_little_longer_than_the_shortest(
+def test_the_path_keeps_its_clearance_and_is_little_longer_than_the_shortest(
     floor: tuple[Reach, Barriers],
 ) -> None:
     reached, barriers = floor
     start, end = np.array([1.0, 1.0]), np.array([9.0, 1.0])
-    way = raster_way(start, end, reached)
-    assert way is not None
-    np.testing.assert_array_equal(way[[0, -1]], [start, end])
-    assert barriers.are_clear(way[:-1], way[1:], CLEARANCE).all()
+    path = raster_path(start, end, reached)
+    assert path is not None
+    np.testing.assert_array_equal(path[[0, -1]], [start, end])
+    assert barriers.are_clear(path[:-1], path[1:], CLEARANCE).all()
     door = np.array([[4.75, 3.5], [5.45, 3.5]])
     shortest = length(np.concatenate([start[None], door, end[None]]))
-    assert shortest - 0.5 < length(way) < 1.2 * shortest  # steps are along eight directions
+    assert shortest - 0.5 < length(path) < 1.2 * shortest  # steps are along eight directions
 
 
-def test_no_way_leads_to_where_the_robot_cannot_be(floor: tuple[Reach, Barriers]) -> None:
-    assert raster_way(np.array([1.0, 1.0]), np.array([5.1, 1.0]), floor[0]) is None
+def test_no_path_leads_to_where_the_robot_cannot_be(floor: tuple[Reach, Barriers]) -> None:
+    assert raster_path(np.array([1.0, 1.0]), np.array([5.1, 1.0]), floor[0]) is None
 
 
 @pytest.mark.parametrize("end", [(9.0, 1.0), (6.0, 3.0)], ids=["far", "behind the door"])
 def test_rooms_are_joined_where_ompl_finds_nothing(
     floor: tuple[Reach, Barriers], end: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A planner that gives up stands for OMPL's, which finds a narrow door or does not."""
+    """A query without a result replaces OMPL, which may or may not find a narrow door."""
     reached, barriers = floor
     monkeypatch.setattr(paths, "_query", lambda starts, *_: [np.zeros((0, 2)) for _ in starts])
     (path,), joins = paths.connect(
