@@ -66,7 +66,7 @@ def test_a_file_without_an_effect_is_said_in_one_line(
     (tmp_path / "effects.yaml").write_text("[]\n")
     assert read(tmp_path / "effects.yaml", ROOM) == ()
     (line,) = caplog.messages
-    assert line == f"{tmp_path / 'effects.yaml'} holds no effect; the model stays as it is"
+    assert line == f"{tmp_path / 'effects.yaml'} contains no effect; the model is unchanged"
 
 
 def test_places_are_checked_later_against_the_arena_of_a_run() -> None:
@@ -74,7 +74,7 @@ def test_places_are_checked_later_against_the_arena_of_a_run() -> None:
         f"- {{name: glass, parameters: {{a: 90, b: 91, {PANE}}}, location: {{name: room/edge_0}}}}"
     )
     with pytest.raises(
-        SensorgraphError, match=r"mine.yaml: effect 1 \(glass\): the part .* lies beside `room/edge_0`"
+        SensorgraphError, match=r"mine.yaml: effect 1 \(glass\): the part .* is outside `room/edge_0`"
     ):
         check_places([pane], ROOM, name="mine.yaml")
 
@@ -101,7 +101,7 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
         (f"- {{{BIAS}}}\n- {{name: glas}}", "effect 2: unknown effect `glas`; did you mean `glass`?"),
         ("- {name: range_bias, params: {b: 1}}", "unknown key `params`; did you mean `parameters`?"),
         ("- {name: range_bias, parameters: {q: 1}}", "unknown parameter `q`; did you mean `b`?"),
-        ("- {name: range_bias}", "no parameter `b` (m, added to every return)"),
+        ("- {name: range_bias}", "parameter `b` is missing (m, offset of each return)"),
         ("- {name: range_bias, parameters: [1]}", "parameter is [1], expected NAME: NUMBER for b"),
         ("- {name: range_bias, parameters: {b: much}}", "parameter `b` is 'much', expected a number"),
         ("- {name: range_bias, parameters: {b: true}}", "is True, expected a number"),
@@ -115,10 +115,10 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
         (f"- {{{BIAS}, location: {{xy: [1]}}}}", "expected [x, y] in m"),
         (f"- {{{BIAS}, location: {{name: 3}}}}", "location.name is 3"),
         ("- {name: missing_obstacle, parameters: {x: 1}}", "none is expected"),
-        ("- {name: missing_obstacle}", "needs the obstacle it sits on"),
+        ("- {name: missing_obstacle}", "the name of its obstacle is missing"),
         (
             "- {name: mirror, parameters: {a: 0, b: 1}}",
-            "needs the wall it sits on; add location: {name: ...}",
+            "the name of its wall is missing; add location: {name: ...}",
         ),
         (
             "- {name: moved_wall, parameters: {d: 0.1}, location: {name: room}}",
@@ -137,7 +137,7 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
         ("- {name: mirror, parameters: {a: 1, b: 1}, location: {name: room/edge_0}}", "expected a < b"),
         (
             f"- {{name: glass, parameters: {{a: 90, b: 91, {PANE}}}, location: {{name: room/edge_0}}}}",
-            "lies beside `room/edge_0`",
+            "is outside `room/edge_0`",
         ),
     ],
 )

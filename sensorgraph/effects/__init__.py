@@ -1,4 +1,4 @@
-"""The physics that a bare ray caster lacks, one file each. `EFFECTS` is all of it."""
+"""The library of physical effects that a bare ray caster lacks, one file each; `EFFECTS` is the registry."""
 
 from __future__ import annotations
 

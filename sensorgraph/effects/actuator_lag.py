@@ -7,7 +7,7 @@ from sensorgraph.world.drivetrain import Drivetrain
 
 
 def transform(drivetrain: Drivetrain, a: Amendment) -> None:
-    """Slow the motors down."""
+    """Increase the time constant of the motors."""
     drivetrain.tau = max(drivetrain.tau + a["tau"], 0.0)
 
 
@@ -16,14 +16,16 @@ ACTUATOR_LAG = Effect(
     title="actuator lag",
     channel="drive",
     stage="motors",
-    physics="The motors follow a command with a time constant tau longer than robot.yaml says.",
+    physics="The time constant of the motors is longer than specified in robot.yaml, by tau.",
     equation="(τ₀ + τ) dv/dt = u − v",
     source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
-    varies="command against odometry: an exponential step",
-    rivals={"dead_time": "a step, not a ramp: dead time shifts it whole"},
+    varies="changes of the command, with an exponential response",
+    rivals={"dead_time": "command a step: dead time shifts the response without changing its shape"},
     parameters=(
-        Parameter(name="tau", unit="s", doc="added to the time constant of robot.yaml", materiality=0.015),
+        Parameter(
+            name="tau", unit="s", doc="increase of the time constant over robot.yaml", materiality=0.015
+        ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too few changes of the commands"),
+    diagnostics=Diagnostics(why_unseen="the commands change too rarely"),
 )

@@ -27,12 +27,12 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Lose rays that meet it slanting or from afar."""
+    """Add the loss of rays at oblique incidence or long range."""
     scene.surfaces.append(partial(absorb, a=a))
 
 
 def absorb(scene: Scene, beams: Beams, *, a: Amendment) -> None:
-    """Lower the chance of a return on the black part."""
+    """Reduce the probability of a return on the black part."""
     on = part_of_wall(scene, beams, a)
     near = min(a["r0"], 1e6) / np.maximum(beams.ranges, 1e-6)
     chance = np.minimum(1.0, beams.cosine * near**2)
@@ -40,7 +40,7 @@ def absorb(scene: Scene, beams: Beams, *, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for misses that grow with range and incidence, on a part of one wall."""
+    """Search for missing returns that increase with range and incidence, on a part of one wall."""
     on = residuals.beams.wall >= 0
     lost = on & residuals.lost & residuals.aimed
     if lost.sum() < PROPOSAL.min_lost:
@@ -84,13 +84,13 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the walls that were hardly met from afar or slanting."""
+    """Return the walls with too few rays from far away or at oblique incidence."""
     r0 = typical["r0"]
     with np.errstate(divide="ignore"):
         p = np.cos(exposure.incidence) * (r0 / np.maximum(exposure.range, 1e-3)) ** 2
     p = np.clip(p, 1e-3, 1 - 1e-3)
     nats = p * np.log(p / (1 - exposure.loss)) + (1 - p) * np.log((1 - p) / exposure.loss)
-    why = f"hardly met from farther than {r0:.0f} m, or at a slant"
+    why = f"too few rays from farther than {r0:.0f} m, or at oblique incidence"
     return blind_walls(exposure, exposure.seen * nats, need, why)
 
 
@@ -102,17 +102,17 @@ BLACK_SURFACE = Effect(
     physics="A dark part of a wall returns with probability min(1, cos(incidence) (r0 / r)^2).",
     equation="P(return) = min(1, cos α (r₀ / r)²), from a to b along the wall",
     source="Jelalian (1992), laser radar systems: the range equation of a Lambertian target",
-    varies="one part of one wall, losses that grow with range and incidence",
+    varies="range and incidence on a part of one wall",
     rivals={
-        "max_range": "another wall at the same range",
-        "incidence_dropout": "another wall at the same incidence",
+        "max_range": "look at another wall at the same range",
+        "incidence_dropout": "look at another wall at the same incidence",
     },
     parameters=(
-        *ends_of_part("it"),
+        *ends_of_part("the dark part"),
         Parameter(
             name="r0",
             unit="m",
-            doc="a head-on return is sure up to this range",
+            doc="range up to which every ray returns at normal incidence",
             neutral=None,
             low=0.0,
             search_step=0.05,

@@ -7,7 +7,7 @@ from sensorgraph.world.drivetrain import Drivetrain
 
 
 def transform(drivetrain: Drivetrain, a: Amendment) -> None:
-    """Let commands wait."""
+    """Delay the commands."""
     drivetrain.delay = max(drivetrain.delay + a["L"], 0.0)
 
 
@@ -16,12 +16,14 @@ DEAD_TIME = Effect(
     title="dead time",
     channel="drive",
     stage="motors",
-    physics="A command acts L later than robot.yaml says.",
+    physics="A command acts later than specified in robot.yaml, by L.",
     equation="v(t) = u(t − L₀ − L)",
     source="Billings (2013), Nonlinear System Identification, section 2.3: pure delay",
-    varies="command against odometry: a pure shift",
-    rivals={"actuator_lag": "a step: a lag bends it"},
-    parameters=(Parameter(name="L", unit="s", doc="added to the dead time of robot.yaml", materiality=0.02),),
+    varies="changes of the command, with a delayed response",
+    rivals={"actuator_lag": "command a step: a lag changes the shape of the response"},
+    parameters=(
+        Parameter(name="L", unit="s", doc="increase of the dead time over robot.yaml", materiality=0.02),
+    ),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too few changes of the commands"),
+    diagnostics=Diagnostics(why_unseen="the commands change too rarely"),
 )

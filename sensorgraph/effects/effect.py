@@ -1,8 +1,8 @@
-"""Effect: one piece of physics that a bare ray caster lacks; Amendment: an effect with its numbers.
+"""Effect: one piece of physics that a bare ray caster lacks; Amendment: an effect with parameter values.
 
-Everything that is known about an effect stands on it: its physics, how a fit finds each of its parameters
-(`Parameter`), and what diagnosis must know to propose it, to judge it, and to say when it cannot be seen
-(`Diagnostics`). A further effect is one file and one line in `sensorgraph.effects.EFFECTS`.
+An `Effect` contains its physics, the fit of each of its parameters (`Parameter`), and the functions with which
+diagnosis proposes it, evaluates it, and decides whether a run could show it (`Diagnostics`). A new effect is one
+file and one line in `sensorgraph.effects.EFFECTS`.
 """
 
 from __future__ import annotations
@@ -28,157 +28,161 @@ Channel = Literal["scan", "odometry", "drive"]
 Place = Literal["wall", "obstacle", "spot", "sector"]
 
 JUMP = 25.0
-"""[m per unit] a larger change of a reading with a parameter is a jump to another surface."""
+"""[m per unit] Change of a reading with a parameter above which the ray jumps to another surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of an effect, and how a fit finds it."""
+    """One parameter of an effect, and its settings in a fit."""
 
     name: str
     unit: str
     doc: str
     neutral: float | None = 0.0
-    """The value that changes nothing; None: no single value does."""
+    """Value without influence; None if there is no such value."""
     materiality: float | None = None
-    """A smaller size is within the tolerance of a careful set-up; None: the size is not this number's."""
+    """Size below which the effect is within the tolerance of a careful setup; None if this parameter is not a size."""
     low: float = -float("inf")
     high: float = float("inf")
     absent_at_zero: bool = False
-    """0 says that there is no such thing: it is neither fitted then, nor does it count as a parameter."""
+    """The parameter is absent at 0: it is then neither fitted nor counted as a parameter."""
 
     step: float | None = None
-    """Of the difference quotient by which Gauss-Newton solves for it; None: readings do not follow it smoothly."""
+    """Step of the difference quotient in Gauss-Newton; None if readings do not depend on it smoothly."""
     jump: float = JUMP
-    """[m per unit] a larger difference quotient is a jump to another surface."""
+    """[m per unit] Difference quotient above which the ray jumps to another surface."""
     search_step: float | None = None
-    """First step of the search along the likelihood; None: it is not searched."""
+    """First step of the search along the likelihood; None if it is not searched."""
     refit: bool = False
-    """Its likelihood profile takes a fit at every value, since smooth parameters make up for most of a change."""
+    """Refit the smooth parameters at each value of the likelihood profile, because they compensate most of a change."""
     typical: float | None = None
-    """A value at which the effect should show, for parameters without a materiality."""
+    """Value at which the effect should be visible, for parameters without a materiality."""
     nuisance: Nuisance | None = None
-    """Its tolerance-sized copy in every fit, held at 0 while the effect is in the model."""
+    """Nuisance parameter of the same kind in each fit; it is 0 while the effect is in the model."""
     hidden: Callable[[SetUp], float] | None = None
-    """What a careful set-up, or the spacing of the rays, hides of it, in its unit; None: no more than its nuisance."""
+    """Function of the setup that returns the error of this parameter, in its unit; None: only its nuisance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Telltale:
-    """Effects that cast doubt on themselves where several of them are found in one run.
+    """A rule for effects that are suspicious if several of them are found in one run.
 
-    Effects that share one such object are counted together.
+    Effects with the same rule are counted together.
     """
 
     least: int
-    """So many of them are suspect."""
+    """Number of effects from which the result is suspicious."""
     statement: str
-    """What they point to."""
+    """Statement on the probable cause."""
     distinct: bool = False
-    """Different effects are counted, not places of the same one."""
+    """Count different effects, not places of the same effect."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnostics:
-    """What diagnosis knows of an effect beyond its physics. A plain smooth effect needs none of it.
+    """Properties of an effect that diagnosis needs in addition to its physics; a smooth effect needs none of them.
 
-    The first group tells how the effect is looked for. Without any of it, an effect of the scan channel with smooth
-    parameters is looked for by the score test on its own columns.
+    The first group defines the search for the effect. Without them, an effect of the scan channel with smooth
+    parameters is detected by a score test on its own columns.
     """
 
     propose: Callable[[Residuals], Sequence[Proposal]] | None = None
-    """Look for the effect in the residuals of a fit."""
+    """Search for the effect in the residuals of a fit."""
     sweep: Callable[[Residuals], Sequence[Sequence[Mapping[str, float]]]] | None = None
-    """Return groups of start values, in each the weakest first; the best of each group, by casting them, is proposed."""
+    """Return groups of start values, weakest first in each group; the best of each group, by casting, is proposed."""
     corner_shifts: Callable[[Arena, Floats, Ints], Sequence[CornerShift]] | None = None
-    """Express the effect at each of its places as a shift of the map's corners, of which every fit has the columns.
+    """Express the effect at each of its places as a shift of the map's corners, whose columns each fit has.
 
-    Takes the arena, the walls of the fit (n_walls, 2, 2) [m], and which corner each wall ends at (n_walls, 2).
+    Takes the arena, the walls of the fit (n_walls, 2, 2) [m], and the corners at the ends of each wall (n_walls, 2).
     """
     second_start: Callable[[float], Mapping[str, float]] | None = None
-    """Return values of a further start of the fit, for a run of this length [s]."""
+    """Return values of a second start of the fit, for a run of this length [s]."""
     site_start: Mapping[str, float] | None = None
-    """A site or its map may always show it: where the fit of a good run starts; None: it is never part of a baseline."""
+    """Start values for the fit of a good run, if the effect may belong to a site or its map; None: never in a baseline."""
 
     wide_beam: bool = False
-    """A reading is not that of one thin ray, so that edges in depth are not where that ray passes them."""
+    """A reading depends on more than one thin ray, so that depth edges are not where that ray passes them."""
     explains: Literal["", "short readings", "strays"] = ""
-    """It explains readings one by one, wherever they are, and so must be checked against their pattern."""
+    """The effect explains single readings anywhere, so that their pattern must be checked."""
     at_edges: bool = False
-    """It shows at true edges in depth, which a map made of scraps does not have."""
+    """The effect acts at true depth edges, which a fragmentary map does not have."""
     is_lattice: bool = False
-    """Every reading lies on its lattice, whatever else is amiss."""
+    """All readings are on a lattice, independently of other effects."""
 
     wheel_regressor: WheelRegressor | None = None
-    """How the odometry channel fits the effect; None: not by a column of its own."""
+    """Regressor in the odometry channel; None if the effect has no separate column."""
     motor_regressor: MotorRegressor | None = None
-    """How the drive channel fits the effect; None: not by a column of its own."""
+    """Regressor in the drive channel; None if the effect has no separate column."""
 
     leftover_share: float = 0.0
-    """Its model is coarse: what is left gains less than this share of the model's gain, and is no further effect."""
+    """Share of the gain of this coarse model below which a further candidate is a remainder of it."""
     leftovers: Mapping[str, float] = field(default_factory=dict)
-    """The same by the name of the further effect, where that is more."""
+    """Name of a further candidate -> its share, if larger than `leftover_share`."""
     misfit_share: float | None = None
-    """The model is coarse: a misfit below this share of the model's gain is no doubt; None: as for exact models."""
+    """Share of the gain of this coarse model below which a misfit is not reported; None: the share of exact models."""
     telltale: Telltale | None = None
     stands_back: Callable[[Amendment], float] | None = None
-    """Return by how much [m] its part of a wall stands back, if it is not surely more than that; inf: it is more."""
+    """Return the depth [m] by which its part of a wall is set back; inf if the effect is more than a set-back wall."""
 
     tolerance: str = ""
-    """The key in robot.yaml's tolerances that takes the effect along without a name."""
+    """Key in the tolerances of robot.yaml that covers the effect without reporting it."""
     hidden_by_slam: bool = False
-    """Poses that were estimated from the same scans have taken it along."""
+    """Poses estimated from the same scans absorb the effect."""
     unobservable: Callable[[Exposure, Mapping[str, float], float], str] | None = None
-    """Say why a run cannot show the effect at typical values that take so many nats; empty: it can."""
+    """Return why a run cannot show the effect at typical values with the needed evidence [nats]; empty if it can.
+
+    A text that starts with places has a colon after them, and no other text has a colon.
+    """
     why_unseen: str | Callable[[Exposure], str] = ""
-    """What a run lacks that cannot show a smooth effect."""
+    """Property that a run lacks if it cannot show a smooth effect."""
     look_alike: Callable[[Exposure], tuple[str, str] | None] | None = None
-    """Return the effect that this run cannot tell from it, and why; None: there is none."""
+    """Return an effect that this run cannot distinguish from it, and the reason; None if it can distinguish all."""
 
     is_forecast: bool = True
-    """The design of a next run can compare models with it and without it."""
+    """The design of a next run can compare models with and without the effect."""
     question_rank: int | None = None
-    """Where nothing is open, a next run looks for the effects that have a rank, the lowest first."""
+    """Rank among the effects for which a next run searches if no question is open, lowest first; None: not searched."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
-    """One physical effect: what it does to the simulator, and what is known about it."""
+    """One physical effect: its change of the simulator, its parameters, and its diagnostics."""
 
     name: str
-    """Canonical; the same in every file and report."""
+    """Canonical name, the same in every file and report."""
     title: str
+    """Noun phrase for reports, without an article."""
     channel: Channel
     stage: str
-    """Which stage of the simulator it changes (`sensorgraph.world.scene.STAGES`, `wheels`, `motors`)."""
+    """Stage of the simulator that it changes (`sensorgraph.world.scene.STAGES`, `wheels`, `motors`)."""
     physics: str
-    """One sentence."""
+    """Physics in one sentence."""
     source: str
-    """Where the physics is from."""
+    """Source of the physics."""
     varies: str
-    """What its residual varies with."""
+    """Quantities on which its residual depends; completes "it varies with ..."."""
     rivals: Mapping[str, str]
-    """Effects it may be confused with -> what tells them apart."""
+    """Effect with which it may be confused -> experiment or property that distinguishes them."""
     parameters: tuple[Parameter, ...]
     transform: Callable[[Any, Amendment], None]
-    """Change a Scene (channel scan) or a Machine (odometry, drive) in place."""
+    """Change a Scene (channel scan) or a Drivetrain (odometry, drive) in place."""
     place: Place | None = None
-    """What its location names."""
+    """Kind of its location."""
     equation: str = ""
-    """The physics in symbols: r ideal range, z measured, θ bearing, α incidence, t time."""
+    """Physics in symbols: r ideal range, z measured, θ bearing, α incidence, t time."""
     absorber: bool = False
-    """It widens or mixes the distribution, so that it fits a little of everything; second class when naming."""
+    """The effect widens or mixes the distribution and so fits a little of everything; other effects are preferred."""
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
 
     def __repr__(self) -> str:
         return f"Effect({self.name}: {self.physics})"
 
     def __call__(self, **values: float) -> Amendment:
-        """Return the effect with these parameter values; `place` is set with `.at`."""
+        """Return the effect with these parameter values; `.at` sets its location."""
         return Amendment(effect=self, parameters=values)
 
     def parameter(self, name: str) -> Parameter:
-        """Return the parameter of this name.
+        """Return the parameter with this name.
 
         Raises
         ------
@@ -192,12 +196,12 @@ class Effect:
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Parameters that have a materiality -> that materiality."""
+        """Parameters with a materiality -> their materiality."""
         return {p.name: p.materiality for p in self.parameters if p.materiality is not None}
 
     @property
     def steps(self) -> dict[str, float]:
-        """Parameters that Gauss-Newton solves for -> step of their difference quotient."""
+        """Parameters of Gauss-Newton -> step of their difference quotient."""
         return {p.name: p.step for p in self.parameters if p.step is not None}
 
     @property
@@ -207,27 +211,27 @@ class Effect:
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """Tolerance-sized copies of its parameters, in the order of the parameters."""
+        """Nuisances of its parameters, in the order of the parameters."""
         return tuple(p.nuisance for p in self.parameters if p.nuisance is not None)
 
     @property
     def on_part_of_wall(self) -> bool:
-        """It sits on a wall from `a` to `b` [m from the wall's first end]."""
+        """Whether it acts on a wall from `a` to `b` [m from the wall's first end]."""
         return self.place == "wall" and {"a", "b"} <= {p.name for p in self.parameters}
 
     @property
     def has_own_columns(self) -> bool:
-        """It is smooth, and nothing but its own difference quotients tells of it."""
+        """Whether it is smooth and detected only by its own difference quotients."""
         d = self.diagnostics
         looked_for = d.propose or d.sweep or d.corner_shifts
         return self.channel == "scan" and bool(self.steps) and not (looked_for or self.nuisances)
 
     def at_neutral(self) -> Amendment:
-        """Return it with the values that change nothing."""
+        """Return the effect with its neutral values."""
         return self(**{p.name: p.neutral for p in self.parameters if p.neutral is not None})
 
     def typical(self, times: float) -> dict[str, float]:
-        """Return values at which a run should show it: so many materialities, else typical, else neutral ones."""
+        """Return values at which a run should show it: `times` the materiality, else typical, else neutral values."""
         out = {}
         for p in self.parameters:
             value = p.neutral if p.typical is None else p.typical
@@ -239,16 +243,16 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
-    """Where an effect sits: the name of a wall or obstacle, and a point."""
+    """Location of an effect: the name of a wall or obstacle, and a point."""
 
     name: str = ""
     xy: tuple[float, float] | None = None
-    """[m, map]"""
+    """[m, map] Point."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Amendment:
-    """An effect with its numbers: what is added to the model of a robot in its arena."""
+    """An effect with parameter values, which is added to the model of a robot in its arena."""
 
     effect: Effect
     parameters: Mapping[str, float]
@@ -256,7 +260,7 @@ class Amendment:
     location: Location | None = None
     probability: float | None = None
     evidence: float | None = None
-    """[nats] by which the data prefer the model with it."""
+    """[nats] Log Bayes factor of the model with the effect over the model without it."""
 
     def __repr__(self) -> str:
         numbers = ", ".join(
@@ -264,32 +268,32 @@ class Amendment:
             for k, v in self.parameters.items()
         )
         where = f" at {self.place}" if self.place else ""
-        sure = f", {100 * self.probability:.0f} %" if self.probability is not None else ""
-        return f"{self.name}({numbers}){where}{sure}"
+        percent = f", {100 * self.probability:.0f} %" if self.probability is not None else ""
+        return f"{self.name}({numbers}){where}{percent}"
 
     @property
     def name(self) -> str:
-        """The effect's canonical name."""
+        """Canonical name of the effect."""
         return self.effect.name
 
     @property
     def stage(self) -> str:
-        """The stage of the simulator it changes."""
+        """Stage of the simulator that it changes."""
         return self.effect.stage
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What amendments of one stage are sorted by."""
+        """Sort key among the amendments of one stage."""
         return (self.name, self.place, *sorted(self.parameters.items()))
 
     @property
     def place(self) -> str:
-        """The name of the wall or obstacle it sits on; empty where it has none."""
+        """Name of its wall or obstacle; empty without one."""
         return self.location.name if self.location is not None else ""
 
     @property
     def steps(self) -> dict[str, float]:
-        """Parameters that Gauss-Newton solves for here -> step of their difference quotient."""
+        """Parameters of Gauss-Newton at these values -> step of their difference quotient."""
         return {
             p.name: p.step
             for p in self.effect.parameters
@@ -298,27 +302,27 @@ class Amendment:
 
     @property
     def search_steps(self) -> dict[str, float]:
-        """Parameters that it has and that are searched -> first step of the search."""
+        """Its searched parameters -> first step of the search."""
         return {k: step for k, step in self.effect.search_steps.items() if k in self.parameters}
 
     def __getitem__(self, name: str) -> float:
         return self.parameters[name]
 
-    def __call__(self, thing: Any) -> None:
-        """Apply it to a Scene (channel scan) or a Machine."""
-        self.effect.transform(thing, self)
+    def __call__(self, target: Any) -> None:
+        """Apply it to a Scene (channel scan) or a Drivetrain (odometry, drive)."""
+        self.effect.transform(target, self)
 
     def at(self, name: str = "", xy: Floats | tuple[float, float] | None = None) -> Amendment:
-        """Return it with a location."""
+        """Return the amendment with a location."""
         point = None if xy is None else (float(xy[0]), float(xy[1]))
         return replace(self, location=Location(name=name, xy=point))
 
     def moved_to(self, values: Mapping[str, float]) -> Amendment:
-        """Return it with some parameters replaced."""
+        """Return the amendment with some parameters replaced."""
         return replace(self, parameters={**self.parameters, **values})
 
     def moved_within_bounds(self, values: Mapping[str, float]) -> Amendment:
-        """Return it with some parameters replaced, each by the nearest value that the effect allows."""
+        """Return the amendment with some parameters replaced, each limited to its allowed range."""
         allowed = {name: self.effect.parameter(name) for name in values}
         return self.moved_to(
             {
@@ -329,7 +333,7 @@ class Amendment:
 
     @property
     def ratio(self) -> float:
-        """Its size over its materiality; inf for an effect that has no limit of size."""
+        """Size over materiality; inf for an effect without materiality."""
         return size_ratio(self.effect, self.parameters)
 
 
@@ -339,7 +343,7 @@ def without(model: Sequence[Amendment], *indices: int) -> tuple[Amendment, ...]:
 
 
 def size_ratio(effect: Effect, values: Mapping[str, float]) -> float:
-    """Return how many times its materiality an effect is (several sizes add as a vector)."""
+    """Return the ratio of an effect's size to its materiality; several sizes add as a vector."""
     sizes = {k: m for k, m in effect.sizes.items() if k in values}
     if not sizes:
         return float("inf")

@@ -1,4 +1,4 @@
-"""effects.yaml: the amendments of a model, versioned and readable; what `diagnose` writes and others accept."""
+"""Read and write effects.yaml, the amendments of a model, which `diagnose` writes and other commands read."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from sensorgraph.errors import SensorgraphError
 logger = logging.getLogger(__name__)
 
 SHOWN_PLACES = 6
-"""Places of an arena that a message lists."""
+"""Maximum number of places of an arena in a message."""
 KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
 OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
-"""Parameters that may be left out; they are then neutral."""
+"""Effect -> optional parameters, which are neutral if left out."""
 
 
 def write(amendments: Iterable[Amendment], path: Path) -> None:
-    """Write effects.yaml, whole or not at all."""
+    """Write effects.yaml; after an error there is no partial file."""
     with atomic_file(path) as part:
         part.write_text(dumps(amendments), encoding="utf-8")
 
@@ -41,7 +41,7 @@ def dumps(amendments: Iterable[Amendment]) -> str:
 
 
 def to_dict(a: Amendment) -> dict[str, Any]:
-    """Return an amendment as plain data, without what it does not say."""
+    """Return an amendment as plain data without empty entries."""
     out: dict[str, Any] = {"name": a.name, "parameters": {k: float(v) for k, v in a.parameters.items()}}
     if a.stderr:
         out["stderr"] = {k: float(v) for k, v in a.stderr.items()}
@@ -56,23 +56,23 @@ def to_dict(a: Amendment) -> dict[str, Any]:
 
 
 def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
-    """Read effects.yaml, and check its places against the arena where one is given.
+    """Read effects.yaml, and check its places if an arena is given.
 
     Raises
     ------
-    SensorgraphError : there is no such text file, or it is not a list of known effects with numbers and places that fit
+    SensorgraphError : The file is not a text file, or not a list of known effects with valid numbers and places.
     """
     if path.is_dir():
         raise SensorgraphError(f"{path} is a directory, expected an effects.yaml")
     if not path.exists():
-        raise SensorgraphError(f"{path} does not exist; give an effects.yaml such as `diagnose` writes")
+        raise SensorgraphError(f"{path} does not exist; give an effects.yaml, as `diagnose` writes it")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
         raise SensorgraphError(f"{path} is not a text file; expected an effects.yaml") from exc
     amendments = loads(text, arena, name=str(path))
     if not amendments:
-        logger.warning("%s holds no effect; the model stays as it is", path)
+        logger.warning("%s contains no effect; the model is unchanged", path)
     return amendments
 
 
@@ -81,7 +81,7 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
 
     Raises
     ------
-    SensorgraphError : the text is not YAML, or not a list of known effects with numbers and places that fit
+    SensorgraphError : The text is not YAML, or not a list of known effects with valid numbers and places.
     """
     try:
         data = parse_yaml(text)
@@ -90,17 +90,17 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
     data = [] if data is None else data
     if not isinstance(data, list):
         raise SensorgraphError(
-            f"{name}: holds a {type(data).__name__}, expected a list of effects, `- name: ...`"
+            f"{name}: contains a {type(data).__name__}, expected a list of effects, `- name: ...`"
         )
     return tuple(_amendment(entry, f"{name}: effect {i}", arena) for i, entry in enumerate(data, start=1))
 
 
 def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "effects") -> None:
-    """Check that the arena has the walls and obstacles that amendments name, and the parts of walls.
+    """Check that the arena has the walls, the obstacles and the parts of walls of amendments.
 
     Raises
     ------
-    SensorgraphError : it lacks a place, or a part lies beyond the end of its wall
+    SensorgraphError : The arena lacks a place, or a part is beyond the end of its wall.
     """
     for i, a in enumerate(amendments, start=1):
         where = f"{name}: effect {i} ({a.name})"
@@ -110,9 +110,7 @@ def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "
 
 def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise SensorgraphError(
-            f"{where} is {entry!r}, expected keys {', '.join(KEYS)}, of which name is needed"
-        )
+        raise SensorgraphError(f"{where} is {entry!r}, expected keys {', '.join(KEYS)}; name is required")
     _refuse_unknown(entry, KEYS, where, "key")
     if entry["name"] not in EFFECTS:
         raise SensorgraphError(
@@ -126,7 +124,9 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
         if p.name not in parameters:
             if p.name in OPTIONAL.get(effect.name, ()):
                 continue
-            raise SensorgraphError(f"{where}: no parameter `{p.name}` ({_unit(p.unit)}, {p.doc}); add it")
+            raise SensorgraphError(
+                f"{where}: parameter `{p.name}` is missing ({_unit(p.unit)}, {p.doc}); add it"
+            )
         if not p.low <= parameters[p.name] <= p.high:
             raise SensorgraphError(
                 f"{where}: parameter `{p.name}` is {parameters[p.name]:g}, expected {p.low:g} to {p.high:g}"
@@ -164,14 +164,14 @@ def _location(data: Any, where: str) -> Location | None:
 
 
 def _check_place(effect: Effect, location: Location | None, arena: Arena | None, where: str) -> None:
-    """Refuse a wall or obstacle that is not told, or that the arena lacks."""
+    """Refuse a wall or obstacle that is not given, or that the arena lacks."""
     if effect.place not in ("wall", "obstacle"):
         return
     name = "" if location is None else location.name
     like = "`NAME/edge_0`" if effect.place == "wall" else "a feature's name"
     if not name:
         raise SensorgraphError(
-            f"{where}: needs the {effect.place} it sits on; add location: {{name: ...}}, {like}"
+            f"{where}: the name of its {effect.place} is missing; add location: {{name: ...}}, {like}"
         )
     if arena is None:
         return
@@ -187,13 +187,13 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
 def _check_part(
     effect: Effect, values: Mapping[str, float], wall: str, arena: Arena | None, where: str
 ) -> None:
-    """Refuse a part of a wall that ends before it begins, or begins where the wall has ended."""
+    """Refuse a part of a wall with a >= b, or outside the wall."""
     if effect.place != "wall" or not {"a", "b"} <= set(values):
         return
     a, b = values["a"], values["b"]
     if a >= b:
         raise SensorgraphError(
-            f"{where}: the part begins at a = {a:g} m and ends at b = {b:g} m; expected a < b, both along "
+            f"{where}: the part is from a = {a:g} m to b = {b:g} m; expected a < b, both along "
             "the wall from its first corner"
         )
     if arena is None:
@@ -201,7 +201,7 @@ def _check_part(
     length = float(np.hypot(*np.diff(arena.walls[arena.names.index(wall)], axis=0)[0]))
     if a >= length or b <= 0:
         raise SensorgraphError(
-            f"{where}: the part from a = {a:g} m to b = {b:g} m lies beside `{wall}`, which is {length:.2f} m "
+            f"{where}: the part from a = {a:g} m to b = {b:g} m is outside `{wall}`, which is {length:.2f} m "
             "long; expected a and b along the wall from its first corner"
         )
 
@@ -226,7 +226,7 @@ def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
 
 
 def _number(value: Any, where: str, *, is_finite: bool = True) -> float:
-    """Check a number; `1e-3`, which YAML takes for a word, is one too."""
+    """Check a number; `1e-3`, which YAML reads as text, is a number too."""
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
@@ -248,7 +248,7 @@ def _nearest(name: str, known: Sequence[str]) -> str:
 
 
 def _places_like(name: str, known: Sequence[str]) -> str:
-    """Say which place was perhaps meant: the edges of the feature that is named, one with a name like it, or the first ones."""
+    """Suggest places: the edges of the given feature, a similar name, or the first places of the arena."""
     feature = name.rsplit("/", 1)[0]
     own = [wall for wall in known if wall.startswith(f"{feature}/")]
     if own:

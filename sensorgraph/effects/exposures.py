@@ -1,4 +1,4 @@
-"""Shared tests of whether a run could have shown an effect, and the sentences that say so."""
+"""Common tests of whether a run could show an effect, and the texts that give the reason."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from sensorgraph.effects.interfaces import Exposure
 from sensorgraph.types import Bools, Floats
 
 UNEXPECTED = 5.0
-"""[nats] of a reading far from where it is expected."""
+"""[nats] Evidence of a reading far from its expected value."""
 MAX_PLACES = 4
-"""Places named in a sentence."""
+"""Maximum number of places in a text."""
 ONE_WALL = 0.98
-"""Share of rays on one wall above which they may as well tell of that wall."""
+"""Share of rays on one wall above which the cause may be this wall."""
 MIN_RAYS = 4
-"""Rays; fewer tell nothing of where they are."""
+"""Minimum number of rays for a statement on their place."""
 
 
 def listed(places: Sequence[str]) -> str:
-    """Name the first few places."""
+    """Return the first few places as text."""
     more = len(places) - MAX_PLACES
     return ", ".join(places[:MAX_PLACES]) + (f" and {more} more" if more > 0 else "")
 
 
 def falls_short(nats: float, need: float) -> str:
-    """Say how much evidence a run would bring, and how much a name takes [nats]."""
-    return f"it would bring {nats:.0f} nats, and a name takes {need:.0f}"
+    """Return a text on the expected evidence of a run and the evidence needed to report an effect [nats]."""
+    return f"the expected log Bayes factor is {nats:.0f}, and {need:.0f} are needed"
 
 
 def blind_walls(exposure: Exposure, nats: Floats, need: float, why: str) -> str:
-    """Name the walls on which too few rays would tell; `nats` (n_scans, n_rays) of each ray."""
+    """Return the walls with too little evidence as text; `nats` (n_scans, n_rays) is the evidence of each ray."""
     names = exposure.arena.names
     on = exposure.wall >= 0
     total = np.bincount(exposure.wall[on], nats[on], len(names))[: len(names)]
@@ -40,7 +40,7 @@ def blind_walls(exposure: Exposure, nats: Floats, need: float, why: str) -> str:
 
 
 def too_few_returns(exposure: Exposure, share: float, need: float) -> str:
-    """Say that a share of odd readings would not stand out of the strays that need no effect."""
+    """Return a text if a share of odd readings is not detectable among the usual outliers; empty otherwise."""
     p, usual = share, exposure.stray
     per_return = p * np.log(p / usual) + (1 - p) * np.log((1 - p) / (1 - usual)) if p > usual else 0.0
     nats = exposure.n_seen * per_return
@@ -48,7 +48,7 @@ def too_few_returns(exposure: Exposure, share: float, need: float) -> str:
 
 
 def only_wall(exposure: Exposure, some: Bools) -> str:
-    """Return the one wall that nearly all of some rays met; empty where there is none."""
+    """Return the one wall that almost all of some rays hit; empty if they hit several."""
     walls = np.bincount(exposure.wall[some & (exposure.wall >= 0)])
     n = int(walls.sum())
     if n < MIN_RAYS or walls.max() <= ONE_WALL * n:
@@ -57,18 +57,18 @@ def only_wall(exposure: Exposure, some: Bools) -> str:
 
 
 def count_of_returns(exposure: Exposure) -> str:
-    """Say how many returns there are."""
+    """Return a text on the number of returns."""
     return f"only {exposure.n_seen} returns"
 
 
 def spread_of_ranges(exposure: Exposure) -> str:
-    """Say which ranges there are."""
+    """Return a text on the 90 % interval of the ranges."""
     low, high = np.percentile(exposure.reading[exposure.seen], [5, 95]) if exposure.n_seen else (0.0, 0.0)
-    return f"ranges only from {low:.1f} to {high:.1f} m"
+    return f"the ranges are only from {low:.1f} to {high:.1f} m"
 
 
 def speeds(exposure: Exposure) -> str:
-    """Say how fast the robot drove and turned."""
+    """Return a text on the 95 % quantiles of speed and turn rate."""
     speed = float(np.percentile(np.hypot(*exposure.twists[:, :2].T), 95))
     turn = float(np.percentile(np.abs(exposure.twists[:, 2]), 95))
     return f"the robot drove at most {speed:.2f} m/s and turned at most {turn:.2f} rad/s"

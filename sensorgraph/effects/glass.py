@@ -28,12 +28,12 @@ from sensorgraph.world.scene import RIGHT_ANGLE, Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Let slanting rays through."""
+    """Add the transmission of rays at oblique incidence."""
     scene.surfaces.append(partial(pass_through, a=a))
 
 
 def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
-    """Lengthen the rays that the pane does not return."""
+    """Lengthen the rays that pass through the pane."""
     on = part_of_wall(scene, beams, a)
     through = on & (beams.incidence >= a["alpha_ret"])
     if not through.any():
@@ -48,14 +48,14 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
 
 
 def stands_back(a: Amendment) -> float:
-    """Return the depth [m] of a plane behind a pane that returns no ray as far as anyone can tell: the wall itself; else inf."""
+    """Return the depth [m] of the plane behind if the pane is not significant, so that the wall is set back; else inf."""
     depth = a.parameters.get("depth", 0.0)
     is_pane = a.parameters.get("alpha_ret", RIGHT_ANGLE) > 2 * a.stderr.get("alpha_ret", 0.0)
     return np.inf if is_pane or depth == 0 else depth
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for long or missing readings at slanting incidence, on a part of one wall."""
+    """Search for long or missing returns at oblique incidence, on a part of one wall."""
     on, walls = strange_on_walls(residuals)
     found = []
     for wall in walls:
@@ -64,7 +64,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def _panes(residuals: Residuals, wall: int, mine: Bools) -> list[Proposal]:
-    """Propose panes on one wall: with a plane behind, and with what the map has behind."""
+    """Propose panes on one wall, with a plane behind and with the map behind."""
     z, mu = residuals.z[mine], residuals.mu[mine]
     incidence, cosine = residuals.incidence[mine], residuals.beams.cosine[mine]
     along, log_p = residuals.along[mine], residuals.log_p[mine]
@@ -109,7 +109,7 @@ def _panes(residuals: Residuals, wall: int, mine: Bools) -> list[Proposal]:
 def _pane(
     along: Floats, incidence: Floats, through: Floats, span: tuple[float, float]
 ) -> tuple[float, float, float, float]:
-    """Sharpen ends and limiting incidence of a pane to the ray; return a, b, alpha_ret and the gain."""
+    """Return a, b, alpha_ret of a pane, refined to single rays, and the gain."""
     a, b = span
     alpha, gain = 0.0, 0.0
     for _ in range(2):
@@ -126,10 +126,11 @@ def _pane(
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the walls that were hardly met slanting."""
+    """Return the walls with too few rays at oblique incidence."""
     alpha = typical["alpha_ret"]
-    slanting = np.asarray(UNEXPECTED * (exposure.seen & (exposure.incidence > alpha)))
-    return blind_walls(exposure, slanting, need, f"hardly met at more than {np.degrees(alpha):.0f} degrees")
+    oblique = np.asarray(UNEXPECTED * (exposure.seen & (exposure.incidence > alpha)))
+    why = f"too few rays at an incidence above {np.degrees(alpha):.0f} degrees"
+    return blind_walls(exposure, oblique, need, why)
 
 
 GLASS = Effect(
@@ -137,20 +138,20 @@ GLASS = Effect(
     title="glass pane",
     channel="scan",
     stage="surface",
-    physics="A pane returns only rays that meet it more head-on than alpha_ret; others see what stands behind it.",
-    equation="z = r for α < α_ret, else what stands behind, from a to b along the wall",
+    physics="A pane returns only rays at an incidence below alpha_ret; other rays measure the surface behind it.",
+    equation="z = r for α < α_ret, else the range of the surface behind, from a to b along the wall",
     source="Koch, May, Murphy and Nuechter (2017), identification and correction of transparent and specular reflecting objects in laser scans",
-    varies="one part of one wall, long readings, incidence",
+    varies="incidence on a part of one wall, with long readings",
     rivals={
-        "mirror": "what is seen behind is the room mirrored, not a plane",
-        "moved_wall": "approach it at normal incidence",
+        "mirror": "a mirror shows the mirrored room and not a plane",
+        "moved_wall": "approach the wall at normal incidence",
     },
     parameters=(
         *ends_of_part("the pane"),
         Parameter(
             name="alpha_ret",
             unit="rad",
-            doc="the pane returns below this incidence",
+            doc="incidence below which the pane returns",
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,
@@ -161,7 +162,7 @@ GLASS = Effect(
         Parameter(
             name="depth",
             unit="m",
-            doc="of a plane behind the pane; 0: what the map has there",
+            doc="depth of a plane behind the pane; 0: the surface in the map",
             neutral=None,
             low=0.0,
             absent_at_zero=True,

@@ -1,4 +1,4 @@
-"""Drop-out at slanting incidence."""
+"""Missing returns at oblique incidence."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sensorgraph.effects.set_up import wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
-BLUR = 0.003  # [rad] over which it sets in
+BLUR = 0.003  # [rad] width of the transition
 
 STEEP = float(np.radians(70.0))
-"""[rad] of incidence that tells a drop-out on all walls from one black wall."""
+"""[rad] Incidence at which a drop-out on all walls differs from one black wall."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Lose slanting rays."""
+    """Lose rays at oblique incidence."""
     if a["alpha_max"] >= RIGHT_ANGLE:
         return
     beams = scene.beams
@@ -30,44 +30,44 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for the incidence beyond which nothing returns."""
+    """Search for the incidence above which no ray returns."""
     incidence = np.where(np.isfinite(within_range(residuals)), residuals.incidence, np.nan)
     return cut_off(residuals, "alpha_max", incidence, residuals.certain_loss, upward=True)
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the rays that met a wall slanting."""
+    """Count the rays that hit a wall at oblique incidence."""
     alpha = typical["alpha_max"]
     some = exposure.incidence > alpha
     if exposure.lost(0.0, some) >= need:
         return ""
-    return f"only {int(some.sum())} rays met a wall at more than {np.degrees(alpha):.0f} degrees"
+    return f"only {int(some.sum())} rays hit a wall at an incidence above {np.degrees(alpha):.0f} degrees"
 
 
 def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Tell whether all slanting rays met one wall."""
+    """Return whether all rays at oblique incidence hit one wall."""
     wall = only_wall(exposure, exposure.incidence > STEEP)
-    return ("black_surface", f"all such rays met {wall}") if wall else None
+    return ("black_surface", f"all such rays hit {wall}") if wall else None
 
 
 INCIDENCE_DROPOUT = Effect(
     name="incidence_dropout",
-    title="drop-out at slanting incidence",
+    title="missing returns at oblique incidence",
     channel="scan",
     stage="detection",
-    physics="A surface met at more than alpha_max returns nothing.",
+    physics="A ray at an incidence above alpha_max does not return.",
     equation="no return for α > α_max",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
-    varies="incidence, on all walls alike",
+    varies="incidence, equally on all walls",
     rivals={
         "black_surface": "look at another wall at the same range and incidence",
-        "max_range": "look at a far wall head-on",
+        "max_range": "look at a far wall at normal incidence",
     },
     parameters=(
         Parameter(
             name="alpha_max",
             unit="rad",
-            doc="largest incidence that returns",
+            doc="largest incidence of a return",
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,

@@ -1,7 +1,7 @@
-"""What diagnosis shows to the functions of an effect, and what these give back.
+"""Interfaces between diagnosis and the functions of an effect.
 
-An effect knows how it would show in residuals, and what a run must have seen to show it. Its functions take the views
-below; `sensorgraph.diagnosis.scan` implements them.
+The functions of an effect search for it in residuals, and decide whether a run could show it. They take the views
+below, which `sensorgraph.diagnosis.scan` implements.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from sensorgraph.world.beams import Beams
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """Start values of an effect that is worth fitting."""
+    """Start values of an effect that should be fitted."""
 
     values: Mapping[str, float]
     gain: float
-    """[nats] that the frozen nuisances promise."""
+    """[nats] Expected gain with fixed nuisances."""
     place: str = ""
     """Name of the wall or obstacle."""
     xy: Floats | tuple[float, float] | None = None
-    """[m, map]"""
+    """[m, map] Point of the effect."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,17 +34,17 @@ class CornerShift:
     """An effect at one place of the map, as a shift of the map's corners."""
 
     shift: Floats
-    """(n_corners, 2, k) [m per unit] of each corner by each of the effect's smooth parameters."""
+    """(n_corners, 2, k) [m per unit] Shift of each corner per unit of each smooth parameter."""
     place: str = ""
     xy: Floats | None = None
 
 
 class Present(Protocol):
-    """An effect that is in the model already."""
+    """An effect in the model of the fit."""
 
     @property
     def name(self) -> str:
-        """The effect's canonical name."""
+        """Canonical name of the effect."""
         ...
 
     @property
@@ -54,174 +54,174 @@ class Present(Protocol):
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Its values."""
+        """Parameter values."""
         ...
 
 
 class Residuals(Protocol):
-    """What a fit expects of every reading, and what was measured instead; arrays (n_scans, n_rays)."""
+    """Expected and measured readings of a fit; arrays (n_scans, n_rays)."""
 
     arena: Arena
     sensor: RangeSensor
     model: Sequence[Present]
     """Effects of the fit."""
     walls: Floats
-    """(n_walls, 2, 2) [m] as the fit has them."""
+    """(n_walls, 2, 2) [m] Walls in the fit."""
     beams: Beams
     z: Floats
-    """[m] measured; +inf nothing seen, -inf too near."""
+    """[m] Measured readings; +inf without a return, -inf if too near."""
     reached: Floats
-    """[m] how far the rays went: as measured, or to where the map ends; nan broken."""
+    """[m] Length of the ray: as measured, or to the end of the map without a return; nan if broken."""
     mu: Floats
-    """[m] expected."""
+    """[m] Expected readings."""
     residual: Floats
-    """[m] measured minus expected; 0 where either is missing."""
+    """[m] Measured minus expected; 0 if one of them is missing."""
     weight: Floats
-    """[1/m²] of the residual in the fit; 0 for strays."""
+    """[1/m²] Weight of the residual in the fit; 0 for outliers."""
     sigma: Floats
-    """[m] standard deviation of the core of the noise, as fitted."""
+    """[m] Fitted standard deviation of the core of the noise."""
     nominal_sigma: Floats
-    """[m] the same as robot.yaml has it."""
+    """[m] Standard deviation of the core of the noise from robot.yaml."""
     stray: Floats
-    """Chance that a reading comes from anywhere."""
+    """Probability that a reading is an outlier."""
     log_p: Floats
-    """[nats] log-likelihood of every reading."""
+    """[nats] Log-likelihood of each reading."""
     tail: float
     """Share of returns in the wide part of the noise."""
     loss: float
-    """Chance that a ray which should return does not."""
+    """Probability of a missing return where a return is expected."""
     returned: Bools
     lost: Bools
     near: Bools
-    """Too near to be measured."""
+    """The reading is too near to be measured."""
     aimed: Bools
     """The fit expects a return."""
     strange: Bools
-    """Returns that the fit takes for strays."""
+    """The fit classifies the return as an outlier."""
     short: Bools
-    """Strange, and clearly shorter than expected."""
+    """The return is an outlier and clearly shorter than expected."""
     long: Bools
-    """Strange, and clearly longer than expected."""
+    """The return is an outlier and clearly longer than expected."""
     valid: Bools
-    """Residuals here follow smoothly from poses and map."""
+    """The residual depends smoothly on poses and map."""
 
     @property
     def certain_loss(self) -> Floats:
-        """[nats] gained by the claim that a ray cannot return."""
+        """[nats] Gain of the hypothesis that a ray cannot return."""
         ...
 
     @property
     def along(self) -> Floats:
-        """[m] from the first end of the wall that is hit; nan off the walls."""
+        """[m] Distance of the hit from the first end of its wall; nan if no wall is hit."""
         ...
 
     @property
     def incidence(self) -> Floats:
-        """[rad] nan where nothing is hit."""
+        """[rad] Incidence; nan if nothing is hit."""
         ...
 
     def ends(self, some: Bools) -> Floats:
-        """Return where the measured rays end, (n, 2) [m, map]."""
+        """Return the end points (n, 2) [m, map] of the measured rays `some`."""
         ...
 
     def likely(self, mu: Floats, some: Bools | None = None) -> Floats:
-        """Return log-likelihoods [nats] under other expected readings; arrays (n_scans, n_rays) or (n,) of `some`."""
+        """Return log-likelihoods [nats] for other expected readings; arrays (n_scans, n_rays), or (n,) of `some`."""
         ...
 
 
 class Exposure(Protocol):
-    """What the rays of a run have met, and so could have shown; arrays (n_scans, n_rays)."""
+    """The surfaces that the rays of a run hit, from which its observable effects follow; arrays (n_scans, n_rays)."""
 
     arena: Arena
     sensor: RangeSensor
     twists: Floats
     """(n_scans, 3) [m/s, m/s, rad/s]"""
     span: float
-    """[s] length of the run."""
+    """[s] Duration of the run."""
     beams: Beams
     seen: Bools
     """A return is expected."""
     n_seen: int
     valid: Bools
-    """Readings here follow smoothly from poses and map."""
+    """The reading depends smoothly on poses and map."""
     reading: Floats
-    """[m] expected; may be inf."""
+    """[m] Expected reading; may be inf."""
     range: Floats
-    """[m] expected; 0 where none is."""
+    """[m] Expected reading; 0 if no return is expected."""
     incidence: Floats
-    """[rad] 0 where nothing is seen."""
+    """[rad] Incidence; 0 if no return is expected."""
     wall: Ints
-    """Index of the wall that is hit; negative off the walls."""
+    """Index of the wall that is hit; negative if no wall is hit."""
     loss: float
-    """Chance of a lost ray, at most, that needs no effect."""
+    """Maximum probability of a missing return without an effect."""
     stray: float
-    """Share of readings from anywhere, at most, that needs no effect."""
+    """Maximum share of outliers without an effect."""
     core: tuple[float, float]
-    """Scales that the nominal noise may have without an effect."""
+    """Lower and upper limit of the scale of the nominal noise without an effect."""
 
     def lost(self, chance: Floats | float, some: Bools) -> float:
-        """Return the evidence [nats] expected if rays `some` return by `chance` only, losses refitted."""
+        """Return the expected evidence [nats] if rays `some` return with probability `chance`, losses refitted."""
         ...
 
     def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
-        """Return the evidence [nats] expected of each of several smooth changes of the readings, nuisances refitted.
+        """Return the expected evidence [nats] of each of several smooth changes of the readings, nuisances refitted.
 
         Parameters
         ----------
-        columns : (n_scans, k, n_rays) change of the readings per unit
-        size : of the change, in units
+        columns : (n_scans, k, n_rays) Change of the readings per unit.
+        size : Size of the change, in units.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WheelMotion:
-    """What the wheels say between two averages of the reference; arrays (n,)."""
+    """Motion measured by the wheels between two averages of the reference pose; arrays (n,)."""
 
     distance: Floats
-    """[m] along the heading of the reference."""
+    """[m] Distance along the heading of the reference."""
     turn: Floats
-    """[rad]"""
+    """[rad] Turn."""
     path: Floats
-    """[m] along the path."""
+    """[m] Length of the path."""
     base: float
-    """[m] wheelbase."""
+    """[m] Wheelbase."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WheelRegressor:
-    """How an error of the wheels enters the regression of what the reference did on what the wheels say."""
+    """Column of a wheel error in the regression of the reference motion on the motion measured by the wheels."""
 
     column: Callable[[WheelMotion], tuple[Floats, Floats]]
     """Return the change of distance (n,) [m] and of turn (n,) [rad] of the reference per unit of the coefficient."""
     tolerance: float
-    """Standard deviation of the coefficient in a careful set-up."""
+    """Standard deviation of the coefficient in a careful setup."""
     size: Callable[[float, float], float]
-    """Return the effect's parameter from its coefficient and the gain of both wheels (true over measured)."""
+    """Return the parameter of the effect from its coefficient and the gain of both wheels (true over measured)."""
     stderr: Callable[[float, float], float] = lambda error, gain: error
-    """Return the parameter's standard error from that of the coefficient, and the gain."""
+    """Return the standard error of the parameter from that of the coefficient and the gain."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorMotion:
-    """What the simulated motors do between two stamps of the odometry; arrays (n,)."""
+    """Motion of the simulated motors between two stamps of the odometry; arrays (n,)."""
 
     v: Floats
-    """[m/s] mean speed."""
+    """[m/s] Mean speed."""
     omega: Floats
-    """[rad/s] mean turn rate."""
+    """[rad/s] Mean turn rate."""
     duration: Floats
-    """[s] between the stamps."""
+    """[s] Time between the stamps."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotorRegressor:
-    """How an error of the motors enters the regression of odometry on simulated motors.
+    """Column of a motor error in the regression of odometry on simulated motors.
 
-    The coefficient is the effect's one parameter.
+    The coefficient is the only parameter of the effect.
     """
 
     column: Callable[[MotorMotion], tuple[Floats, Floats]]
     """Return the change of speed (n,) [m/s] and of turn rate (n,) [rad/s] per unit of the parameter."""
     tolerance: float
-    """Standard deviation of the parameter in a careful set-up."""
+    """Standard deviation of the parameter in a careful setup."""

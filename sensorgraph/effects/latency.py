@@ -9,7 +9,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Take every ray earlier."""
+    """Move the time of each ray back."""
     scene.delay = scene.delay - a["tau"]
 
 
@@ -23,15 +23,15 @@ LATENCY = Effect(
     source="Olson (2010), a passive solution to the sensor synchronization problem",
     varies="omega r tan(incidence) and v cos(bearing)",
     rivals={
-        "scan_skew": "compare the first rays with the last at one turn rate",
-        "mount_yaw": "change v and omega, both signs, and stand still",
+        "scan_skew": "compare the first and the last rays at one turn rate",
+        "mount_yaw": "stand still, and vary v and omega in both directions",
         "mount_xy": "vary the speed",
     },
     parameters=(
         Parameter(
             name="tau",
             unit="s",
-            doc="how much earlier the scan was taken",
+            doc="age of the scan at its stamp",
             materiality=0.005,
             step=1e-4,
             jump=300.0,

@@ -14,7 +14,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Stretch the walls about the middle of the arena, and shift them."""
+    """Stretch the walls about the centre of the arena, and shift them."""
     x0, y0, x1, y1 = scene.arena.bounds
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     shift = [a.parameters.get("dx", 0.0), a.parameters.get("dy", 0.0)]
@@ -22,7 +22,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
-    """Stretch all corners about the middle of the arena, and shift them along x and y of the map."""
+    """Return the shift of all corners by a stretch about the centre of the arena, and by shifts along x and y."""
     x0, y0, x1, y1 = arena.bounds
     shift = np.zeros((int(ends.max()) + 1, 2, 3))
     shift[ends, :, 0] = arena.walls - [(x0 + x1) / 2, (y0 + y1) / 2]
@@ -32,18 +32,21 @@ def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
 
 MAP_SCALE = Effect(
     name="map_scale",
-    title="scale of the map",
+    title="map scale",
     channel="scan",
     stage="geometry",
-    physics="The room is (1 + s) times the map, about the middle of its bounding box, and shifted.",
-    equation="map → (1 + s) map, about the middle of the arena's bounding box",
+    physics="The room is (1 + s) times the map, about the centre of its bounding box, and shifted by (dx, dy).",
+    equation="map → (1 + s) map, about the centre of the arena's bounding box",
     source="surveying practice: a plan measured with a wrong scale",
-    varies="how far a wall lies from the origin, not the range",
-    rivals={"range_scale": "near and far views of the same wall", "moved_wall": "only one wall moves"},
+    varies="the distance of a wall from the centre of the map, not the range",
+    rivals={
+        "range_scale": "look at the same wall from near and from far",
+        "moved_wall": "a moved wall affects only one wall",
+    },
     parameters=(
         Parameter(name="s", unit="", doc="relative stretch", materiality=0.002, step=1e-5, jump=300.0),
-        Parameter(name="dx", unit="m", doc="shift of that middle", neutral=0.0, step=1e-4),
-        Parameter(name="dy", unit="m", doc="shift of that middle", neutral=0.0, step=1e-4),
+        Parameter(name="dx", unit="m", doc="shift of the centre along x", neutral=0.0, step=1e-4),
+        Parameter(name="dy", unit="m", doc="shift of the centre along y", neutral=0.0, step=1e-4),
     ),
     transform=transform,
     diagnostics=Diagnostics(why_unseen=spread_of_ranges, corner_shifts=corner_shifts, telltale=STRETCHED),

@@ -1,4 +1,4 @@
-"""Shorter maximal range."""
+"""Reduced maximum range."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene, fade
 
 FAR_SHARE = 0.75
-"""Of range_max, that a shorter maximal range should show at."""
+"""Share of range_max at which a reduced maximum range should be visible."""
 BEYOND_SHARE = 0.3
-"""Of the rays that are lost beyond a limit, that strays from beyond it may come to; more returns show that it is none."""
+"""Maximum number of returns from beyond a limit, as a share of the missing returns there; more show that it is no limit."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Lose far rays."""
+    """Lose rays of long range."""
     beams = scene.beams
     with np.errstate(invalid="ignore"):
         slack = np.where(np.isfinite(beams.reading), a["R"] - beams.reading, 1.0)
@@ -29,13 +29,13 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for the range beyond which nothing returns."""
+    """Search for the range above which no ray returns."""
     found = cut_off(residuals, "R", within_range(residuals), residuals.certain_loss, upward=True)
     return [proposal for proposal in found if is_limit(residuals, proposal.values["R"])]
 
 
 def is_limit(residuals: Residuals, limit: float) -> bool:
-    """Tell whether hardly anything returns from beyond a range [m], of as much as is lost there."""
+    """Return whether few rays return from beyond a range [m], compared with the missing returns there."""
     lost = residuals.lost & (residuals.mu > limit)
     back = residuals.returned & (residuals.z > limit + residuals.sigma)
     return int(back.sum()) <= BEYOND_SHARE * int(lost.sum())
@@ -51,35 +51,35 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     farthest = float(exposure.range.max())
     if farthest > far:
         return f"only {int(some.sum())} returns from farther than {far:.1f} m"
-    return f"no return from farther than {farthest:.1f} m, of {limit:.0f} m"
+    return f"no return from farther than {farthest:.1f} m, with a range of {limit:.0f} m"
 
 
 def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Tell whether all far returns came from one wall."""
+    """Return whether all returns of long range came from one wall."""
     far = FAR_SHARE * exposure.sensor.range_max
     wall = only_wall(exposure, exposure.seen & (exposure.reading > far))
-    return ("black_surface", f"all such rays met {wall}") if wall else None
+    return ("black_surface", f"all such rays hit {wall}") if wall else None
 
 
 MAX_RANGE = Effect(
     name="max_range",
-    title="shorter maximal range",
+    title="reduced maximum range",
     channel="scan",
     stage="detection",
-    physics="Nothing farther than R returns, though the data sheet says so.",
+    physics="Surfaces farther than R do not return, although the data sheet specifies a longer range.",
     equation="no return for r > R",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: max-range readings",
-    varies="range, on all walls alike",
+    varies="range, equally on all walls",
     rivals={
         "black_surface": "look at another wall at the same range",
-        "incidence_dropout": "a long view at normal incidence",
-        "tilt": "a tilted sensor returns from the floor",
+        "incidence_dropout": "look at a far wall at normal incidence",
+        "tilt": "a tilted sensor measures the floor",
     },
     parameters=(
         Parameter(
             name="R",
             unit="m",
-            doc="farthest return",
+            doc="longest range of a return",
             neutral=None,
             low=0.0,
             search_step=0.02,

@@ -1,4 +1,4 @@
-"""Larger blind zone."""
+"""Larger minimum range."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene, fade
 
 EITHER_WAY = -0.7
-"""[nats] of a reading in the blind zone: about half of them are said to be too near, the others are lost."""
+"""[nats] Log-likelihood of a reading in the blind zone: about half are reported as too near, the others are missing."""
 
 NEAR = 0.3
-"""[m] of a return that tells a blind zone from a part of the robot."""
+"""[m] Range below which a return distinguishes a blind zone from a part of the robot."""
 ONE_BEARING = float(np.radians(20.0))
-"""[rad] that a part of the robot may span."""
+"""[rad] Maximum angle of a part of the robot."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Lose near rays."""
+    """Lose rays of short range."""
     if a["r_min"] <= 0:
         return
     beams = scene.beams
@@ -32,13 +32,13 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for the range below which nothing returns, or is said to be too near."""
+    """Search for the range below which no ray returns, or is reported as too near."""
     gains = np.where(residuals.near, EITHER_WAY - residuals.log_p, residuals.certain_loss)
     return cut_off(residuals, "r_min", within_range(residuals), gains, upward=False)
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the returns from near by."""
+    """Count the returns of short range."""
     r_min = typical["r_min"]
     some = exposure.seen & (exposure.reading < r_min)
     if exposure.lost(0.0, some) >= need:
@@ -50,13 +50,13 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
 
 
 def spread(bearings: Floats) -> float:
-    """Return the angle [rad] of the narrowest sector that holds all bearings (n,)."""
+    """Return the angle [rad] of the narrowest sector with all bearings (n,)."""
     turned = np.sort(bearings % (2 * np.pi))
     return float(2 * np.pi - np.diff(turned, append=turned[0] + 2 * np.pi).max())
 
 
 def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Tell whether all near returns came from one bearing."""
+    """Return whether all returns of short range came from one bearing."""
     near = exposure.seen & (exposure.reading < NEAR)
     rays = np.flatnonzero(near.any(axis=0))
     if near.sum() >= MIN_RAYS and spread(exposure.sensor.bearings[rays]) < ONE_BEARING:
@@ -66,19 +66,19 @@ def look_alike(exposure: Exposure) -> tuple[str, str] | None:
 
 MIN_RANGE = Effect(
     name="min_range",
-    title="larger blind zone",
+    title="larger minimum range",
     channel="scan",
     stage="detection",
-    physics="Nothing nearer than r_min returns, though the data sheet says so: it is lost, or said to be too near.",
+    physics="Surfaces nearer than r_min do not return, although the data sheet specifies a shorter minimum range: the reading is missing or reported as too near.",
     equation="no return for r < r_min",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
-    varies="small ranges, whatever the bearing",
-    rivals={"self_occlusion": "approach a wall with another bearing"},
+    varies="range, at all bearings",
+    rivals={"self_occlusion": "approach a wall at another bearing"},
     parameters=(
         Parameter(
             name="r_min",
             unit="m",
-            doc="nearest return",
+            doc="shortest range of a return",
             low=0.0,
             search_step=0.01,
             typical=0.3,

@@ -24,12 +24,12 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Reflect the rays that meet it."""
+    """Add the reflection of rays."""
     scene.surfaces.append(partial(reflect, a=a))
 
 
 def reflect(scene: Scene, beams: Beams, *, a: Amendment) -> None:
-    """Add the path from the mirror to what the reflected ray meets."""
+    """Add the distance from the mirror to the hit of the reflected ray."""
     on = part_of_wall(scene, beams, a)
     if not on.any():
         return
@@ -41,7 +41,7 @@ def reflect(scene: Scene, beams: Beams, *, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for long readings that show the room reflected in a part of one wall."""
+    """Search for long readings that show the mirrored room in a part of one wall."""
     on, walls = strange_on_walls(residuals)
     found = []
     for wall in walls:
@@ -56,8 +56,8 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the walls that were hardly met."""
-    return blind_walls(exposure, np.asarray(UNEXPECTED * exposure.seen), need, "hardly met by a ray")
+    """Return the walls with too few rays."""
+    return blind_walls(exposure, np.asarray(UNEXPECTED * exposure.seen), need, "too few rays hit it")
 
 
 MIRROR = Effect(
@@ -65,11 +65,11 @@ MIRROR = Effect(
     title="mirror",
     channel="scan",
     stage="surface",
-    physics="A part of a wall reflects the ray, and the path to what it meets next in the map is added.",
-    equation="z = r + r mirrored, from a to b along the wall",
+    physics="A part of a wall reflects the ray, so that the reading includes the distance to the next surface in the map.",
+    equation="z = r + range of the reflected ray, from a to b along the wall",
     source="Yang and Wang (2011), on solving mirror reflection in lidar sensing",
-    varies="one part of one wall, long readings, the geometry of a ghost room",
-    rivals={"glass": "view it from two sides; the ghost moves with the room"},
+    varies="the mirrored geometry behind a part of one wall, with long readings",
+    rivals={"glass": "look at it from two sides: a mirror shows the mirrored room"},
     parameters=ends_of_part("the mirror"),
     transform=transform,
     place="wall",

@@ -1,4 +1,4 @@
-"""Obstacle that is no longer there."""
+"""Missing obstacle."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Shrink the obstacle to nothing, far away."""
+    """Move the walls of the obstacle out of the arena."""
     scene.walls[walls_of(scene, a.place)] = 1e9
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for rays that see what stands behind an obstacle of the map."""
+    """Search for rays that measure the surface behind an obstacle of the map."""
     found = []
     walls, beams, shape = residuals.walls, residuals.beams, residuals.z.shape
     for name in strangest_obstacles(residuals, residuals.long | residuals.lost):
@@ -41,25 +41,28 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the obstacles that were hardly met."""
+    """Return the obstacles with too few rays."""
     blind = []
     for name in obstacles(exposure.arena):
         walls = named_walls(exposure.arena, name)
         if UNEXPECTED * (np.isin(exposure.wall, walls) & exposure.seen).sum() < need:
             blind.append(name)
-    return f"{listed(blind)}: hardly met by a ray" if blind else ""
+    return f"{listed(blind)}: too few rays hit it" if blind else ""
 
 
 MISSING_OBSTACLE = Effect(
     name="missing_obstacle",
-    title="obstacle that is no longer there",
+    title="missing obstacle",
     channel="scan",
     stage="geometry",
     physics="One obstacle of the map is not in the room.",
-    equation="map → map without it",
+    equation="map → map without the obstacle",
     source="Biber and Duckett (2005), dynamic maps for long-term operation of mobile service robots",
-    varies="long readings through one obstacle",
-    rivals={"glass": "look at it head-on", "moved_obstacle": "it stands nowhere else"},
+    varies="the place of one obstacle, with long readings",
+    rivals={
+        "glass": "look at it at normal incidence",
+        "moved_obstacle": "a moved obstacle is visible elsewhere",
+    },
     parameters=(),
     transform=transform,
     place="obstacle",

@@ -1,4 +1,4 @@
-"""Mixed pixels of a wide beam."""
+"""Mixed pixels of a beam of finite width."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.scene import Scene
 
 N_SPREAD = 33
-"""Rays that fill one beam at an edge."""
-GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
-STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
+"""Number of rays that sample one beam at an edge."""
+GRAZING = 1.5  # [rad] limit of the incidence in the estimate of a flat wall
+STEP = 0.02  # [m] depth step below which the wall is bent, without an edge
 
 GAMMAS = np.radians([0.12, 0.2, 0.35, 0.6, 1.0, 1.6])
-"""[rad] that are tried."""
+"""[rad] Half angles that are tested."""
 SIGMAS = 5.0
-"""Standard deviations that a reading must be away from both sides of a step, and from what is expected."""
+"""Minimum distance [sigma] of a reading from both sides of a depth step, and from the expected reading."""
 DEPTH = 0.2
-"""[m] of a step in depth."""
+"""[m] Minimum depth step."""
 
 EDGE = 0.1
-"""[m] between the ranges of neighbouring rays that makes an edge in depth."""
+"""[m] Difference between the ranges of neighbouring rays at a depth edge."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Average the readings of rays spread over the beam, where its two sides and its middle see a step."""
+    """Average the readings of rays over the beam where there is a depth step between its sides and its centre."""
     gamma = a["gamma"]
     if gamma == 0.0:
         return
@@ -54,7 +54,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
-    """Return (k, N_SPREAD) [m] what rays spread evenly over each beam of `edge` would read."""
+    """Return the ranges (k, N_SPREAD) [m] of rays spread evenly over each beam of `edge`."""
     beams = scene.beams
     ox, oy = (np.broadcast_to(o, edge.shape)[edge] for o in (beams.ox, beams.oy))
     ux, uy = beams.ux[edge], beams.uy[edge]
@@ -65,7 +65,7 @@ def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
 
 
 def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
-    """Try half angles, where enough readings at steps in depth lie between what the two sides read."""
+    """Return half angles if enough readings at depth steps are between the ranges of the two sides."""
     known = any(a.name == "mixed_pixels" for a in residuals.model)
     if known or _between(residuals) < PROPOSAL.min_rays:
         return []
@@ -73,7 +73,7 @@ def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
 
 
 def _between(residuals: Residuals) -> int:
-    """Count readings at steps in depth that lie between what the two sides read."""
+    """Count readings at depth steps that are between the ranges of the two sides."""
     r_max, z = residuals.sensor.range_max, residuals.z
     mu = np.where(residuals.aimed, np.minimum(residuals.mu, r_max), r_max)
     low, high = mu.copy(), mu.copy()
@@ -88,7 +88,7 @@ def _between(residuals: Residuals) -> int:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the edges in depth that neighbouring rays straddle."""
+    """Count the depth edges between neighbouring rays."""
     gamma = typical["gamma"]
     bearings = exposure.sensor.bearings
     gap = float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else np.inf
@@ -98,21 +98,21 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     n = float(edges.sum()) * min(1.0, 2 * gamma / gap)
     if UNEXPECTED * n >= need:
         return ""
-    return f"only {int(edges.sum())} times did two neighbouring rays straddle an edge in depth"
+    return f"only {int(edges.sum())} pairs of neighbouring rays have a depth edge between them"
 
 
 MIXED_PIXELS = Effect(
     name="mixed_pixels",
-    title="mixed pixels of a wide beam",
+    title="mixed pixels",
     channel="scan",
     stage="optics",
-    physics="A beam of half angle gamma returns the mean over what it lights, so that edges read between near and far.",
+    physics="A beam of half angle gamma returns the mean range over the lit area, so that readings at edges are between near and far.",
     equation="z = mean of r over θ ± γ",
     source="Tuley, Vandapel and Hebert (2005), analysis and removal of artifacts in 3-D ladar data",
-    varies="only within gamma of depth edges",
+    varies="the angle to depth edges, within gamma",
     rivals={
-        "moved_obstacle": "a slow pass by an edge with a deep step",
-        "mount_yaw": "walls away from edges do not move",
+        "moved_obstacle": "pass an edge with a large depth step slowly",
+        "mount_yaw": "mixed pixels do not change walls without edges",
     },
     parameters=(
         Parameter(

@@ -9,7 +9,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Shift the laser in the body's frame."""
+    """Shift the laser in base_link."""
     scene.mount = scene.mount + [a["dx"], a["dy"], 0.0]
 
 
@@ -18,11 +18,14 @@ MOUNT_XY = Effect(
     title="mounting offset",
     channel="scan",
     stage="mount",
-    physics="The laser sits (dx, dy) away from where robot.yaml says, in the body's frame.",
+    physics="The laser is shifted by (dx, dy) in base_link from its position in robot.yaml.",
     equation="laser at (x₀ + dx, y₀ + dy)",
     source="Censi, Franchi, Marchionni and Oriolo (2013), simultaneous calibration of odometry and sensor parameters",
-    varies="-(dx cos theta + dy sin theta) / cos(incidence); turns with the robot",
-    rivals={"range_bias": "the cosine over bearing", "latency": "vary the speed, and reverse"},
+    varies="-(dx cos theta + dy sin theta) / cos(incidence), in the frame of the robot",
+    rivals={
+        "range_bias": "an offset depends on the cosine of the bearing",
+        "latency": "vary the speed, forward and backward",
+    },
     parameters=(
         Parameter(
             name="dx", unit="m", doc="forward", materiality=0.005, step=1e-4, nuisance=Nuisance.MOUNT_X

@@ -10,7 +10,7 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 SLANT = float(np.radians(20))
-"""[rad] of incidence from which on a turn of the laser shows."""
+"""[rad] Incidence above which a turn of the laser is visible."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -19,12 +19,10 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def slants(exposure: Exposure) -> str:
-    """Say how many returns are from walls met slanting."""
-    slanting = exposure.incidence[exposure.seen] > SLANT
-    share = float(slanting.mean()) if exposure.n_seen else 0.0
-    return (
-        f"{100 * share:.0f} % of the returns are from walls met at more than {np.degrees(SLANT):.0f} degrees"
-    )
+    """Return a text on the share of returns at oblique incidence."""
+    oblique = exposure.incidence[exposure.seen] > SLANT
+    share = float(oblique.mean()) if exposure.n_seen else 0.0
+    return f"only {100 * share:.0f} % of the returns have an incidence above {np.degrees(SLANT):.0f} degrees"
 
 
 MOUNT_YAW = Effect(
@@ -32,10 +30,10 @@ MOUNT_YAW = Effect(
     title="mounting yaw",
     channel="scan",
     stage="mount",
-    physics="The laser is turned about its own axis: every ray leaves at bearing theta + delta.",
+    physics="The laser is turned about its axis: each ray has the bearing theta + delta.",
     equation="θ → θ + δ",
     source="Censi, Franchi, Marchionni and Oriolo (2013), simultaneous calibration of odometry and sensor parameters",
-    varies="r tan(incidence), with opposite signs either side of a wall's normal; not with turn rate",
+    varies="r tan(incidence), with opposite signs on the two sides of a wall's normal, and not the turn rate",
     rivals={"latency": "turn left and right", "scan_skew": "turn left and right"},
     parameters=(
         Parameter(

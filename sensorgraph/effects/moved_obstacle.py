@@ -14,15 +14,15 @@ from sensorgraph.world.ray_intersection import nearest_from_each, nearest_walls
 from sensorgraph.world.scene import Scene
 
 REACH = 0.6
-"""[m] along each axis; what stands further away is missing here and unmapped there."""
+"""[m] Maximum shift along each axis; beyond it, a missing and an unmapped obstacle are reported."""
 NUDGE_DISTANCE = 0.12
-"""[m] from an outline within which a reading may tell of a small move; ..."""
+"""[m] Distance from an outline within which a reading depends on a small shift."""
 NUDGE_STEPS = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
-"""... steps [m] in which that is looked for, ..."""
+"""[m] Steps of the search for a small shift."""
 DIRECTIONS = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
-"""... in these directions, ..."""
+"""Directions of the search."""
 MAX_SIDES = 4
-"""... and along so many of the longest sides."""
+"""Number of the longest sides whose directions are also searched."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -31,7 +31,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
-    """Shift the corners of each obstacle along x and y of the map."""
+    """Return the shift of the corners of each obstacle along x and y of the map."""
     out = []
     for name in obstacles(arena):
         members = named_walls(arena, name)
@@ -43,12 +43,12 @@ def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for an obstacle that stands elsewhere, far away or near by."""
+    """Search for a large or a small shift of an obstacle."""
     return [*_elsewhere(residuals), *nudged(residuals)]
 
 
 def _elsewhere(residuals: Residuals) -> list[Proposal]:
-    """Lay the outline of each obstacle over the ends of unexplained rays."""
+    """Match the outline of each obstacle with the end points of outliers."""
     found = []
     ends = residuals.ends(residuals.strange) if residuals.strange.sum() else np.zeros((0, 2))
     for name in strangest_obstacles(residuals):
@@ -60,7 +60,7 @@ def _elsewhere(residuals: Residuals) -> list[Proposal]:
 
 
 def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, mine: Bools) -> list[Proposal]:
-    """Lay the outline of an obstacle over the ends of unexplained rays."""
+    """Match the outline of one obstacle with the end points of outliers."""
     low, high = outline.min(axis=(0, 1)) - REACH - 0.1, outline.max(axis=(0, 1)) + REACH + 0.1
     near = ends[((ends > low) & (ends < high)).all(axis=1)]
     if len(near) < 2 * PROPOSAL.min_rays:
@@ -69,7 +69,7 @@ def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, min
     steps = np.arange(-REACH, REACH + 0.01, 0.04)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     shifted = (near[None] - grid[:, None]).reshape(-1, 2)
-    best = _beside(shifted, outline).reshape(len(grid), len(near))
+    best = _distance_to(outline, shifted).reshape(len(grid), len(near))
     score = np.exp(-0.5 * (best / 0.03) ** 2).sum(axis=1)
     at = int(score.argmax())
     share = score[at] / len(near)
@@ -83,10 +83,10 @@ def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, min
 
 
 def nudged(residuals: Residuals) -> list[Proposal]:
-    """Look for a move by a few centimetres: an outline stops rays, or lets them pass, where the map does not.
+    """Search for a shift by a few centimetres, which changes the rays that the outline stops.
 
-    To first order, a side changes only the readings that end on it. Of a side that no ray met head-on, only the ends of the
-    silhouette tell, so the readings of each shift are cast.
+    To first order, a side changes only the readings that end on it. If no ray hit a side at normal incidence, only the
+    rays at the ends of the silhouette carry information, so the readings of each shift are cast.
     """
     if residuals.strange.sum() < PROPOSAL.min_rays:
         return []
@@ -94,7 +94,8 @@ def nudged(residuals: Residuals) -> list[Proposal]:
     found = []
     for name in strangest_obstacles(residuals):
         members = named_walls(residuals.arena, name)
-        stopped, aimed = _beside(ends, residuals.walls[members]) < NUDGE_DISTANCE, np.isin(aimed_at, members)
+        stopped = _distance_to(residuals.walls[members], ends) < NUDGE_DISTANCE
+        aimed = np.isin(aimed_at, members)
         if (stopped | aimed).sum() >= PROPOSAL.min_rays:
             proposal = _nudge(residuals, name, members)
             if proposal is not None:
@@ -103,7 +104,7 @@ def nudged(residuals: Residuals) -> list[Proposal]:
 
 
 def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
-    """Return the shift of an obstacle that makes the readings about it most likely."""
+    """Return the shift of an obstacle with the largest likelihood of the readings near it."""
     walls, beams = residuals.walls, residuals.beams
     shape = residuals.z.shape
     centre = walls[members].reshape(-1, 2).mean(axis=0)
@@ -117,7 +118,7 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
     behind = beams.ranges[some].copy()
     own = np.isin(beams.wall[some], members)
     behind[own] = nearest_from_each(np.delete(walls, members, axis=0), *(axis[own] for axis in rays))[0]
-    with np.errstate(invalid="ignore"):  # a ray that meets nothing has no reading for nuisances to add to
+    with np.errstate(invalid="ignore"):  # a ray without a hit has no reading
         added = residuals.mu[some] - beams.ranges[some]
     usual = np.where(residuals.aimed[some] & np.isfinite(added), added, 0.0)
 
@@ -126,17 +127,17 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
         reading = np.minimum(there, behind) + usual
         return float(residuals.likely(reading, some).sum())
 
-    # a move along a side leaves the readings on that side as they are, so the search has to try its very direction
+    # a shift along a side does not change the readings on that side, so the search includes its direction
     along = walls[members, 1] - walls[members, 0]
     size = np.hypot(*along.T)
     longest = np.argsort(-size)[:MAX_SIDES]
     along = along[longest] / np.maximum(size[longest], 1e-9)[:, None]
-    ways = np.concatenate([DIRECTIONS, along, -along])
+    directions = np.concatenate([DIRECTIONS, along, -along])
     best, at = (here := log_p(np.zeros(2))), np.zeros(2)
     for step in NUDGE_STEPS:
         middle = at
-        for way in ways:
-            shift = middle + step * way
+        for direction in directions:
+            shift = middle + step * direction
             if (got := log_p(shift)) > best:
                 best, at = got, shift
     if best - here < PROPOSAL.min_gain or not at.any():
@@ -145,8 +146,8 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
     return Proposal(values=values, gain=best - here, place=name, xy=centre)
 
 
-def _beside(points: Floats, outline: Floats) -> Floats:
-    """Return how far points (n, 2) are from an outline (k, 2, 2), (n,) [m]."""
+def _distance_to(outline: Floats, points: Floats) -> Floats:
+    """Return the distance (n,) [m] of points (n, 2) from an outline (k, 2, 2)."""
     least = np.full(len(points), np.inf)
     for (ax, ay), (bx, by) in outline:
         dx, dy = bx - ax, by - ay
@@ -161,17 +162,32 @@ MOVED_OBSTACLE = Effect(
     title="moved obstacle",
     channel="scan",
     stage="geometry",
-    physics="One obstacle stands (dx, dy) from where the map has it.",
+    physics="One obstacle is shifted by (dx, dy) from its position in the map.",
     equation="obstacle → obstacle + (dx, dy)",
     source="Biber and Duckett (2005), dynamic maps for long-term operation of mobile service robots",
-    varies="the walls of one obstacle, with opposite signs on opposite faces",
-    rivals={"missing_obstacle": "it stands somewhere else", "mount_yaw": "circle it"},
+    varies="the sides of one obstacle, with opposite signs on opposite sides",
+    rivals={
+        "missing_obstacle": "a moved obstacle is visible elsewhere",
+        "mount_yaw": "drive around the obstacle",
+    },
     parameters=(
         Parameter(
-            name="dx", unit="m", doc="along x of the map", materiality=0.01, low=-REACH, high=REACH, step=1e-4
+            name="dx",
+            unit="m",
+            doc="shift along x of the map",
+            materiality=0.01,
+            low=-REACH,
+            high=REACH,
+            step=1e-4,
         ),
         Parameter(
-            name="dy", unit="m", doc="along y of the map", materiality=0.01, low=-REACH, high=REACH, step=1e-4
+            name="dy",
+            unit="m",
+            doc="shift along y of the map",
+            materiality=0.01,
+            low=-REACH,
+            high=REACH,
+            step=1e-4,
         ),
     ),
     transform=transform,

@@ -11,11 +11,11 @@ from sensorgraph.effects.places import outward, walls_of
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
 
-SAME = 1e-6  # [m] ends nearer than this are one corner
+SAME = 1e-6  # [m] distance below which two ends are one corner
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Shift a wall along its outward normal, with the ends of its neighbours."""
+    """Shift a wall along its outward normal, together with the ends of its neighbours."""
     (index,) = walls_of(scene, a.place)
     shift = a["d"] * outward(scene.arena, index)
     for end in scene.walls[index].copy():
@@ -23,7 +23,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
-    """Shift the two corners of each outer wall along its normal."""
+    """Return the shift of the two corners of each outer wall along its normal."""
     out = []
     outline = arena.names[0].split("/")[0]
     for index, name in enumerate(arena.names):
@@ -40,19 +40,19 @@ MOVED_WALL = Effect(
     title="moved wall",
     channel="scan",
     stage="geometry",
-    physics="One wall stands d outward of where the map has it, along its normal; the ends of its neighbours go with its corners.",
+    physics="One wall is shifted by d along its outward normal from its position in the map; the ends of its neighbours move with its corners.",
     equation="wall → wall + d n, n its outward normal",
     source="surveying practice: one edge of the floor plan is wrong",
-    varies="one wall, d / cos(incidence)",
+    varies="d / cos(incidence) on one wall",
     rivals={
         "range_bias": "look at the opposite wall",
-        "map_scale": "all walls move, in proportion to their place",
+        "map_scale": "a map scale moves all walls in proportion to their distance from the centre",
     },
     parameters=(
         Parameter(
             name="d",
             unit="m",
-            doc="along the outward normal, away from free space",
+            doc="shift along the outward normal, away from free space",
             materiality=0.01,
             step=1e-4,
         ),
@@ -61,7 +61,9 @@ MOVED_WALL = Effect(
     place="wall",
     diagnostics=Diagnostics(
         corner_shifts=corner_shifts,
-        telltale=Telltale(least=3, statement="several walls seem moved: the error may not be the map's"),
+        telltale=Telltale(
+            least=3, statement="several walls appear moved, so the error may not be in the map"
+        ),
         tolerance="map",
     ),
 )

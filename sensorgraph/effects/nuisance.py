@@ -1,4 +1,4 @@
-"""Nuisance parameters: small errors of every set-up, which each fit leaves free."""
+"""Nuisance parameters: small errors of each setup, which each fit estimates."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from enum import IntEnum
 
 
 class Nuisance(IntEnum):
-    """One small error of the sensor or its mount; the value is its index among the unknowns of a fit.
+    """A small error of the sensor or its mount; the value is its index among the unknowns of a fit.
 
-    Each is the tolerance-sized copy of one parameter of an effect (`Parameter.nuisance`).
+    Each nuisance corresponds to one parameter of an effect (`Parameter.nuisance`), limited by the tolerance.
     """
 
     MOUNT_X = 0
-    """[m] the laser sits further ahead."""
+    """[m] Shift of the laser forward."""
     MOUNT_Y = 1
-    """[m] the laser sits further left."""
+    """[m] Shift of the laser to the left."""
     MOUNT_YAW = 2
-    """[rad] the laser is turned counter-clockwise."""
+    """[rad] Turn of the laser, counter-clockwise."""
     BIAS = 3
-    """[m] added to every return."""
+    """[m] Offset of each return."""
     SCALE = 4
-    """[1] relative stretch of every return."""
+    """[1] Relative stretch of each return."""
     DRIFT = 5
-    """[m] bias that grows from 0 to this during the run."""
+    """[m] Bias at the end of the run, which grows from 0."""
     DELAY = 6
-    """[s] the scan was taken earlier than its stamp."""
+    """[s] Age of the scan at its stamp."""
     SKEW = 7
-    """[s] from the first ray of a scan to the last."""
+    """[s] Time from the first ray of a scan to the last."""
 
 
 MOUNT = (Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW)
 POSE_LIKE = (*MOUNT, Nuisance.DELAY)
-"""What moves the laser of a scan as an error of its pose does."""
+"""Nuisances that move the laser of a scan like an error of its pose."""

@@ -1,4 +1,4 @@
-"""People walking about."""
+"""Moving people."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from sensorgraph.effects.walkers import walkers
 from sensorgraph.world.scene import Scene
 
 NATS = 1.1
-"""[nats] that one such reading gains, about."""
+"""[nats] Approximate gain of one such reading."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Let people walk, if the scene is drawn; else give every ray a chance to be short."""
+    """Add walking people if the scene is sampled; otherwise add a probability of short readings."""
     if scene.seed is None:
         scene.shorts = 1 - (1 - scene.shorts) * (1 - a["p"])
     elif a["p"] > 0:
@@ -31,28 +31,28 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Compare the share with the strays that need no effect."""
+    """Compare the share with the usual outliers."""
     return too_few_returns(exposure, typical["p"], need)
 
 
 PEOPLE = Effect(
     name="people",
-    title="people walking about",
+    title="moving people",
     channel="scan",
     stage="geometry",
-    physics="Something that moves stands in the way of a share p of the rays.",
+    physics="Moving objects block a share p of the rays.",
     equation="P(short) = p",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3; Fox, Burgard and Thrun (1999)",
-    varies="time; neighbouring rays and successive scans together",
+    varies="time, equally in neighbouring rays and successive scans",
     rivals={
-        "unmapped_obstacle": "come back later",
-        "random_outliers": "scattered single rays, also longer ones",
+        "unmapped_obstacle": "look at the place again later",
+        "random_outliers": "outliers are scattered single rays, some of them long",
     },
     parameters=(
         Parameter(
             name="p",
             unit="",
-            doc="share of rays that end at somebody",
+            doc="share of rays that end at a moving object",
             materiality=0.002,
             low=0.0,
             high=1.0,

@@ -1,4 +1,4 @@
-"""Where an effect sits: sectors of bearings, parts of walls, obstacles; and what stands behind or before them."""
+"""Places of effects: sectors of bearings, parts of walls, obstacles; and the ranges behind them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.scene import Scene
 
-OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
+OFF = 1e-6  # [m] distance from the mirror at which a reflected ray starts
 
 
 def in_sector(bearings: Floats, first: float, last: float) -> Bools:
-    """Tell which bearings [rad] lie from `first` counter-clockwise to `last`."""
+    """Return which bearings [rad] are between `first` and, counter-clockwise, `last`."""
     turn = 2 * np.pi
     inside = (bearings - first) % turn <= (last - first) % turn + 1e-9
     return np.asarray(inside | (np.abs((bearings - first + np.pi) % turn - np.pi) < 1e-9))
@@ -30,18 +30,18 @@ def named_walls(arena: Arena, name: str) -> Ints:
 
     Raises
     ------
-    SensorgraphError : the arena has no wall and no feature of that name
+    SensorgraphError : The arena has no wall and no feature with this name.
     """
     found = _walls_by_name(arena.names).get(name)
     if found is None:
         near = ", ".join(arena.names[:6])
-        raise SensorgraphError(f"the arena has no wall or obstacle {name!r}; it has {near}, ...")
+        raise SensorgraphError(f"the arena has no wall or obstacle {name!r}, expected one of {near}, ...")
     return found.copy()
 
 
 @lru_cache(maxsize=8)
 def _walls_by_name(names: tuple[str, ...]) -> dict[str, Ints]:
-    """Return the indices of the walls of each wall's name and of each feature's."""
+    """Return the name of each wall and of each feature -> indices of its walls."""
     found: dict[str, list[int]] = {}
     for i, wall in enumerate(names):
         for name in {wall, wall.rsplit("/", 1)[0]}:
@@ -50,7 +50,7 @@ def _walls_by_name(names: tuple[str, ...]) -> dict[str, Ints]:
 
 
 def obstacles(arena: Arena) -> list[str]:
-    """Return the names of the arena's features, the outline left out."""
+    """Return the names of the arena's features without the outline."""
     outline = arena.names[0].rsplit("/", 1)[0]
     features = dict.fromkeys(name.rsplit("/", 1)[0] for name in arena.names)
     return [name for name in features if name != outline]
@@ -61,17 +61,17 @@ def walls_of(scene: Scene, name: str) -> Ints:
 
     Raises
     ------
-    SensorgraphError : the arena has no wall and no feature of that name
+    SensorgraphError : The arena has no wall and no feature with this name.
     """
     return named_walls(scene.arena, name)
 
 
 def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
-    """Tell which rays hit the part from a to b [m] of the amendment's wall, (n_scans, n_rays).
+    """Return which rays (n_scans, n_rays) hit the part from a to b [m] of the amendment's wall.
 
     Raises
     ------
-    SensorgraphError : the arena has no such wall
+    SensorgraphError : The arena has no such wall.
     """
     on = np.isin(beams.wall, walls_of(scene, a.place))
     if not on.any():
@@ -82,11 +82,11 @@ def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
 
 
 def ends_of_part(what: str) -> tuple[Parameter, Parameter]:
-    """Return the parameters a and b between which an effect sits on a wall.
+    """Return the parameters a and b, between which an effect acts on a wall.
 
     Parameters
     ----------
-    what : begins at a, as the documentation calls it
+    what : Name of the part in the documentation, "the mirror" for example.
     """
 
     def end(name: str, doc: str) -> Parameter:
@@ -94,11 +94,11 @@ def ends_of_part(what: str) -> tuple[Parameter, Parameter]:
             name=name, unit="m", doc=doc, neutral=None, search_step=0.01, hidden=end_of_part_error
         )
 
-    return end("a", f"where {what} begins, along the wall from its first end"), end("b", "where it ends")
+    return end("a", f"start of {what}, along the wall from its first end"), end("b", f"end of {what}")
 
 
 def outward(arena: Arena, index: int) -> Floats:
-    """Return the unit normal (2,) of a wall that points away from free space."""
+    """Return the unit normal (2,) of a wall, pointing away from free space."""
     a, b = arena.walls[index]
     d = (b - a) / max(float(np.hypot(*(b - a))), 1e-12)
     normal = np.array([d[1], -d[0]])
@@ -107,11 +107,11 @@ def outward(arena: Arena, index: int) -> Floats:
 
 
 def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
-    """Return what rays would read if a wall were not there; inf for all rays that are not in `some`.
+    """Return the ranges (n_scans, n_rays) [m] of rays `some` without a wall; inf for other rays.
 
     Raises
     ------
-    SensorgraphError : the arena has no such wall
+    SensorgraphError : The arena has no such wall.
     """
     walls = scene.walls.copy()
     walls[walls_of(scene, name)] = 1e9
@@ -125,7 +125,7 @@ def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
 
 
 def reflected(walls: Floats, beams: Beams, some: Bools) -> Floats:
-    """Return the way (n,) [m] from where rays `some` hit to what they meet after reflection."""
+    """Return the distance (n,) [m] from the hits of rays `some` to their hits after reflection."""
     ux, uy, nx, ny = (v[some] for v in (beams.ux, beams.uy, beams.nx, beams.ny))
     ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
     r = beams.ranges[some] - OFF

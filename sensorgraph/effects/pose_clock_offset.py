@@ -7,7 +7,7 @@ from sensorgraph.world.drivetrain import Drivetrain
 
 
 def transform(drivetrain: Drivetrain, a: Amendment) -> None:
-    """Take the odometry earlier than its stamp says."""
+    """Move the time of the odometry back."""
     drivetrain.odometry_lag += a["tau"]
 
 
@@ -16,16 +16,12 @@ POSE_CLOCK_OFFSET = Effect(
     title="clock offset between pose and odometry",
     channel="odometry",
     stage="wheels",
-    physics="Odometry stamped t was taken at t - tau of the reference's clock.",
+    physics="Odometry stamped t was taken at time t - tau of the clock of the reference poses.",
     equation="odometry(t) = motion(t − τ)",
     source="Olson (2010), a passive solution to the sensor synchronization problem",
-    varies="odometry against pose, in proportion to acceleration",
-    rivals={"latency": "the scans show it, or do not"},
-    parameters=(
-        Parameter(
-            name="tau", unit="s", doc="how much older the odometry is than its stamp", materiality=0.005
-        ),
-    ),
+    varies="acceleration, in proportion",
+    rivals={"latency": "a latency is visible in the scans, a clock offset of the odometry is not"},
+    parameters=(Parameter(name="tau", unit="s", doc="age of the odometry at its stamp", materiality=0.005),),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too little acceleration"),
+    diagnostics=Diagnostics(why_unseen="the robot accelerates too little"),
 )

@@ -1,4 +1,4 @@
-"""Shared parts of the proposers: thresholds, the best run of rays, parts of walls, cut-offs."""
+"""Common parts of the proposers: thresholds, the best run of rays, parts of walls, cut-offs."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalSettings:
-    """What a proposal takes; set on the development cases of `benchmarks.hidden_effects`."""
+    """Thresholds of a proposal, tuned on the development cases of `benchmarks.hidden_effects`."""
 
     min_gain: float = 6.0
-    """[nats] that a candidate must promise."""
+    """[nats] Minimum expected gain of a candidate."""
     min_rays: int = 8
-    """Rays; fewer are no ground for a proposal."""
+    """Minimum number of rays for a proposal."""
     min_lost: int = 3
-    """Lost rays beyond a cut-off, or on a black part; fewer are chance."""
+    """Minimum number of missing returns beyond a cut-off, or on a black part."""
     min_share: float = 0.002
-    """Of the returns that must be odd, for an effect on single readings."""
+    """Minimum share of odd returns, for an effect on single readings."""
     wall_bin: float = 0.1
-    """[m] along a wall."""
+    """[m] Bin size along a wall."""
     max_walls: int = 4
-    """Walls with the most strange rays, on which panes and mirrors are looked for."""
+    """Maximum number of walls, those with most outliers, on which panes and mirrors are searched."""
     max_obstacles: int = 8
-    """Obstacles with the most strange rays, of which a move or an absence is looked for: a building has hundreds."""
+    """Maximum number of obstacles, those with most outliers, that are tested for a move or absence."""
     behind_wall: float = 0.1
-    """[m] below range_max that a wall must stand for a lost ray on it to be strange."""
+    """[m] Distance below range_max at which a missing return on a wall counts as odd."""
 
 
 PROPOSAL = ProposalSettings()
@@ -38,7 +38,7 @@ PROPOSAL = ProposalSettings()
 
 
 def best_run(values: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return, per row of values (n, m), first and last index of the run with the largest sum, and that sum."""
+    """Return, for each row of values (n, m), the first and last index of the run with the largest sum, and that sum."""
     n, m = values.shape
     total = np.concatenate([np.zeros((n, 1)), np.cumsum(values, axis=1)], axis=1)
     lowest = np.minimum.accumulate(total[:, :-1], axis=1)
@@ -54,14 +54,14 @@ def best_run(values: Floats) -> tuple[Ints, Ints, Floats]:
 def cut_off(
     residuals: Residuals, name: str, values: Floats, gains: Floats, *, upward: bool
 ) -> list[Proposal]:
-    """Propose the threshold beyond which nothing returns: exact profile of the gain over every threshold.
+    """Propose the threshold beyond which no ray returns, from the exact profile of the gain over all thresholds.
 
     Parameters
     ----------
-    name : of the parameter
-    values : (n_scans, n_rays) what the threshold is compared with; nan where it does not apply
-    gains : (n_scans, n_rays) [nats] of the claim that a ray does not return
-    upward : rays above the threshold are lost, else those below
+    name : Name of the parameter.
+    values : (n_scans, n_rays) Values that are compared with the threshold; nan if it does not apply.
+    gains : (n_scans, n_rays) [nats] Gain of the hypothesis that a ray does not return.
+    upward : Rays above the threshold are lost; otherwise those below.
     """
     ok = np.isfinite(values)
     if not ok.any():
@@ -79,12 +79,12 @@ def cut_off(
 
 
 def within_range(residuals: Residuals) -> Floats:
-    """Return the expected readings [m] that the sensor could measure, nan elsewhere."""
+    """Return the expected readings [m] within the range of the sensor, nan elsewhere."""
     return np.where(residuals.aimed & (residuals.mu < residuals.sensor.range_max), residuals.mu, np.nan)
 
 
 def strange_on_walls(residuals: Residuals) -> tuple[Bools, list[int]]:
-    """Return which rays meet walls, and the walls with enough long or lost rays, most of them first."""
+    """Return which rays hit walls, and the walls with enough long or missing returns, sorted by their number."""
     p = PROPOSAL
     on = (residuals.beams.wall >= 0) & residuals.aimed
     reachable = residuals.mu < residuals.sensor.range_max - p.behind_wall
@@ -96,7 +96,7 @@ def strange_on_walls(residuals: Residuals) -> tuple[Bools, list[int]]:
 
 
 def sum_by_wall(walls: Ints, along: Floats, gain: Floats, n_walls: int) -> Floats:
-    """Sum gains (n,) by wall and by bin along it, (n_walls, n_bins)."""
+    """Sum gains (n,) by wall and bin along the wall, (n_walls, n_bins)."""
     place = np.clip(np.nan_to_num(along) / PROPOSAL.wall_bin, 0, None).astype(np.intp)
     n_bins = int(place.max(initial=0)) + 1
     table = np.bincount(walls * n_bins + place, gain, n_walls * n_bins).reshape(n_walls, n_bins)
@@ -104,14 +104,14 @@ def sum_by_wall(walls: Ints, along: Floats, gain: Floats, n_walls: int) -> Float
 
 
 def best_part(along: Floats, gain: Floats) -> tuple[float, float, float]:
-    """Return begin and end [m] of the part of one wall where rays (n,) gain most, to the bin, and that gain."""
+    """Return start and end [m] of the part of one wall with the largest gain of rays (n,), in bins, and that gain."""
     table = sum_by_wall(np.zeros(len(gain), dtype=np.intp), along, gain, 1)
     first, last, total = best_run(table)
     return first[0] * PROPOSAL.wall_bin, (last[0] + 1) * PROPOSAL.wall_bin, float(total[0])
 
 
 def sharpen_part(along: Floats, gain: Floats, a: float, b: float) -> tuple[float, float, float]:
-    """Move the ends [m] of a part of a wall to where the gain of the rays (n,) is largest; return that gain, too."""
+    """Return the ends [m] of a part of a wall, refined to the largest gain of the rays (n,), and that gain."""
     slack = 2 * PROPOSAL.wall_bin
     near = np.flatnonzero((along >= a - slack) & (along <= b + slack) & (gain != 0))
     if len(near) == 0:
@@ -126,7 +126,7 @@ def sharpen_part(along: Floats, gain: Floats, a: float, b: float) -> tuple[float
 
 
 def on_part_of_wall(residuals: Residuals, wall: int, gain: float, **values: float) -> Proposal:
-    """Propose an effect on the part of a wall from `a` to `b` [m], cut to the wall's length."""
+    """Propose an effect on the part of a wall from `a` to `b` [m], limited to the wall."""
     start, end = residuals.walls[wall]
     length = float(np.hypot(*(end - start)))
     values["b"] = min(values["b"], length)
@@ -141,17 +141,17 @@ def best_first(found: list[Proposal]) -> list[Proposal]:
 
 
 def unchanged_obstacles(residuals: Residuals) -> list[str]:
-    """Return the obstacles of the map of which no effect is in the model."""
+    """Return the obstacles of the map without an effect in the model."""
     changed = {a.place for a in residuals.model}
     return [name for name in obstacles(residuals.arena) if name not in changed]
 
 
 def strangest_obstacles(residuals: Residuals, odd: Bools | None = None) -> list[str]:
-    """Return, of the unchanged obstacles, those on which most odd rays should have ended, most of them first.
+    """Return the unchanged obstacles with the most odd rays expected to end on them, sorted by their number.
 
     Parameters
     ----------
-    odd : (n_scans, n_rays); None: all that are strange
+    odd : (n_scans, n_rays) Odd rays. None: all outliers.
     """
     odd = residuals.strange if odd is None else odd
     walls = residuals.beams.wall[odd & (residuals.beams.wall >= 0)]
@@ -168,7 +168,7 @@ def half_spacing(residuals: Residuals) -> float:
 
 
 def share_of_readings(residuals: Residuals, odd: Bools, nats: float) -> list[Proposal]:
-    """Propose the share `p` of odd readings (n_scans, n_rays), which gain so many nats each."""
+    """Propose the share `p` of odd readings (n_scans, n_rays), each with a gain of `nats`."""
     n = max(int(residuals.returned.sum()), 1)
     count = int(odd.sum())
     if count <= max(PROPOSAL.min_rays, PROPOSAL.min_share * n):

@@ -13,17 +13,17 @@ from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
 
 FINEST = 1e-4
-"""[m] resolution of a reading where robot.yaml gives none."""
+"""[m] Resolution of a reading if robot.yaml gives none."""
 MIN_REPEATS = 3
-"""Times that a reading must come back to be one of the lattice."""
+"""Minimum number of occurrences of a value of the lattice."""
 MIN_VALUES, MIN_READINGS = 5, 200
-"""Distinct readings, and readings at all, that a lattice takes."""
+"""Minimum numbers of distinct values and of readings for a lattice."""
 MIN_SHARE = 0.9
-"""Of the readings that come back."""
+"""Minimum share of the readings with repeated values."""
 MIN_STEPS = 1.7
-"""Times the sensor's own resolution that the step of a lattice must be."""
+"""Minimum ratio of the step of a lattice to the resolution of the sensor."""
 ON_LATTICE = 0.95
-"""Share of the readings that must lie on it."""
+"""Minimum share of the readings on the lattice."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -32,7 +32,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for few distinct readings, a step apart."""
+    """Search for a few distinct values with a constant step."""
     z = residuals.z[residuals.returned]
     finest = max(residuals.sensor.resolution, FINEST)
     cells, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
@@ -51,7 +51,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def _refined(q: float, values: Floats) -> float:
-    """Refine the step of a lattice on distinct readings (n,) [m], near ones first, where no step can be lost."""
+    """Refine the step of a lattice on distinct values (n,) [m], short ranges first, so that steps are counted correctly."""
     grid = q * (1 + np.linspace(-0.08, 0.08, 641))
     few = values[values < max(0.05 / 0.08 * q * 8, values[0] + 12 * q)]
     for _ in range(6):
@@ -69,7 +69,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     """Compare the lattice with the resolution of the log."""
     q, resolution = typical["q"], exposure.sensor.resolution
     if resolution >= q:
-        return f"the log itself has steps of {1000 * resolution:.0f} mm"
+        return f"the readings in the log have steps of {1000 * resolution:.0f} mm"
     if exposure.n_seen * np.log(q / max(resolution, FINEST)) >= need:
         return ""
     return count_of_returns(exposure)
@@ -80,11 +80,11 @@ QUANTISATION = Effect(
     title="coarse quantisation",
     channel="scan",
     stage="noise",
-    physics="Returns are rounded to multiples of q, coarser than the data sheet says.",
+    physics="Returns are rounded to multiples of q, coarser than specified in the data sheet.",
     equation="z = q round(r / q)",
     source="Widrow and Kollar (2008), quantization noise",
-    varies="the lattice of the readings, nothing in the geometry",
-    rivals={"range_noise": "a histogram at standstill"},
+    varies="the lattice of the readings, not the geometry",
+    rivals={"range_noise": "plot a histogram of the readings at standstill"},
     parameters=(Parameter(name="q", unit="m", doc="step of the lattice", low=0.0, typical=0.01),),
     transform=transform,
     diagnostics=Diagnostics(unobservable=unobservable, propose=propose, is_lattice=True, is_forecast=False),

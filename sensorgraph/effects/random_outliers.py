@@ -12,21 +12,21 @@ from sensorgraph.effects.set_up import share_of_strays
 from sensorgraph.world.scene import Scene
 
 NATS = 1.0
-"""[nats] that one such reading gains, about."""
+"""[nats] Approximate gain of one such reading."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Mix in readings from anywhere."""
+    """Add a probability of uniform readings."""
     scene.outliers = 1 - (1 - scene.outliers) * (1 - a["p"])
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Count strange readings."""
+    """Count outliers."""
     return share_of_readings(residuals, residuals.strange, NATS)
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Compare the share with the strays that need no effect."""
+    """Compare the share with the usual outliers."""
     return too_few_returns(exposure, typical["p"], need)
 
 
@@ -38,13 +38,16 @@ RANDOM_OUTLIERS = Effect(
     physics="With probability p a reading is uniform over (0, range_max).",
     equation="P(z uniform over 0 … range_max) = p",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: random measurements",
-    varies="nothing: scattered single rays",
-    rivals={"people": "clustered and moving", "range_noise": "standstill"},
+    varies="no quantity (scattered single rays)",
+    rivals={
+        "people": "readings of people are clustered and move",
+        "range_noise": "compare the readings at standstill",
+    },
     parameters=(
         Parameter(
             name="p",
             unit="",
-            doc="share of such readings",
+            doc="share of uniform readings",
             materiality=0.002,
             low=0.0,
             high=1.0,

@@ -9,7 +9,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Add b to every reading."""
+    """Add b to each reading."""
     scene.beams.reading = scene.beams.reading + a["b"]
 
 
@@ -18,19 +18,19 @@ RANGE_BIAS = Effect(
     title="range bias",
     channel="scan",
     stage="range",
-    physics="A constant is added to every return: z = r + b.",
+    physics="Each return has a constant offset: z = r + b.",
     equation="z = r + b",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner",
-    varies="nothing: the same on all rays",
+    varies="no quantity (equal on all rays)",
     rivals={
-        "range_scale": "very near and very far walls",
-        "map_scale": "obstacles grow or shrink with a bias, not with the map",
+        "range_scale": "look at very near and very far walls",
+        "map_scale": "a bias changes the size of obstacles by a constant",
     },
     parameters=(
         Parameter(
             name="b",
             unit="m",
-            doc="added to every return",
+            doc="offset of each return",
             materiality=0.005,
             step=1e-3,
             nuisance=Nuisance.BIAS,

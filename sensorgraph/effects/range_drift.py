@@ -1,4 +1,4 @@
-"""Drift of the range over time."""
+"""Range drift."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 MIN_SPAN = 30.0
-"""[s] of a run, below which nothing drifts."""
+"""[s] Minimum duration of a run for a drift."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -24,30 +24,33 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def warm_up(span: float) -> dict[str, float]:
-    """Start a fit from a warm-up that is over after a part of the run [s]."""
+    """Return start values of a warm-up that ends early in a run of duration `span` [s]."""
     return {"tau": 0.2 * span}
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Say that the run is too short."""
+    """Return a text if the run is too short."""
     return f"the run lasts {exposure.span:.0f} s, too short for a drift" if exposure.span < MIN_SPAN else ""
 
 
 def duration(exposure: Exposure) -> str:
-    """Say how long the run lasts."""
-    return f"the run lasts {exposure.span:.0f} s"
+    """Return a text on the duration of the run."""
+    return f"the run lasts only {exposure.span:.0f} s"
 
 
 RANGE_DRIFT = Effect(
     name="range_drift",
-    title="drift of the range over time",
+    title="range drift",
     channel="scan",
     stage="range",
-    physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up; t counts from the first scan, T is the time to the last.",
+    physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up. Time t starts at the first scan, and T is the time of the last scan.",
     equation="z = r + b₁ t / T, or b₁ (1 − exp(−t / τ)) where τ > 0",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner: warm-up",
     varies="time",
-    rivals={"moved_wall": "the first pose again at the end", "range_bias": "the first pose again at the end"},
+    rivals={
+        "moved_wall": "return to the first pose at the end",
+        "range_bias": "return to the first pose at the end",
+    },
     parameters=(
         Parameter(
             name="b1",

@@ -14,22 +14,22 @@ from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
 
 GROWTHS = (0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03)
-"""[m/m] that are tried."""
+"""[m/m] Values of k that are tested."""
 CORES = (0.75, 0.85, 1.0, 1.15)
-"""Scales of the nominal noise that are tried with each."""
+"""Scales of the nominal noise that are tested with each k."""
 MIN_READINGS = 100
-"""That a spread takes."""
+"""Minimum number of readings for an estimate of the spread."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Widen every return by k r."""
+    """Increase the standard deviation of each return by k r."""
     beams = scene.beams
     r = np.where(np.isfinite(beams.reading), beams.reading, 0.0)
     beams.sigma = np.sqrt(np.square(beams.sigma) + (a["k"] * r) ** 2)
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Try values of the growth, the nominal noise and its tail refitted."""
+    """Test values of the growth, with the scale of the nominal noise refitted."""
     ok = residuals.returned & residuals.aimed & (residuals.stray < 0.5)
     if ok.sum() <= MIN_READINGS:
         return []
@@ -45,13 +45,13 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def _log_likelihood(e: Floats, s: Floats, tail: float) -> float:
-    """Return the log-likelihood of residuals under core and tail, without constants [nats]."""
+    """Return the log-likelihood [nats] of residuals for a distribution with core and tail, without constants."""
     q = (e / s) ** 2
     return float(np.log(((1 - tail) * np.exp(-0.5 * q) + tail / 3 * np.exp(-0.5 * q / 9)) / s + 1e-3).sum())
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Compare the growth of the noise with the freedom of its nominal size."""
+    """Compare the growth of the noise with the uncertainty of its nominal size."""
     k, sigma = typical["k"], exposure.sensor.sigma
     if sigma <= 0 or not exposure.n_seen:
         return ""
@@ -61,7 +61,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     middle = (edges[1:] + edges[:-1]) / 2 / scale  # (9, 40)
     nats = float((0.5 * (middle - 1 - np.log(middle)) * counts).sum(axis=1).min())
     longest = float(np.percentile(exposure.reading[exposure.seen], 95))
-    return "" if nats >= need else f"hardly a range above {longest:.1f} m; {falls_short(nats, need)}"
+    return "" if nats >= need else f"few ranges exceed {longest:.1f} m; {falls_short(nats, need)}"
 
 
 RANGE_NOISE = Effect(
@@ -69,13 +69,13 @@ RANGE_NOISE = Effect(
     title="range-dependent noise",
     channel="scan",
     stage="noise",
-    physics="The noise grows with the range: sigma^2 = sigma_0^2 + (k r)^2.",
+    physics="The noise increases with the range: sigma^2 = sigma_0^2 + (k r)^2.",
     equation="σ² = σ₀² + (k r)²",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner",
-    varies="variance of the residual against range",
+    varies="range, in its variance",
     rivals={
-        "random_outliers": "outliers are far off and rare at every range",
-        "pose_clock_offset": "stand still before a far wall at normal incidence",
+        "random_outliers": "outliers have large errors and are rare at all ranges",
+        "pose_clock_offset": "stand still in front of a far wall at normal incidence",
     },
     parameters=(
         Parameter(

@@ -10,7 +10,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Stretch every reading."""
+    """Stretch each reading."""
     beams = scene.beams
     beams.reading = (1 + a["s"]) * beams.reading
     beams.slope = (1 + a["s"]) * beams.slope
@@ -21,13 +21,13 @@ RANGE_SCALE = Effect(
     title="range scale",
     channel="scan",
     stage="range",
-    physics="Every return is stretched in proportion to its length: z = (1 + s) r.",
+    physics="Each return is stretched in proportion to its range: z = (1 + s) r.",
     equation="z = (1 + s) r",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
     varies="range",
     rivals={
-        "map_scale": "near and far views of the same wall from two sides",
-        "range_bias": "very near and very far walls",
+        "map_scale": "look at the same wall from near and from far, from two sides",
+        "range_bias": "look at very near and very far walls",
     },
     parameters=(
         Parameter(

@@ -9,7 +9,7 @@ from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Take later rays later."""
+    """Delay each ray by its share of the sweep."""
     scene.delay = scene.delay + a["T"] * scene.sensor.sweep_share
 
 
@@ -18,16 +18,16 @@ SCAN_SKEW = Effect(
     title="skew of a rolling scan",
     channel="scan",
     stage="time",
-    physics="Ray i of N, in the order of the sweep, is taken T i / N after the stamp, beyond what robot.yaml says.",
+    physics="Ray i of N, in the order of the sweep, is taken T i / N after the stamp, in addition to the sweep time in robot.yaml.",
     equation="zᵢ(t) = rᵢ(pose(t + T i / N))",
     source="Zhang and Singh (2014), LOAM, section V",
-    varies="turn rate times ray index; nothing at the first ray",
-    rivals={"latency": "compare the first rays with the last at one turn rate"},
+    varies="turn rate times ray index",
+    rivals={"latency": "compare the first and the last rays at one turn rate"},
     parameters=(
         Parameter(
             name="T",
             unit="s",
-            doc="of a sweep of N rays",
+            doc="additional duration of a sweep",
             materiality=0.01,
             step=1e-4,
             jump=300.0,

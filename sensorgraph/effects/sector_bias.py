@@ -1,4 +1,4 @@
-"""Bias of a sector of rays."""
+"""Bias of a sector."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 MAX_SHARE = 0.8
-"""Of the rays, that a sector may have; more are the whole sensor."""
+"""Maximum share of the rays in a sector; a larger share is the whole sensor."""
 BROAD = 6.0
-"""Standard deviations at which readings far off count half."""
+"""Deviation [sigma] at which a reading has half the weight."""
 
 N_SECTORS, SECTOR = 6, float(np.radians(30.0))
-"""Sectors of this width [rad], in which a bias should show."""
+"""Number and width [rad] of the sectors in which a bias should be visible."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -31,7 +31,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for the run of neighbouring rays whose mean residual explains most."""
+    """Search for the sequence of neighbouring rays whose mean residual explains most."""
     bearings = residuals.sensor.bearings
     valid = residuals.valid & residuals.returned
     found = []
@@ -39,7 +39,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
         w = np.where(valid, weight, 0.0)
         num, den = (w * residuals.residual).sum(axis=0), w.sum(axis=0)
         n = len(num)
-        turns = 2 if is_full_turn(bearings) else 1  # a sector may straddle the last ray and the first
+        turns = 2 if is_full_turn(bearings) else 1  # a sector may include the last ray and the first
         cn, cd = (np.concatenate([[0.0], np.cumsum(np.tile(part, turns))]) for part in (num, den))
         i, j = np.triu_indices(turns * n + 1, 1)
         few = ((j - i) <= MAX_SHARE * n) & (i < n)
@@ -58,14 +58,14 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def _broad_weight(residuals: Residuals) -> Floats:
-    """Weigh readings far off as well, but less than near ones (n_scans, n_rays) [1/m²]."""
+    """Return weights (n_scans, n_rays) [1/m²] that decrease slowly with the residual."""
     e, sigma = residuals.residual, residuals.sigma
     heavy = sigma**2 * (1 + (e / (BROAD * sigma)) ** 2) * BROAD
     return np.asarray(np.where(residuals.returned, 1 / heavy, 0.0))
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the sectors of which too few rays would tell, nuisances refitted."""
+    """Return the sectors with too little evidence, nuisances refitted."""
     bearings = exposure.sensor.bearings
     centres = bearings[0] + (np.arange(N_SECTORS) + 0.5) / N_SECTORS * (bearings[-1] - bearings[0])
     inside = np.array([in_sector(bearings, c - SECTOR / 2, c + SECTOR / 2) for c in centres])
@@ -74,21 +74,21 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     blind = [f"{np.degrees(c):.0f}" for c, value in zip(centres, nats, strict=True) if value < need]
     if not blind:
         return ""
-    return f"round bearing {listed(blind)} degrees there are too few returns, or too few headings"
+    return f"there are too few returns or headings at the bearings {listed(blind)} degrees"
 
 
 SECTOR_BIAS = Effect(
     name="sector_bias",
-    title="bias of a sector of rays",
+    title="bias of a sector",
     channel="scan",
     stage="range",
-    physics="Rays of one sector of bearings are biased: z = r + b for theta_1 <= theta <= theta_2.",
+    physics="Returns in one sector of bearings have an offset: z = r + b for theta_1 <= theta <= theta_2.",
     equation="z = r + b for θ₁ ≤ θ ≤ θ₂",
     source="Pandey et al. (2011), per-beam calibration of multi-beam lidars",
     varies="bearing only",
     rivals={
-        "mount_xy": "a cosine over all bearings",
-        "moved_wall": "spin in place: the wall's offset leaves the sector",
+        "mount_xy": "a mounting offset depends on the cosine of the bearing",
+        "moved_wall": "spin in place, so that the wall leaves the sector",
     },
     parameters=(
         Parameter(
@@ -97,7 +97,7 @@ SECTOR_BIAS = Effect(
         Parameter(
             name="theta2", unit="rad", doc="last bearing, laser frame", neutral=None, hidden=between_rays
         ),
-        Parameter(name="b", unit="m", doc="added inside the sector", materiality=0.006, step=1e-3),
+        Parameter(name="b", unit="m", doc="offset inside the sector", materiality=0.006, step=1e-3),
     ),
     transform=transform,
     place="sector",
@@ -105,7 +105,7 @@ SECTOR_BIAS = Effect(
         unobservable=unobservable,
         propose=propose,
         telltale=Telltale(
-            least=2, statement="the bias varies with the bearing in a way that no single sector describes"
+            least=2, statement="the bias depends on the bearing, and a single sector does not describe it"
         ),
     ),
 )

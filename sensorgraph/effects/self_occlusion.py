@@ -1,4 +1,4 @@
-"""A part of the robot in view."""
+"""Robot part in view."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 MIN_SHORT = 0.3
-"""Share of the scans in which a ray must be short."""
+"""Minimum share of scans in which a ray is short."""
 
-TRIED = 0.0, 0.25, 0.5, 0.75, 1.0
-"""Quantiles of the rays' own medians that are tried as the range of the robot's part."""
+QUANTILES = 0.0, 0.25, 0.5, 0.75, 1.0
+"""Quantiles of the medians of the rays that are tested as the range of the robot part."""
 CLEAR = 0.05
-"""[m] beyond the robot's own part that a return is clear of it."""
+"""[m] Distance behind the robot part beyond which a return is from another surface."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Let the rays of the sector end at the robot itself."""
+    """Let the rays of the sector end at the robot part."""
     beams = scene.beams
     sector = np.broadcast_to(in_sector(scene.bearings, a["theta1"], a["theta2"]), beams.reading.shape)
     hidden = sector & (beams.reading > a["r0"])
@@ -37,14 +37,14 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for neighbouring rays that read one and the same, whatever the pose."""
+    """Search for neighbouring rays with the same reading at all poses."""
     z, short = residuals.z, residuals.short
     odd = short.sum(axis=0) > MIN_SHORT * len(z)
     if not odd.any():
         return []
     found = []
     bearings = residuals.sensor.bearings
-    first_ray = int(odd.argmin()) if is_full_turn(bearings) else 0  # no sector straddles it
+    first_ray = int(odd.argmin()) if is_full_turn(bearings) else 0  # no sector contains it
     rays = (np.arange(len(odd)) + first_ray) % len(odd)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], odd[rays].astype(int), [0]])))
     for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
@@ -52,7 +52,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
         some = np.zeros(z.shape, dtype=np.bool_)
         some[:, sector] = True
         each = [np.median(z[:, ray][short[:, ray]]) for ray in sector]
-        tried = {np.median(z[:, sector][short[:, sector]]), *np.quantile(each, TRIED, method="nearest")}
+        tried = {np.median(z[:, sector][short[:, sector]]), *np.quantile(each, QUANTILES, method="nearest")}
         best = max(
             (_likeliest_run(residuals, some, sector, float(r0)) for r0 in tried),
             key=lambda p: p.gain,
@@ -62,7 +62,10 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def _likeliest_run(residuals: Residuals, some: Bools, sector: Ints, r0: float) -> Proposal:
-    """Return the neighbouring rays of a sector (`some` in all scans) that most likely read r0 [m]: clutter may be short beside them."""
+    """Return the neighbouring rays of a sector (`some` in all scans) with the largest likelihood of reading r0 [m].
+
+    Rays next to them may be short because of clutter.
+    """
     at = np.where(residuals.aimed, residuals.mu, np.inf)[some]
     gains = np.zeros(some.shape)
     gains[some] = residuals.likely(np.minimum(at, r0), some) - residuals.log_p[some]
@@ -76,30 +79,30 @@ def _likeliest_run(residuals: Residuals, some: Bools, sector: Ints, r0: float) -
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the rays that hardly ever returned from beyond the robot's own part."""
+    """Count the rays with too few returns from behind the robot part."""
     r0, sensor = typical["r0"], exposure.sensor
     beyond = exposure.seen & (exposure.reading > r0 + CLEAR)
     few = UNEXPECTED * beyond.sum(axis=0) < need
     if not few.any():
         return ""
-    return f"{int(few.sum())} of {sensor.n_rays} rays hardly ever returned from beyond {r0:.2f} m"
+    return f"{int(few.sum())} of {sensor.n_rays} rays have too few returns from beyond {r0:.2f} m"
 
 
 SELF_OCCLUSION = Effect(
     name="self_occlusion",
-    title="a part of the robot in view",
+    title="robot part in view",
     channel="scan",
     stage="detection",
-    physics="A part of the robot stands r0 before the sensor and hides the sector from theta_1 to theta_2.",
+    physics="A part of the robot at range r0 hides the sector from theta_1 to theta_2.",
     equation="z = r₀ for θ₁ ≤ θ ≤ θ₂",
     source="Dolgov et al.; common practice of laser filters (ROS laser_filters, angular bounds)",
-    varies="bearing, whatever the pose",
+    varies="bearing, at all poses",
     rivals={"min_range": "turn in free space"},
     parameters=(
         Parameter(
             name="r0",
             unit="m",
-            doc="range of the robot's own part",
+            doc="range of the robot part",
             neutral=None,
             low=0.0,
             step=1e-4,

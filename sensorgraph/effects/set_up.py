@@ -1,4 +1,4 @@
-"""The accuracy of a careful set-up, and how much of an effect's parameters it hides."""
+"""The accuracy of a careful setup, and the errors of effect parameters that follow from it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ class SetUp:
 
     tolerances: Tolerances
     median_range: float
-    """[m] of the returns of the run."""
+    """[m] Median of the returns of the run."""
     ray_spacing: float
-    """[rad] between neighbouring rays."""
+    """[rad] Angle between neighbouring rays."""
     wall_length: float
-    """[m] median over the walls of the map; inf where there are none."""
+    """[m] Median length of the walls of the map; inf without walls."""
     range_bias: float
-    """[m] standard deviation of a bias of the laser that is no effect."""
+    """[m] Standard deviation of the laser's bias without an effect."""
     strays: float
-    """Standard deviation of a share of strays that is none, which is as likely anywhere up to its limit."""
+    """Standard deviation of the share of outliers without an effect, uniform up to its limit."""
 
 
 def map_error(set_up: SetUp) -> float:
@@ -32,12 +32,12 @@ def map_error(set_up: SetUp) -> float:
 
 
 def half_map_error(set_up: SetUp) -> float:
-    """Return the error [m] of what is measured against several walls of the map."""
+    """Return the error [m] of a quantity measured against several walls of the map."""
     return set_up.tolerances.map / 2
 
 
 def third_of_map_error(set_up: SetUp) -> float:
-    """Return the error [m] of what is measured along a whole wall of the map."""
+    """Return the error [m] of a quantity measured along a whole wall of the map."""
     return set_up.tolerances.map / 3
 
 
@@ -47,26 +47,26 @@ def wall_direction_error(set_up: SetUp) -> float:
 
 
 def end_of_part_error(set_up: SetUp) -> float:
-    """Return the error [m] of where a part of a wall ends: single rays tell."""
+    """Return the error [m] of the end of a part of a wall, which depends on single rays."""
     t = set_up.tolerances
     return float(np.hypot(t.map, t.pose_xy + t.pose_yaw * set_up.median_range))
 
 
 def depth_edge_error(set_up: SetUp) -> float:
-    """Return the error [rad] of where a few edges in depth stand, each off by the map's tolerance."""
+    """Return the error [rad] of the place of a few depth edges, each with the tolerance of the map."""
     return 0.5 * set_up.tolerances.map / max(set_up.median_range, 0.1)
 
 
 def between_rays(set_up: SetUp) -> float:
-    """Return the error [rad] of a bearing that falls anywhere between two rays: uniform over their spacing."""
+    """Return the error [rad] of a bearing between two rays, uniform over their spacing."""
     return float(set_up.ray_spacing / np.sqrt(12))
 
 
 def range_bias(set_up: SetUp) -> float:
-    """Return the error [m] of a range that is told by readings alone."""
+    """Return the error [m] of a range that is estimated from readings alone."""
     return set_up.range_bias
 
 
 def share_of_strays(set_up: SetUp) -> float:
-    """Return the error of a share of readings that may be the strays that every laser has."""
+    """Return the error of a share of outliers, which each laser has."""
     return set_up.strays

@@ -1,4 +1,4 @@
-"""Facts that several effects share."""
+"""Settings common to several effects."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from sensorgraph.effects.effect import Telltale
 LOSS_LEFTOVERS = dict.fromkeys(
     ("glass", "mirror", "black_surface", "incidence_dropout", "people", "random_outliers"), 0.03
 )
-"""What effects that lose or bend whole groups of rays leave at their rim, as shares of their gain."""
+"""Remainders at the rim of effects that lose or bend groups of rays, as shares of their gain."""
 LOST_BY_DIRECTION = Telltale(
-    least=3, statement="rays are lost or long on many walls, as if by direction, not by wall"
+    least=3,
+    statement="returns are missing or long on many walls, so they may depend on the direction and not on the wall",
 )
 STRETCHED = Telltale(
     least=2,
-    statement="map and readings both seem stretched: the poses' own scale may be wrong",
+    statement="map and readings both appear stretched, so the scale of the poses may be wrong",
     distinct=True,
 )

@@ -17,16 +17,19 @@ from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Scene
 
 GAMMAS = np.radians([2.0, 4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
-"""[rad] that are tried, ..."""
+"""[rad] Half angles that are tested."""
 ALPHAS = np.radians([20.0, 30.0, 45.0, 65.0, 89.9])
-"""... with each of these largest incidences [rad]."""
+"""[rad] Largest incidences that are tested with each half angle."""
 MIN_SHORT = 0.005
-"""Share of short readings: a cone finds what is nearer beside the ray, and reads walls short that are met at a slant. Runs
-without any effect have less, people and strays of less than 0.2 % among it."""
+"""Minimum share of short readings.
+
+A cone measures nearer surfaces next to the ray, and short ranges of walls at oblique incidence. Runs without effects
+have fewer short readings, including people and outliers below 0.2 %.
+"""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Take the nearest return of the cone: that ray is what is measured, with all that it depends on."""
+    """Replace each ray by the nearest returning ray in its cone."""
     gamma, alpha = a["gamma"], a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
     beams = scene.beams
     n = len(scene.bearings)
@@ -60,7 +63,7 @@ def transform(scene: Scene, a: Amendment) -> None:
 
 
 def _seen(part: Beams, alpha: float) -> Floats:
-    """Return the ranges of rays that come back, inf for others."""
+    """Return the ranges of rays that return, inf for others."""
     if alpha == np.inf:
         return part.ranges
     with np.errstate(invalid="ignore"):
@@ -75,14 +78,14 @@ def _chosen(whole: Beams, at: Ints) -> Beams:
 
 
 def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
-    """Try half angles at several largest incidences, where readings are short."""
+    """Return half angles for several largest incidences, if enough readings are short."""
     if residuals.short.mean() < MIN_SHORT:
         return []
     return [[{"gamma": float(gamma), "alpha_max": float(alpha)} for gamma in GAMMAS] for alpha in ALPHAS]
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the rays beside which a cone would find something nearer."""
+    """Count the rays whose cone would contain a nearer surface."""
     gamma = typical["gamma"]
     bearings = exposure.sensor.bearings
     side = int(gamma / np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else 0
@@ -94,7 +97,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
         shorter[:, :-side] |= seen[:, side:] & (reading[:, side:] < limit[:, :-side])
     if UNEXPECTED * shorter.sum() >= need:
         return ""
-    return "neighbouring rays read alike, as if the cone were one of them"
+    return "neighbouring rays have similar ranges, so a cone and a thin ray read the same"
 
 
 SONAR_CONE = Effect(
@@ -102,13 +105,13 @@ SONAR_CONE = Effect(
     title="sonar cone",
     channel="scan",
     stage="optics",
-    physics="The reading is the nearest return within +-gamma, and a surface met at more than alpha_max returns nothing.",
+    physics="The reading is the nearest return within +-gamma; a surface at an incidence above alpha_max does not return.",
     equation="z = min of r over θ ± γ, no return for α > α_max",
     source="Leonard and Durrant-Whyte (1992), Directed Sonar Sensing for Mobile Robot Navigation",
-    varies="arcs of constant depth; corners read short",
+    varies="the nearest surface in the cone (arcs of constant range, short corners)",
     rivals={
-        "mixed_pixels": "turn in place before a wall",
-        "incidence_dropout": "turn in place before a wall",
+        "mixed_pixels": "turn in place in front of a wall",
+        "incidence_dropout": "turn in place in front of a wall",
     },
     parameters=(
         Parameter(
@@ -124,7 +127,7 @@ SONAR_CONE = Effect(
         Parameter(
             name="alpha_max",
             unit="rad",
-            doc="largest incidence that returns",
+            doc="largest incidence of a return",
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,

@@ -7,7 +7,7 @@ from sensorgraph.world.drivetrain import Drivetrain
 
 
 def transform(drivetrain: Drivetrain, a: Amendment) -> None:
-    """Cap the speed."""
+    """Limit the speed."""
     drivetrain.v_max = min(drivetrain.v_max, a["v_max"])
 
 
@@ -16,11 +16,11 @@ SPEED_SATURATION = Effect(
     title="speed saturation",
     channel="drive",
     stage="motors",
-    physics="The robot does not drive faster than v_max, though robot.yaml allows more.",
+    physics="The robot does not drive faster than v_max, although the limit in robot.yaml is higher.",
     equation="|v| ≤ v_max",
     source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
-    varies="only at high commands",
-    rivals={"actuator_lag": "a sweep of speeds"},
+    varies="commanded speed above the limit",
+    rivals={"actuator_lag": "command several speeds up to the limit"},
     parameters=(Parameter(name="v_max", unit="m/s", doc="largest speed", neutral=None, low=0.0),),
     transform=transform,
 )

@@ -16,24 +16,24 @@ from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 FARTHER = 1.5
-"""Times the sensor's height that a reading of the floor is away, at least."""
+"""Minimum ratio of a reading of the floor to the height of the sensor."""
 N_PAIRS = 120
-"""Pairs of readings that a plane is laid through."""
+"""Number of pairs of readings that define a plane."""
 DIPS = (0.003, 0.5)
-"""[rad] of a tilt."""
+"""[rad] Limits of a tilt."""
 MIN_SHARE = 0.2
-"""Of the short readings that must lie on one plane."""
+"""Minimum share of the short readings on one plane."""
 NATS = 8.0
-"""[nats] that one reading of the floor gains, about."""
+"""[nats] Approximate gain of one reading of the floor."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Dip the plane of the laser."""
+    """Tilt the plane of the laser."""
     scene.dip = (a["beta"], a["theta0"])
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for readings capped by the floor. There h / z = sin(beta) cos(theta - theta0): linear in cos and sin theta."""
+    """Search for readings of the floor, where h / z = sin(beta) cos(theta - theta0), linear in cos and sin theta."""
     h = residuals.sensor.height
     some = residuals.short & (residuals.z > FARTHER * h)
     if h <= 0 or some.sum() < 2 * PROPOSAL.min_rays:
@@ -70,7 +70,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Count the rays that a dip ahead would let meet the floor."""
+    """Count the rays that would hit the floor if the plane dips ahead."""
     beta, sensor = typical["beta"], exposure.sensor
     floor = sensor.height / np.sin(beta)
     ahead = 0.0 if is_full_turn(sensor.bearings) else sensor.bearings.mean()
@@ -81,8 +81,8 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     if UNEXPECTED * some.sum() >= need:
         return ""
     return (
-        f"hardly a ray ahead is longer than the {floor:.1f} m at which a plane tilted by "
-        f"{np.degrees(beta):.0f} degrees meets the floor"
+        f"few rays ahead exceed {floor:.1f} m, where a plane tilted by "
+        f"{np.degrees(beta):.0f} degrees hits the floor"
     )
 
 
@@ -91,19 +91,19 @@ TILT = Effect(
     title="tilted scan plane",
     channel="scan",
     stage="mount",
-    physics="The plane dips by beta towards theta_0: a ray that leaves psi below the horizontal, sin psi = sin(beta) cos(theta - theta_0), meets the floor at h / sin psi; others are longer by 1 / cos psi, and seen from above their bearings spread where the plane dips most.",
+    physics="The plane dips by beta towards theta_0. A ray at psi below the horizontal, sin psi = sin(beta) cos(theta - theta_0), hits the floor at h / sin psi. Other rays are longer by 1 / cos psi, and their bearings, seen from above, spread around theta_0.",
     equation="z = min(r(θ′) / cos ψ, h / sin ψ), sin ψ = sin β cos(θ − θ₀), tan(θ′ − θ₀) = tan(θ − θ₀) / cos β",
     source="geometry of a plane at height h; Kohlbrecher et al. (2011), Hector SLAM, section III",
-    varies="range capped in dependence of the bearing, only where the room is deep",
+    varies="bearing, for ranges beyond the floor",
     rivals={
-        "max_range": "returns exist there",
-        "unmapped_obstacle": "it moves with the robot: a long open view, and a spin",
+        "max_range": "a tilted sensor returns from the floor",
+        "unmapped_obstacle": "spin in place with a long open view, because a tilt moves with the robot",
     },
     parameters=(
         Parameter(
             name="beta",
             unit="rad",
-            doc="dip",
+            doc="dip angle",
             low=0.0,
             high=0.5,
             step=1e-5,

@@ -1,4 +1,4 @@
-"""Obstacle that the map lacks."""
+"""Unmapped obstacle."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
 
 CELL, MAX_CELLS = 0.25, 1500
-"""[m] of the raster of free space, and about how many cells it may have."""
+"""[m] Cell size of the raster of free space, and its approximate maximum number of cells."""
 MAX_PLACES = 12
-"""Where most short readings end, that are looked at; clutter may take several."""
+"""Maximum number of places with most ends of short readings that are examined; clutter may have several."""
 REACHES = 0.6, 0.25
-"""[m] about such a place, of ends that may be of one thing: more than one thing may be near."""
+"""[m] Distances from such a place within which ends may belong to one object; other objects may be near."""
 MAX_PROPOSED = 8
 MAX_RADIUS = 0.8
-"""[m] beyond which something round is no longer told from a wall."""
+"""[m] Radius above which a round object is not distinguished from a wall."""
 N_SCANS = 60
-"""Scans that the raster is looked at from."""
+"""Number of scans for the visibility of the raster."""
 MAX_BLIND = 0.03
-"""Share of free space that may go unseen without a word."""
+"""Share of unobserved free space that is not reported."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Put a disc into the room."""
+    """Add a disc to the room."""
     if a["r"] > 0:
         scene.discs = np.concatenate([scene.discs, [[a["x"], a["y"], a["r"]]]])
 
 
 def propose(residuals: Residuals) -> list[Proposal]:
-    """Look for short readings that end at one place, again and again."""
+    """Search for places where short readings end repeatedly."""
     if residuals.short.sum() < PROPOSAL.min_rays:
         return []
     ends = residuals.ends(residuals.short)
@@ -48,16 +48,16 @@ def propose(residuals: Residuals) -> list[Proposal]:
             break
         middle = np.median(ends[index == k], axis=0)
         for reach in REACHES:
-            found += _things_about(residuals, ends, middle, reach)
+            found += _discs_near(residuals, ends, middle, reach)
     return sorted(found, key=lambda one: -one.gain)[:MAX_PROPOSED]
 
 
-def _things_about(residuals: Residuals, ends: Floats, middle: Floats, reach: float) -> list[Proposal]:
-    """Propose the disc that short readings within `reach` [m] of a place lie on, and a small one at the place itself.
+def _discs_near(residuals: Residuals, ends: Floats, middle: Floats, reach: float) -> list[Proposal]:
+    """Propose a disc fitted to the short readings within `reach` [m] of a place, and a small disc at the place.
 
     Parameters
     ----------
-    ends : (n, 2) [m, map] of all short readings
+    ends : (n, 2) [m, map] End points of all short readings.
     """
     scan, ray = np.nonzero(residuals.short)
     near = np.hypot(*(ends - middle).T) < reach
@@ -84,7 +84,7 @@ def _things_about(residuals: Residuals, ends: Floats, middle: Floats, reach: flo
 
 
 def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
-    """Count the rays that go through a disc, by its inner part."""
+    """Count the rays that pass through the inner part of a disc."""
     ahead, aside = residuals.beams.towards(centre[0], centre[1])
     aimed = (ahead > radius) & (np.abs(aside) < 0.7 * radius)
     with np.errstate(invalid="ignore"):
@@ -92,7 +92,7 @@ def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
 
 
 def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:
-    """Fit a circle to points on its near side; return centre (2,), radius, median distance from it [m]."""
+    """Fit a circle to points on its near side; return its centre (2,), radius and median residual [m]."""
     best: tuple[float, Floats, float] | None = None
     for start in (0.04, 0.1, 0.2, 0.35):
         centre, radius = np.median(points + start * directions, axis=0), start
@@ -113,7 +113,7 @@ def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:
 
 
 def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
-    """Name the part of free space that was hardly looked at."""
+    """Return a text on the part of free space that was not observed."""
     arena, beams = exposure.arena, exposure.beams
     x0, y0, x1, y1 = arena.bounds
     step = max(CELL, float(np.sqrt((x1 - x0) * (y1 - y0) / MAX_CELLS)))
@@ -124,7 +124,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
         return ""
     some = np.unique(np.linspace(0, len(exposure.reading) - 1, N_SCANS).astype(np.intp))
     ox, oy = (np.broadcast_to(o, beams.ux.shape)[some, 0] for o in (beams.ox, beams.oy))
-    dx, dy = spots[:, 0] - ox[:, None], spots[:, 1] - oy[:, None]  # (looks, spots)
+    dx, dy = spots[:, 0] - ox[:, None], spots[:, 1] - oy[:, None]  # (n_scans, n_spots)
     bearings = exposure.sensor.bearings
     first = np.arctan2(beams.uy[some, 0], beams.ux[some, 0])[:, None]
     turn = (np.arctan2(dy, dx) - first) % (2 * np.pi)
@@ -138,24 +138,27 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
         return ""
     middle = spots[blind][np.hypot(*(spots[blind] - spots[blind].mean(axis=0)).T).argmin()]
     return (
-        f"{100 * blind.mean():.0f} % of the free space was hardly looked at, for instance round "
+        f"{100 * blind.mean():.0f} % of the free space was not observed, for example around "
         f"({middle[0]:.1f}, {middle[1]:.1f}) m"
     )
 
 
 UNMAPPED_OBSTACLE = Effect(
     name="unmapped_obstacle",
-    title="obstacle that the map lacks",
+    title="unmapped obstacle",
     channel="scan",
     stage="geometry",
-    physics="Something round stands at (x, y) that the map does not have.",
+    physics="A round object at (x, y) is not in the map.",
     equation="a disc of radius r at (x, y)",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: unexpected objects",
-    varies="short readings that end at one place, at all times",
-    rivals={"people": "come back later", "moved_obstacle": "a moved obstacle leaves a hole as well"},
+    varies="the place of the object, with short readings at all times",
+    rivals={
+        "people": "look at the place again later",
+        "moved_obstacle": "a moved obstacle is missing at its place in the map",
+    },
     parameters=(
-        Parameter(name="x", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
-        Parameter(name="y", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
+        Parameter(name="x", unit="m", doc="x of the centre", neutral=None, step=1e-4, hidden=half_map_error),
+        Parameter(name="y", unit="m", doc="y of the centre", neutral=None, step=1e-4, hidden=half_map_error),
         Parameter(
             name="r",
             unit="m",

@@ -16,7 +16,7 @@ def transform(drivetrain: Drivetrain, a: Amendment) -> None:
 
 
 def column(motion: WheelMotion) -> tuple[Floats, Floats]:
-    """Let the turn grow."""
+    """Return zero for the distance, and the turn itself for the turn."""
     return np.zeros_like(motion.distance), motion.turn
 
 
@@ -25,15 +25,15 @@ WHEEL_BASE = Effect(
     title="wheelbase",
     channel="odometry",
     stage="wheels",
-    physics="The odometry takes the wheels for (1 + s) times farther apart than they are: it turns 1 / (1 + s) as much.",
+    physics="The odometry assumes a wheelbase that is (1 + s) times the true one, so that its turn is 1 / (1 + s) times the true turn.",
     equation="odometry ω = true ω / (1 + s)",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors: E_b",
-    varies="error of heading against rotation, the same for both senses",
-    rivals={"wheel_radius": "a straight run", "wheel_slip": "another place"},
+    varies="rotation, equally in both directions",
+    rivals={"wheel_radius": "drive straight", "wheel_slip": "turn at another place"},
     parameters=(Parameter(name="s", unit="", doc="relative error of the wheelbase", materiality=0.006),),
     transform=transform,
     diagnostics=Diagnostics(
-        why_unseen="too little turning",
+        why_unseen="the robot turns too little",
         wheel_regressor=WheelRegressor(
             column=column,
             tolerance=0.002,

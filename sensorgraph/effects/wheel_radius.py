@@ -9,12 +9,12 @@ from sensorgraph.world.drivetrain import Drivetrain
 
 
 def transform(drivetrain: Drivetrain, a: Amendment) -> None:
-    """Scale way and turn."""
+    """Scale distance and turn."""
     drivetrain.measured = (1 + a["s"]) * drivetrain.measured
 
 
 def column(motion: WheelMotion) -> tuple[Floats, Floats]:
-    """Let distance and turn grow alike."""
+    """Return the distance and the turn themselves."""
     return motion.distance, motion.turn
 
 
@@ -23,17 +23,19 @@ WHEEL_RADIUS = Effect(
     title="wheel radius",
     channel="odometry",
     stage="wheels",
-    physics="Both wheels are smaller than the odometry takes them to be, which reads (1 + s) times the way and the turn.",
+    physics="Both wheels are smaller than the odometry assumes, so that it reports (1 + s) times the true distance and turn.",
     equation="odometry (v, ω) = (1 + s) × true (v, ω)",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors",
-    varies="odometry against pose: way and turn in proportion",
-    rivals={"wheel_base": "turn only, and drive straight only"},
+    varies="distance and turn, in proportion",
+    rivals={"wheel_base": "turn in place, then drive straight"},
     parameters=(
-        Parameter(name="s", unit="", doc="odometry reads (1 + s) times the motion", materiality=0.005),
+        Parameter(
+            name="s", unit="", doc="relative excess of the odometry over the motion", materiality=0.005
+        ),
     ),
     transform=transform,
     diagnostics=Diagnostics(
-        why_unseen="too little driving",
+        why_unseen="the robot drives too little",
         wheel_regressor=WheelRegressor(
             column=column,
             tolerance=0.0015,
