@@ -99,7 +99,7 @@ def test_scans_of_a_reference_that_jumps_are_elsewhere_and_not_late() -> None:
     assert found.share == pytest.approx(jumps.mean(), abs=0.04)
     assert found.distance == pytest.approx(0.15, rel=0.25)
     (doubt,) = doubts_of(null)
-    assert "elsewhere than the reference says" in doubt.statement and not doubt.failed
+    assert "away from their reference pose" in doubt.statement and not doubt.failed
 
 
 @pytest.mark.parametrize(("own", "told"), [(0.0, False), (0.06, True)])

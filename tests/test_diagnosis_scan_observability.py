@@ -94,7 +94,7 @@ def test_turning_one_way_at_one_rate_cannot_tell_yaw_from_latency() -> None:
     pairs = {frozenset((pair.a, pair.b)): pair for pair in alike(found, null(found))}
     pair = pairs[frozenset(("mount_yaw", "latency"))]
     assert pair.correlation > 0.9
-    assert "hardly tell mounting yaw from latency between pose and scan" in pair.why
+    assert "hardly distinguishes mounting yaw from latency between pose and scan" in pair.why
 
 
 def test_poses_of_the_laser_itself_hide_the_mount_and_the_clock() -> None:

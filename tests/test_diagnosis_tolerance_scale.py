@@ -105,7 +105,7 @@ def test_a_laser_that_scatters_more_than_stated_has_no_noise_that_grows_with_ran
     finding = diagnose(driven(noise=noise), hall_arena(), ROBOT, plan_next=False)
     assert finding.effects == () and finding.unknown is not None
     said = finding.unknown.statement
-    assert "times as much as sensor.sigma of robot.yaml says" in said
+    assert "times sensor.sigma in robot.yaml" in said
     assert finding.explained is not None
     assert finding.explained.final.state.noise.core == pytest.approx(noise, rel=0.05)
 

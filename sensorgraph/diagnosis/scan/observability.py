@@ -1,9 +1,11 @@
-"""What a run could not have shown, and which effects it cannot tell apart.
+"""Report effects that a run could not have shown, and pairs of effects that it cannot distinguish.
 
-Asked of every effect of the scan channel: how much evidence would it be expected to bring on these poses, nuisances
-refitted? Smooth effects: half the squared length of their columns after projection, in the normal equations of the
-fit (the Fisher information with poses and nuisances eliminated). Rough ones: the rays that would lose or change their
-reading. Whoever finds nothing should know what there was to find.
+    evidence(x) = min over n of  [ (x - n)' M (x - n) + |n / tau|² ] / 2
+
+Here x is an effect of the scan channel, written as a shift of the nuisance parameters. M is the normal matrix
+of the fit with the pose errors eliminated, and n are the nuisance parameters with their tolerances tau. The
+evidence is the log Bayes factor that this run would contribute if the effect were present. For effects without
+derivatives, the rays that would be lost or change their reading are counted instead.
 """
 
 from __future__ import annotations
@@ -28,16 +30,16 @@ MAX_CORRELATION = SCAN.observability.max_correlation
 
 @dataclass(frozen=True, kw_only=True)
 class Alike:
-    """Two effects that this run cannot tell apart."""
+    """Two effects that this run cannot distinguish."""
 
     a: str
     b: str
     correlation: float
-    """Of what they do to the readings, nuisances refitted."""
+    """Correlation of their columns, with the nuisance parameters projected out."""
     nats: float
-    """Expected between them, if the first is there at three times its materiality."""
+    """[nats] Expected evidence between them if the first is present at three times its materiality."""
     why: str
-    """One sentence, with what would tell them apart."""
+    """One sentence, with the observation that would distinguish them."""
 
 
 def not_observable(
@@ -46,11 +48,11 @@ def not_observable(
     *,
     threshold: float = SCAN.selection.threshold,
 ) -> dict[str, str]:
-    """Say, effect by effect, what this run could not have shown, and why.
+    """Return the effects that this run could not have shown, each with the reason.
 
     Parameters
     ----------
-    threshold : [nats] of evidence that a name takes, beyond the price of its parameters
+    threshold : [nats] Evidence that a name requires, after the complexity penalty.
     """
     exposure = RunExposure(data, fitted, threshold)
     out = _hidden_by_poses(data)
@@ -63,7 +65,7 @@ def not_observable(
 
 
 def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.threshold) -> list[Alike]:
-    """List the pairs of effects that this run would show, but cannot tell apart."""
+    """Return the pairs of effects that this run would show but cannot distinguish."""
     exposure = RunExposure(data, fitted, threshold)
     return [*_alike_smooth(exposure), *_look_alikes(exposure)]
 
@@ -71,15 +73,15 @@ def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.t
 def _hidden_by_poses(data: ScanData) -> dict[str, str]:
     out: dict[str, str] = {}
     if data.laser_frame:
-        why = "the poses are the laser's own, so that the mount has no part in them"
+        why = "the poses are those of the laser, so they do not depend on the mount"
         out |= {name: why for name, effect in EFFECTS.items() if effect.stage == "mount"}
     if data.from_scans:
-        why = "the poses were located with these very scans and have taken it along; driving alone tells it, given a minute of driving and turning"
+        why = "the poses were located with these scans and absorb it; it can be estimated from driving alone, with a minute of driving and turning"
         out |= {
             name: why for name, effect in EFFECTS.items() if not data.may_show(effect) and name not in out
         }
     elif data.laser_frame:
-        why = "poses that were fitted to these very scans have taken it along"
+        why = "the poses were fitted to these scans and absorb it"
         out |= {
             name: why
             for name, effect in EFFECTS.items()
@@ -89,7 +91,7 @@ def _hidden_by_poses(data: ScanData) -> dict[str, str]:
 
 
 def _told_by_effects(exposure: RunExposure) -> dict[str, str]:
-    """Ask the effects that know by themselves what a run must have seen."""
+    """Query the effects that define their own condition of observability."""
     out = {}
     for name, effect in EFFECTS.items():
         if effect.diagnostics.unobservable is None:
@@ -102,7 +104,7 @@ def _told_by_effects(exposure: RunExposure) -> dict[str, str]:
 
 
 def _sizes(effect: Effect) -> Floats:
-    """Return shifts (m, k) by SIZE materialities; of a shift in a plane, in four directions."""
+    """Return shifts (m, k) of SIZE materialities; four directions for a shift in the plane."""
     sizes = np.array([SIZE * effect.sizes.get(name, 0.0) for name in effect.steps])
     if len(effect.sizes) == 2:
         angle = np.arange(4) * np.pi / 4
@@ -111,7 +113,7 @@ def _sizes(effect: Effect) -> Floats:
 
 
 def _smooth(exposure: RunExposure) -> dict[str, str]:
-    """Judge what lies in the span of the nuisances, and what has columns of its own."""
+    """Test effects in the span of the nuisance parameters, and effects with separate columns."""
     out: dict[str, str] = {}
     blind: dict[str, list[str]] = {}
     partly: dict[str, list[str]] = {}
@@ -128,7 +130,7 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
         reason = _lacks(effect, exposure)
         if max(nats) >= need:
             angle = int(45 * int(np.argmin(nats)))
-            reason = f"not along {angle} degrees (0 is ahead): {reason}"
+            reason = f"not along {angle}° (0° is forward): {reason}"
         out[effect.name] = f"{reason}; at {SIZE:g} times its materiality {falls_short(min(nats), need)}"
     for effect in EFFECTS.values():
         if effect.has_own_columns and effect.sizes and effect.name not in exposure.fitted.names():
@@ -138,7 +140,7 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
                     f"{_lacks(effect, exposure)}; at {SIZE:g} times its materiality {falls_short(nats_alone, need)}"
                 )
     for name, places in blind.items():
-        out[name] = f"{listed(places)}: hardly looked at, {SIZE:g} times its materiality would not show"
+        out[name] = f"{listed(places)}: observed too rarely for {SIZE:g} times its materiality"
     for name, places in partly.items():
         said = f"{listed(places)}: a shift across the line of sight would not show"
         out[name] = f"{out[name]}; {said}" if name in out else said
@@ -146,7 +148,7 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
 
 
 def _lacks(effect: Effect, exposure: RunExposure) -> str:
-    """Say what the run lacks that cannot show a smooth effect."""
+    """Return what the run lacks to show a smooth effect."""
     why = effect.diagnostics.why_unseen
     if callable(why):
         return why(exposure)
@@ -154,7 +156,7 @@ def _lacks(effect: Effect, exposure: RunExposure) -> str:
 
 
 def _alike_smooth(exposure: RunExposure) -> list[Alike]:
-    """Compare what smooth effects do to the readings, once nuisances have taken their share."""
+    """Compare the columns of smooth effects, with the nuisance parameters projected out."""
     rows = []
     for hypothesis in exposure.hypotheses:
         amendment, directions, own = hypothesis.amendment, hypothesis.directions, hypothesis.nuisances
@@ -179,12 +181,12 @@ def _alike_smooth(exposure: RunExposure) -> list[Alike]:
 def _compare(
     exposure: RunExposure, shift: Floats, others: Floats, own: Sequence[Nuisance], shown: bool
 ) -> tuple[float, float] | None:
-    """Return how an effect correlates with another, and the nats expected between the two."""
+    """Return correlation and expected evidence [nats] between two effects; None if the run distinguishes them."""
     correlation, strength = _correlation(exposure, shift, others, own)
     if strength < 1.0 or (correlation < MAX_CORRELATION and not shown):
         return None
     if correlation < MAX_CORRELATION and strength * (1 - correlation**2) > exposure.threshold:
-        return None  # boxes on the nuisances can only leave more
+        return None  # bounds on the nuisances can only increase the evidence
     nats = exposure.nats(shift, others, own)
     return (correlation, nats) if correlation >= MAX_CORRELATION or nats < exposure.threshold else None
 
@@ -192,7 +194,12 @@ def _compare(
 def _correlation(
     exposure: RunExposure, x: Floats, others: Floats, own: Sequence[Nuisance]
 ) -> tuple[float, float]:
-    """Return how one column correlates with the span of others, nuisances projected out, and its own nats."""
+    """Return the correlation of a column x with the span of other columns o, and the evidence [nats] for x.
+
+        correlation² = f_xo f_oo⁻¹ f_ox / f_xx,   evidence = f_xx / 2
+
+    The matrix f is the information with the nuisance parameters projected out.
+    """
     columns = np.column_stack([x, others])
     f = columns.T @ exposure.projected(own) @ columns
     explained = f[0, 1:] @ np.linalg.lstsq(f[1:, 1:], f[1:, 0], rcond=1e-9)[0]
@@ -202,27 +209,25 @@ def _correlation(
 
 def _said_alike(a: Amendment, b: Amendment, correlation: float, nats: float) -> Alike:
     name_a, name_b = (f"{e.effect.title} at {e.place}" if e.place else e.effect.title for e in (a, b))
-    why = f"this run can hardly tell {name_a} from {name_b} ({nats:.0f} nats between them)"
+    why = f"this run hardly distinguishes {name_a} from {name_b} (log Bayes factor {nats:.0f})"
     raw_a, raw_b = (f"{e.name} of {e.place}" if e.place else e.name for e in (a, b))
     return Alike(a=raw_a, b=raw_b, correlation=correlation, nats=nats, why=f"{why}; {separation(a, b)}")
 
 
 def separation(a: Amendment, b: Amendment) -> str:
-    """Say what would tell two effects apart."""
+    """Return the observation that would distinguish two effects."""
     hint = a.effect.rivals.get(b.name) or b.effect.rivals.get(a.name)
     return hint or f"{a.effect.title} varies with {a.effect.varies}, {b.effect.title} with {b.effect.varies}"
 
 
 def _look_alikes(exposure: RunExposure) -> list[Alike]:
-    """Ask the effects which others this run cannot tell from them."""
+    """Query each effect for another effect that this run cannot distinguish from it."""
     out = []
     for effect in EFFECTS.values():
         found = effect.diagnostics.look_alike(exposure) if effect.diagnostics.look_alike is not None else None
         if found is None:
             continue
         other, reason = EFFECTS[found[0]], found[1]
-        words = (
-            f"this run cannot tell {effect.title} from {other.title}: {reason}; {effect.rivals[other.name]}"
-        )
+        words = f"this run cannot distinguish {effect.title} from {other.title}: {reason}; {effect.rivals[other.name]}"
         out.append(Alike(a=effect.name, b=other.name, correlation=1.0, nats=0.0, why=words))
     return out

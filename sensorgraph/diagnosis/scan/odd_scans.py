@@ -1,9 +1,19 @@
-"""Whether scans differ from each other: some stamped late, some taken elsewhere than the reference says, each with an offset.
+"""Test whether scans differ from each other: late stamps, wrong poses, or a separate offset in each scan.
 
-Mixtures of two normal distributions over the scans, fitted by expectation and maximisation (Dempster, Laird and Rubin 1977),
-with the pose error of each scan integrated out under its prior: in the one each scan has one of two delays, in the other some
-scans have a pose error that is many times larger. An offset of each scan is a random effect. What a stamp does follows the
-motion: two delays are told where they leave little to the others, else the likelier of these.
+    J = Σ_i log[(1 - share) p_i(first) + share p_i(second)]
+
+    log p_i(value) = score_i value - information_i value² / 2
+    log p_i(sd)    = score_i² / (information_i + sd⁻²) / 2 - log(1 + sd² information_i) / 2
+    log p_i(prior) = right_i' (block_i + prior⁻¹)⁻¹ right_i / 2 - log |I + prior block_i| / 2
+
+J is the log-likelihood of a mixture of two kinds of scan, fitted by expectation maximisation (Dempster, Laird
+and Rubin 1977). The two kinds have different delays (value), or pose errors with a narrow and a much wider
+prior. A range offset per scan is a random effect with standard deviation sd. The pose error of each scan is
+integrated out under its prior.
+
+Offsets are reported if their gain is at least twice that of the other two. Two delays are reported if, next to
+them, wrong poses retain less than half of that larger gain. A wrong stamp acts in proportion to the motion, which
+wrong poses do not. Otherwise, wrong poses are reported.
 """
 
 from __future__ import annotations
@@ -25,20 +35,20 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 
 LATE_CAUSES = (
-    "scans that wait in a queue at times, and are stamped when they leave it",
-    "two clocks of which now one and now the other stamps the scan",
+    "scans that sometimes wait in a queue, and are stamped when they leave it",
+    "two clocks that stamp the scans in turn",
 )
 STRETCH_CAUSES = (
-    "two clocks that run apart, and are set again",
+    "two clocks that drift apart and are synchronised at times",
     "a queue that fills during the run",
 )
 OFFSET_CAUSES = (
-    "mirror facets, or receivers, that take turns and differ",
-    "a laser that finds its zero anew from scan to scan",
+    "mirror facets or receivers that alternate and differ",
+    "a laser that calibrates its zero again in every scan",
 )
 ELSEWHERE_CAUSES = (
-    "a reference that loses track at times: markers hidden or exchanged, a pose that is extrapolated or old",
-    "a laser that sways, or a robot that is lifted or nods",
+    "a reference that sometimes loses track: hidden or swapped markers, extrapolated or outdated poses",
+    "a laser that sways, or a robot that pitches or is lifted",
 )
 
 
@@ -47,84 +57,84 @@ class OddScans(ABC):
     """Scans that differ from the others."""
 
     share: float
-    """Of the scans."""
+    """Share of the scans."""
     gain: float
-    """[nats] that two kinds of scan are likelier than one."""
+    """[nats] Log-likelihood ratio of two kinds of scan to one."""
     offset: float
-    """[m] root mean square of what the difference does to readings of these scans."""
+    """[m] RMS change of the readings of these scans."""
     causes: ClassVar[tuple[str, ...]] = ()
-    """What it may be, the likeliest first."""
+    """Possible causes, most likely first."""
 
     @abstractmethod
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return a statement for the report."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateScans(OddScans):
-    """Two delays of which each scan has one."""
+    """Two delays; each scan has one of them."""
 
     causes = LATE_CAUSES
     delay: float
-    """[s] by which the stamps of the rarer kind are later, after the beam was measured, than those of the others."""
+    """[s] Delay of the rarer kind of scan relative to the others; positive if its stamps are late."""
 
     @property
     def words(self) -> str:
-        """How they are stamped."""
+        """Description of the wrong stamps."""
         late = "late" if self.delay > 0 else "early"
         return f"stamped {1e3 * abs(self.delay):.0f} ms too {late}"
 
     def sentence(self) -> str:
-        """Say it in words."""
-        return f"{100 * self.share:.0f} % of the scans are {self.words}, beside the others"
+        """Return a statement for the report."""
+        return f"{100 * self.share:.0f} % of the scans are {self.words}, relative to the others"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateStretches(LateScans):
-    """Two delays of which each has stretches of the run: the delay changes."""
+    """Two delays, each in separate stretches of the run: the delay changes."""
 
     causes = STRETCH_CAUSES
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return a statement for the report."""
         return (
             f"the delay of the scans changes during the run: in {100 * self.share:.0f} % of it they are {self.words}, "
-            "beside the rest"
+            "relative to the rest"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScansElsewhere(OddScans):
-    """Scans that were taken elsewhere than the reference says."""
+    """Scans that were not taken at their reference pose."""
 
     causes = ELSEWHERE_CAUSES
     distance: float
-    """[m] root mean square of how far."""
+    """[m] RMS position error."""
     turn: float
-    """[rad] the same of the heading."""
+    """[rad] RMS heading error."""
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return a statement for the report."""
         return (
-            f"{100 * self.share:.0f} % of the scans were taken elsewhere than the reference says, by {length(self.distance)} "
-            f"and {np.degrees(self.turn):.2g}°"
+            f"{100 * self.share:.0f} % of the scans were taken away from their reference pose, by {length(self.distance)} "
+            f"and {np.degrees(self.turn):.2g}° (rms)"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScansWithOffsets(OddScans):
-    """Scans that read longer or shorter as a whole, each by a length of its own."""
+    """Scans with a common offset of all their readings, which differs between scans."""
 
     causes = OFFSET_CAUSES
 
     def sentence(self) -> str:
-        """Say it in words."""
-        return f"every scan reads longer or shorter than the others by an offset of its own, {length(self.offset)} (rms)"
+        """Return a statement for the report."""
+        return f"each scan has a different range offset, {length(self.offset)} (rms)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _OneColumn:
-    """Normal equations of each scan in one number, its pose error integrated out."""
+    """Normal equations of each scan for one parameter, with its pose error integrated out."""
 
     score: Floats
     """(n_scans,) [1/unit]"""
@@ -132,31 +142,31 @@ class _OneColumn:
     """(n_scans,) [1/unit²]"""
 
     def log_p(self, value: float) -> Floats:
-        """Return how much likelier (n_scans,) [nats] a value makes each scan."""
+        """Return the log-likelihood ratio (n_scans,) [nats] of a value to 0."""
         return self.score * value - 0.5 * self.information * value**2
 
     def log_p_of_spread(self, sd: float) -> Floats:
-        """Return how much likelier (n_scans,) [nats] values of this standard deviation make each scan."""
+        """Return the log-likelihood ratio (n_scans,) [nats] of random values with standard deviation sd to 0."""
         return 0.5 * self.score**2 / (self.information + 1 / sd**2) - 0.5 * np.log1p(sd**2 * self.information)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _EachScan:
-    """Normal equations of each scan in its pose error, in a delay and in an offset; the rest is as fitted."""
+    """Normal equations of each scan for its pose error, a delay and an offset; everything else is as fitted."""
 
     block: Floats
     """(n_scans, 3, 3)"""
     right: Floats
     """(n_scans, 3)"""
     prior: Floats
-    """(n_scans, 3, 3) covariance of the pose error."""
+    """(n_scans, 3, 3) Covariance of the pose error."""
     delay: _OneColumn
     """[s]"""
     offset: _OneColumn
-    """[m] beside a pose error that is free: what no wrong pose could have done."""
+    """[m] With a much wider prior of the pose error, so that no wrong pose counts as an offset."""
 
     def poses(self, prior: Floats) -> Floats:
-        """Return the likeliest pose errors (n_scans, 3) under a prior."""
+        """Return the most likely pose errors (n_scans, 3) under a prior."""
         return np.asarray(np.linalg.solve(self.block + np.linalg.inv(prior), self.right[..., None])[..., 0])
 
     def log_p_of_prior(self, prior: Floats) -> Floats:
@@ -166,12 +176,12 @@ class _EachScan:
 
 
 def odd_scans(fitted: Fitted) -> OddScans | None:
-    """Look for scans that differ, beside the effects and nuisances of a fit; None where they are all of one kind."""
+    """Search for scans that differ from the others, given the effects and nuisances of a fit; None without any."""
     each = each_scan(fitted)
     late, is_late = _two_delays(each)
     elsewhere, is_elsewhere, prior = _two_priors(each)
     shifted, spread, is_rough = _offsets(each)
-    # scans far apart see other walls, each with an error of its own
+    # scans at distant places observe different walls with different map errors
     is_offset = is_rough and spread >= fitted.solver.data.grain
     if is_offset and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
         return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
@@ -185,18 +195,18 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
 
 
 def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.random.Generator) -> list[Doubt]:
-    """Doubt scans of which a share is late, or elsewhere, by more than scans drawn from the fit are.
+    """Report a share of scans that are late or off their pose, if scans differ more than in simulated replicates.
 
     Parameters
     ----------
-    null : the fit without effects: where two kinds of scan alone explain more than all effects, they stand for them
-    rng : of the drawn scans
+    null : Fit without effects. If two kinds of scan alone explain more than all effects, they replace the effects.
+    rng : For the replicates.
     """
     found, failed = _sure(fitted), frozenset[int]()
     beside = 0.0 if found is None else found.gain
     if found is not None and not _is_beyond_replicates(found, fitted, rng):
         found = None
-    if isinstance(found, LateScans):  # a delay of all scans that is the mean of two has no one size
+    if isinstance(found, LateScans):  # a common delay is then the mean of two, and its size is not valid
         is_delay = [Nuisance.DELAY in a.effect.nuisances for a in fitted.model]
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
@@ -221,7 +231,7 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.rando
 
 
 def least_gain() -> float:
-    """Return the evidence [nats] that a second kind of scan, its size and its share, take."""
+    """Return the evidence [nats] that a second kind of scan requires, including penalties for its size and its share."""
     return SCAN.selection.threshold + 2 * SCAN.selection.price
 
 
@@ -231,7 +241,10 @@ def _sure(fitted: Fitted) -> OddScans | None:
 
 
 def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Generator) -> bool:
-    """Tell whether scans differ more than those of replicates: rays to one wall are rounded alike, for instance."""
+    """Return whether scans differ more than in simulated replicates.
+
+    Replicates contain, for example, rounding that is the same for all rays to one wall.
+    """
     for _ in range(SCAN.odd_scans.n_replicates):
         _, drawn = replicate(fitted.solver.data, fitted, rng)
         usual = odd_scans(drawn)
@@ -241,7 +254,7 @@ def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Genera
 
 
 def each_scan(fitted: Fitted) -> _EachScan:
-    """Assemble the equations of every scan by itself."""
+    """Assemble the normal equations of each scan separately."""
     solver, solution = fitted.solver, fitted.solution
     weight = np.where(solver.jacobian.valid, solution.responsibilities.weight, 0.0)
     state = solution.state.copy()
@@ -270,14 +283,14 @@ def each_scan(fitted: Fitted) -> _EachScan:
 
 
 def _mixed(first: Floats, second: Floats, share: float) -> tuple[Floats, Floats]:
-    """Return log-likelihoods (n_scans,) of a mixture, and the chance that each scan is of the second kind."""
+    """Return the log-likelihoods (n_scans,) of a mixture and the probability that each scan is of the second kind."""
     a, b = np.log1p(-share) + first, np.log(share) + second
     both = np.logaddexp(a, b)
     return both, np.exp(b - both)
 
 
 def _two_delays(each: _EachScan) -> tuple[float, Bools]:
-    """Fit two delays; return the gain [nats] over one, and which scans have the rarer one."""
+    """Fit two delays; return the gain [nats] over one, and the scans that have the rarer one."""
     settings, delay = SCAN.odd_scans, each.delay
     common = float(delay.score.sum() / max(float(delay.information.sum()), 1e-12))
     best, is_late = -np.inf, np.zeros(len(delay.score), dtype=np.bool_)
@@ -296,10 +309,15 @@ def _two_delays(each: _EachScan) -> tuple[float, Bools]:
 
 
 def _offsets(each: _EachScan) -> tuple[float, float, bool]:
-    """Fit the standard deviation [m] of an offset of each scan; return the gain [nats], it, and whether neighbours differ.
+    """Fit the standard deviation [m] of an offset of each scan.
 
-    An error that depends on range or place makes offsets, too, which change slowly along the way (von Neumann 1941, ratio
-    of the mean square successive difference to the variance; 2 where neighbours have nothing in common).
+    Errors over range or place also produce offsets, but these change slowly along the path. The ratio of the
+    mean square successive difference to the variance detects them (von Neumann 1941). It is 2 if neighbouring
+    scans are independent.
+
+    Returns
+    -------
+    The gain [nats], the standard deviation, and whether neighbouring scans differ.
     """
     gain, sd = max((float(each.offset.log_p_of_spread(sd).sum()), sd) for sd in SCAN.odd_scans.offsets)
     likely = each.offset.score / (each.offset.information + 1 / sd**2)
@@ -308,7 +326,7 @@ def _offsets(each: _EachScan) -> tuple[float, float, bool]:
 
 
 def _two_priors(each: _EachScan) -> tuple[float, Bools, Floats]:
-    """Fit a second, wider prior of the pose error; return the gain [nats], which scans have it, and that prior."""
+    """Fit a second, wider prior of the pose error; return the gain [nats], the scans that have it, and that prior."""
     settings, plain = SCAN.odd_scans, each.log_p_of_prior(each.prior)
     best, is_odd, widest = -np.inf, np.zeros(len(plain), dtype=np.bool_), each.prior
     for wider in settings.wider:
@@ -323,7 +341,7 @@ def _two_priors(each: _EachScan) -> tuple[float, Bools, Floats]:
 
 
 def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
-    """Fit the delay of some scans together with all else; return it, and what is left to wrong poses [nats]."""
+    """Fit the delay of some scans jointly with all other unknowns; return it, and the remaining gain [nats] of wrong poses."""
     solver, share = fitted.solver, float(is_late.mean())
     column = solver.stack[:, Nuisance.DELAY]
     columns = (column * is_late[:, None])[:, None, :]
@@ -345,7 +363,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
 def _elsewhere(
     fitted: Fitted, each: _EachScan, is_odd: Bools, prior: Floats, gain: float
 ) -> ScansElsewhere | None:
-    """Say how far from the reference some scans were taken."""
+    """Return the distance of some scans from their reference poses; None without usable readings."""
     solver, delta = fitted.solver, each.poses(prior)
     used = solver.jacobian.valid & solver.data.returned & is_odd[:, None]
     if not used.any():
@@ -362,6 +380,6 @@ def _elsewhere(
 
 
 def _entropy(share: float) -> float:
-    """Return what it takes to say which of two kinds a scan is [nats]."""
+    """Return the entropy per scan [nats] of the choice between two kinds."""
     some = [x for x in (share, 1 - share) if x > 0]
     return -float(sum(x * np.log(x) for x in some))

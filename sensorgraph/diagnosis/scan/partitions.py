@@ -1,4 +1,4 @@
-"""Ways to sort the rays of a run into bins: by wall, bearing, range, incidence, time, motion, place."""
+"""Partition the rays of a run into bins: by wall, bearing, range, incidence, time, motion and place."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ INCIDENCE_EDGES = np.radians(np.arange(0, 91, 7.5))  # [rad]
 N_BEARINGS, N_HEADINGS, N_TIMES = 24, 16, 20
 SLANTING = np.radians(40)  # [rad] of incidence
 OF_WALLS = ("wall", "wall and half of the run", "hit place")
-"""Partitions whose bins show the shape of walls, too."""
+"""Partitions whose bins also show the shape of walls."""
 MARGIN = 0.1  # [m] of the raster beyond the arena
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Partition:
-    """One way to sort rays into bins."""
+    """One partition of the rays into bins."""
 
     name: str
-    """As report.json says."""
+    """As in report.json."""
     index: Ints
-    """(n_scans, n_rays) bin, -1: none."""
+    """(n_scans, n_rays) Bin index, -1 for none."""
     count: int
-    """Of bins."""
+    """Number of bins."""
     label: Callable[[int], str]
-    """Of a bin, readable."""
+    """Readable label of a bin."""
     place: Callable[[int], tuple[float, float] | None]
-    """Of a bin [m, map]; None: it has none."""
+    """Position of a bin [m, map]; None without a position."""
 
 
 def partitions(view: FitResiduals) -> list[Partition]:
-    """Return every partition of the rays."""
+    """Return all partitions of the rays."""
     data, beams, arena = view.data, view.beams, view.data.arena
     shape = view.z.shape
     hit = np.isfinite(beams.ranges)
@@ -87,7 +87,7 @@ def partitions(view: FitResiduals) -> list[Partition]:
 
 
 def _binned(name: str, value: Floats, edges: Floats, unit: str, scale: float) -> Partition:
-    """Sort rays by a value (n_scans, n_rays); its label is in `unit`, `scale` times the value."""
+    """Sort rays by a value (n_scans, n_rays); labels show the value times `scale`, in `unit`."""
     index = np.searchsorted(edges, value, side="right") - 1
     ok = (index >= 0) & (index < len(edges) - 1) & np.isfinite(value)
     return Partition(
@@ -122,7 +122,7 @@ def _by_half(whole: Partition, late: Ints) -> Partition:
 
 
 def _parts_of_walls(view: FitResiduals, t: Floats) -> list[Partition]:
-    """Sort the rays of each pane, mirror or black part by time and by incidence: does its law hold?"""
+    """Sort the rays of each pane, mirror or black part by time and incidence, to test the model of that part."""
     out = []
     span = view.data.span
     scene = view.fitted.cast.scene

@@ -1,6 +1,12 @@
-"""Whether short readings are of people: somebody is as wide as a body, walks, and is not drawn along by the robot.
+"""Test whether short readings come from people.
 
-A second laser's ghosts, rays that stick, dust, and a floor that rises to the laser shorten readings, too.
+    neighbours      share with a neighbour >= min_clustered_share 2 (w - 1) / w
+    next scan       P(X <= found) >= lost_by_chance,   X ~ Binomial(followed, min_found_share)
+    motion          Σ_s n_s / sqrt(Σ_s n_s²) <= max_drawn_along,   n_s = Σ (a² - b²) over second s
+
+Here w is the width of a leg in rays; a and b are the displacements of a cluster in the map and in the robot
+frame. A person is as wide as a body, walks, and does not move with the robot. Reflections of a second laser,
+stuck rays, dust and the floor in front of a ramp also shorten readings, but violate at least one condition.
 """
 
 from __future__ import annotations
@@ -16,58 +22,58 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_order import neighbouring_rays
 
 PLACE = 0.5
-"""[m] to which the place of most readings is told."""
+"""[m] Cell size of the reported place of most readings."""
 STRAY_CAUSES: tuple[str, ...] = (
-    "a second laser, or the robot's own light reflected",
+    "a second laser, or reflections of the laser's own light",
     "dust, fog, rain or a dirty window",
-    "parts of the robot, cables, or things on it within view",
+    "parts of the robot, cables or payload in the field of view",
 )
 STANDING_CAUSES: tuple[str, ...] = (
-    "furniture, doors or walls that the map lacks",
-    "things that have been moved a little, or are drawn too large or too small",
+    "furniture, doors or walls that are missing in the map",
+    "objects that were moved slightly, or are drawn too large or too small",
 )
 REPEATED_CAUSES: tuple[str, ...] = (
-    "a driver or a filter that passes old readings on",
-    "rays of the laser that stick",
+    "a driver or a filter that repeats old readings",
+    "stuck rays of the laser",
 )
 WRAPPED_CAUSES: tuple[str, ...] = (
-    "a laser that measures a phase, whose ranges begin anew beyond a distance",
-    "an echo of the pulse before",
+    "a laser that measures a phase, so that its ranges wrap around",
+    "an echo of the previous pulse",
 )
 PLACE_CAUSES: tuple[str, ...] = (
-    "steam, dust or spray that comes up there at times",
-    "a door, a curtain, a plant or a machine that moves there",
+    "intermittent steam, dust or spray",
+    "a door, a curtain, a plant or a machine that moves",
 )
 WIDE_CAUSES: tuple[str, ...] = (
     "a ramp, a kerb or a tilt of the robot, so that the laser sees the floor",
-    "furniture, vehicles or walls that the map lacks",
+    "furniture, vehicles or walls that are missing in the map",
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clusters:
-    """Short readings of one scan that lie beside each other, as things."""
+    """Adjacent short readings of one scan, grouped as objects."""
 
     scan: Ints
     """(n,)"""
     n_rays: Ints
     """(n,)"""
     xy: Floats
-    """(n, 2) [m, map] middle of the ends of their rays."""
+    """(n, 2) [m, map] Mean of the end points of the rays."""
     width: Floats
-    """(n,) [m] from the end of the first ray to that of the last."""
+    """(n,) [m] Distance between the end points of the first and the last ray."""
 
 
 def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ...]]:
-    """Return why short readings (n_scans, n_rays) are no people, and what they may be; empty: they may be people."""
+    """Return why short readings (n_scans, n_rays) are not people, and possible causes; empty if they may be people."""
     settings = SCAN.goodness_of_fit
     short_ones = f"{100 * short.mean():.1f} % of the readings are short"
     if clustered(view, short) < least_clustered(view, short):
-        return f"{short_ones}, one by one: too scattered for people", STRAY_CAUSES
+        return f"{short_ones} and isolated, too scattered for people", STRAY_CAUSES
     z = view.z[short]
     if at_one_range := _at_one_range(view, short):
         return f"{short_ones}, most of them at {at_one_range:.2f} m", STRAY_CAUSES
-    lacking = view.mu[short] - z  # of what the map has in the direction of the ray
+    lacking = view.mu[short] - z  # [m] deficit relative to the expected range
     lacking = lacking[np.isfinite(lacking)]
     usual = float(np.median(lacking)) if len(lacking) else 0.0
     alike = np.abs(lacking - usual) < max(settings.range_bin, 3 * view.data.sensor.sigma)
@@ -75,33 +81,36 @@ def why_not_people(view: FitResiduals, short: Bools) -> tuple[str, tuple[str, ..
         return f"{short_ones}, most of them by {usual:.2f} m", WRAPPED_CAUSES
     repeated = repeated_share(view, short)
     if repeated > settings.max_repeated_share:
-        return f"{short_ones}, and {100 * repeated:.0f} % of these repeat the scan before", REPEATED_CAUSES
+        return f"{short_ones}, and {100 * repeated:.0f} % of these repeat the previous scan", REPEATED_CAUSES
     if view.sensor.n_rays > 1 and not view.sensor.is_composite:
         things = clusters_of(view, short)
         wide = things.width > settings.max_person_width
         share = float(things.n_rays[wide].sum() / max(things.n_rays.sum(), 1))
         if share > settings.max_wide_share:
-            return f"{short_ones}, {100 * share:.0f} % of these of things too wide for a person", WIDE_CAUSES
+            return (
+                f"{short_ones}, {100 * share:.0f} % of these from objects too wide for a person",
+                WIDE_CAUSES,
+            )
         found, followed = _found_again(view, things)
         least = settings.min_found_share
         is_seldom = followed >= settings.min_followed and found < least * followed
         if is_seldom or bdtr(found, followed, least) < settings.lost_by_chance:
             return (
-                f"{short_ones}, but of what they show only {100 * found / followed:.0f} % is there in the next scan, within "
-                "what somebody walks meanwhile",
+                f"{short_ones}, but the next scan shows only {100 * found / followed:.0f} % of these objects again within "
+                "walking distance",
                 STRAY_CAUSES,
             )
         if _drawn_along(view, things) > settings.max_drawn_along:
-            return f"{short_ones}, of things that turn and move with the robot", STRAY_CAUSES
+            return f"{short_ones}, from objects that turn and move with the robot", STRAY_CAUSES
     if standing := where_things_stand(view, short):
-        return f"{short_ones}, {standing}: what stands there does not walk", STANDING_CAUSES
+        return f"{short_ones}, {standing}: a standing object is not a person", STANDING_CAUSES
     if again := _again_at_one_place(view, short):
         return f"{short_ones}, {again}", PLACE_CAUSES
     return "", ()
 
 
 def _at_one_range(view: FitResiduals, short: Bools) -> float:
-    """Return the range at which most short readings lie again and again [m]; 0: there is none."""
+    """Return the range [m] at which most short readings lie for several seconds; 0 without one."""
     settings = SCAN.goodness_of_fit
     bins = (np.maximum(view.z[short], 0.0) // settings.range_bin).astype(np.intp)
     counts = np.bincount(bins)
@@ -115,10 +124,11 @@ def _at_one_range(view: FitResiduals, short: Bools) -> float:
 
 
 def _again_at_one_place(view: FitResiduals, short: Bools) -> str:
-    """Say that short readings end at one place again and again, as in a cloud, and where; empty: they do not.
+    """Describe the place at which short readings end repeatedly, as in a cloud; empty without one.
 
-    What is seen at one moment fills the place, or, where nothing is ever seen elsewhere, a good part of it: a door that
-    swings. Somebody who walks up and down there is narrow, and elsewhere each time.
+    The readings of one scan must spread over the place, as wide as their means do from scan to scan. Half of
+    that width suffices if almost no short reading lies elsewhere, as with a door that swings. A person who
+    walks up and down there is narrow, and at another position each time.
     """
     settings = SCAN.goodness_of_fit
     ends, scan = view.ends(short), np.nonzero(short)[0]
@@ -141,12 +151,12 @@ def _again_at_one_place(view: FitResiduals, short: Bools) -> str:
     x, y = middle
     return (
         f"{100 * near.mean():.0f} % of these within {settings.one_place:g} m of ({x:.1f}, {y:.1f}) m, {times} times in the run: "
-        "people come from elsewhere"
+        "people would also be seen elsewhere"
     )
 
 
 def where_things_stand(view: FitResiduals, some: Bools) -> str:
-    """Say that readings (n_scans, n_rays) end where others do, later or before, and where most; empty: they do not."""
+    """Describe the places at which other rays end where some readings (n_scans, n_rays) end; empty without any."""
     settings = SCAN.goodness_of_fit
     still = _standing_share(view, some)
     if still <= settings.max_standing_share:
@@ -155,27 +165,27 @@ def where_things_stand(view: FitResiduals, some: Bools) -> str:
     cell, count = np.unique(np.floor(ends / PLACE).astype(np.intp), axis=0, return_counts=True)
     x, y = PLACE * (cell[count.argmax()] + 0.5)
     return (
-        f"and at {100 * still:.0f} % of the places where they end rays end there, too, that come {settings.standing_time:g} s to "
-        f"{settings.standing_window:g} s later or before (most at ({x:.1f}, {y:.1f}) m)"
+        f"and other rays end at {100 * still:.0f} % of the same places {settings.standing_time:g} s to "
+        f"{settings.standing_window:g} s earlier or later (most at ({x:.1f}, {y:.1f}) m)"
     )
 
 
 def repeated_share(view: FitResiduals, some: Bools) -> float:
-    """Return the share of readings that their rays have read in the scan before, beyond what coarse steps make equal."""
+    """Return the share of readings that equal the previous reading of their ray, corrected for quantisation."""
     later = some[1:]
     if not later.any():
         return 0.0
     step = view.data.sensor.resolution
     with np.errstate(invalid="ignore"):
         same = later & (np.abs(view.z[1:] - view.z[:-1]) < 0.5 * max(step, 1e-9))
-    # two draws of the noise fall on one step by chance
+    # probability that two noisy readings fall on the same step
     by_chance = min(1.0, step / (2 * np.sqrt(np.pi) * view.data.sensor.sigma))
     share = float(same.sum() / later.sum())
     return max(0.0, (share - by_chance) / (1 - by_chance)) if by_chance < 1 else 0.0
 
 
 def clusters_of(view: FitResiduals, short: Bools) -> Clusters:
-    """Group short readings of neighbouring rays at similar ranges; one ray may be missing between."""
+    """Group short readings of neighbouring rays with similar ranges; one ray may be missing in between."""
     scan, ray = np.nonzero(short)
     if not len(scan):
         none = np.zeros(0, dtype=np.intp)
@@ -195,9 +205,10 @@ def clusters_of(view: FitResiduals, short: Bools) -> Clusters:
 
 
 def _found_again(view: FitResiduals, things: Clusters) -> tuple[int, int]:
-    """Count the things of two rays and more that the next scan shows near their place, of those that it looks at.
+    """Count the clusters of at least two rays that the next scan shows again, and those whose place it observes.
 
-    It looks at a place where a ray comes within half its step and the map lets it pass beyond.
+    A place is observed if a ray passes within half the ray spacing and, according to the map, continues
+    beyond it.
     """
     settings, beams, stamps = SCAN.goodness_of_fit, view.beams, view.data.stamps
     step = float(np.median(np.diff(stamps)))
@@ -227,10 +238,13 @@ def _found_again(view: FitResiduals, things: Clusters) -> tuple[int, int]:
 
 
 def _drawn_along(view: FitResiduals, things: Clusters) -> float:
-    """Return how surely things stay with the robot rather than in the room [standard errors]; below 0 the room is surer.
+    """Return the evidence that clusters move with the robot and not with the room [standard errors].
 
-    From one scan to the next somebody moves as they like in the map, and besides that as the robot does in its own frame;
-    ghosts move as they like in the frame of the robot. Seconds of the run are judged as one.
+        Σ_s n_s / sqrt(Σ_s n_s²),   n_s = Σ (a² - b²) over the clusters of second s
+
+    Here a and b are the displacements to the nearest cluster of the next scan, in the map and in the robot
+    frame. A person moves independently in the map, so that b also contains the motion of the robot. Reflections
+    move independently in the robot frame. A negative result favours the room.
     """
     settings, beams, stamps = SCAN.goodness_of_fit, view.beams, view.data.stamps
     step, wide = float(np.median(np.diff(stamps))), things.n_rays >= 2
@@ -264,9 +278,10 @@ def _spacing(view: FitResiduals) -> float:
 
 
 def _standing_share(view: FitResiduals, short: Bools) -> float:
-    """Return at how many of the places where short readings end something stands for a while, later or before.
+    """Return the share of end points of short readings at which something stands, earlier or later.
 
-    It is near 1 for what stands, also where it came or left during the run, and near 0 for what walked through.
+    The share is near 1 for standing objects, even if they came or left during the run. It is near 0 for
+    people who walk through.
     """
     settings = SCAN.goodness_of_fit
     beams, z, stamps = view.beams, view.z, view.data.stamps
@@ -292,10 +307,12 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
 
 
 def least_clustered(view: FitResiduals, some: Bools) -> float:
-    """Return the share of short readings (n_scans, n_rays) with a neighbour below which they are no people.
+    """Return the minimum share of short readings (n_scans, n_rays) with a neighbour, for people.
 
-    A leg that is w rays wide, at most 2, gives a ray that meets it a neighbour with chance 2 (w - 1) / w: none, where rays
-    are farther apart. Scattered readings have one with twice their share, by chance.
+        P(neighbour) = 2 (w - 1) / w,   w the width of a leg in rays, limited to 1 … 2
+
+    The probability is 0 if the rays are farther apart than a leg is wide. Of scattered readings, twice their
+    share of all readings have a neighbour by chance. The limit is at least twice that.
     """
     settings = SCAN.goodness_of_fit
     if view.sensor.n_rays < 2 or not some.any():
@@ -307,7 +324,7 @@ def least_clustered(view: FitResiduals, some: Bools) -> float:
 
 
 def clustered(view: FitResiduals, some: Bools) -> float:
-    """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
+    """Return the share of readings with a neighbour of the same kind at a similar range in the same scan."""
     if not some.any():
         return 0.0
     z = np.where(some, view.z, np.nan)

@@ -1,4 +1,4 @@
-"""Poses that were found from these very scans in this map: they have taken along what moves a scan as a whole."""
+"""Treat poses that were located with the same scans, and thus absorb errors that move a scan as a whole."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from sensorgraph.world.robot import Tolerances
 
 
 def freed_of_scans(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:
-    """Return located scans with poses that are free by as much as an effect may have pulled them.
+    """Return located scans with pose tolerances that cover the shift that an effect may have caused.
 
-    Scans that were located with a bias of 2 cm have poses that fit best with it; as a reference of its own, they would contradict
-    the bias, and a mount would be named that brings them back. So the mount and the delay are not looked for, which move
-    all poses. Where the laser of all scans is off its poses by more than that, they are not those of these scans.
+    Poses that were located with a range bias of 2 cm fit best with that bias. As an independent reference
+    they would contradict the bias, and a mount error that compensates it would be named instead. Mount and
+    delay move all poses and are therefore not estimated. If the laser is off its poses by more than
+    `located_pose` in the median, the poses do not come from these scans. The data are then returned
+    unchanged.
     """
     free = replace(data, from_scans=True, tolerances=freed_tolerances(data.tolerances), memo={})
     errors = at_likely_poses(free, noise_bounds).pose_start
@@ -30,6 +32,6 @@ def freed_of_scans(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:
 
 
 def freed_tolerances(told: Tolerances) -> Tolerances:
-    """Return tolerances whose poses may be off by what an effect has pulled them."""
+    """Return tolerances that allow the shift that an effect may have caused in located poses."""
     xy, yaw = np.array(SCAN.intake.located_pose) * SCAN.intake.located_freedom
     return replace(told, pose_xy=max(told.pose_xy, xy), pose_yaw=max(told.pose_yaw, yaw))

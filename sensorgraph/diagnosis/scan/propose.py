@@ -1,7 +1,7 @@
-"""Ask every effect for the start values at which the residuals of a fit would make it worth fitting.
+"""Propose start values of effects from the residuals of a fit.
 
-An effect looks at the residuals where it would show (`Diagnostics.propose`), or gives values to be cast
-(`Diagnostics.sweep`). None of them decides: `model_selection` fits and compares.
+An effect evaluates the residuals where it would show (`Diagnostics.propose`), or lists values to be cast
+(`Diagnostics.sweep`). `model_selection` fits and compares the candidates.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.world.sensor_parts import part_names, sensor_of_rays
 
 STAGES_OF_ONE_SENSOR = ("detection", "noise")
-"""Stages of the effects on single readings that one of several sensors may have for itself."""
+"""Stages of effects on single readings that may apply to one of several sensors."""
 
 
 def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
-    """Return what the effects propose, best first."""
+    """Return the proposals of all effects, best first."""
     effects = [e for e in EFFECTS.values() if residuals.data.may_show(e)]
     found = [c for effect in effects for c in _proposed(effect, residuals)]
     found += _of_one_sensor(effects, residuals)
@@ -30,7 +30,7 @@ def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
 
 
 def _proposed(effect: Effect, residuals: FitResiduals) -> list[Candidate]:
-    """Return what one effect proposes."""
+    """Return the proposals of one effect."""
     out = []
     if effect.diagnostics.propose is not None:
         for proposal in effect.diagnostics.propose(residuals):
@@ -42,7 +42,7 @@ def _proposed(effect: Effect, residuals: FitResiduals) -> list[Candidate]:
 
 
 def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
-    """Return what effects on single readings propose for each of several sensors by itself."""
+    """Return the proposals of effects on single readings for each of several sensors separately."""
     own = [e for e in effects if e.stage in STAGES_OF_ONE_SENSOR and e.place is None]
     own = [e for e in own if not (e.diagnostics.is_lattice or e.diagnostics.explains)]
     owner = sensor_of_rays(residuals.sensor)
@@ -54,10 +54,10 @@ def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candi
 
 
 def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
-    """Return the best of each group of values that effects ask to be cast; of all groups, the best few.
+    """Return the best value of each group of values that effects request to be cast; of all groups, the best few.
 
-    Values are cast on a part of the scans, nuisances frozen; no stronger ones where a value is hopeless and worse than the
-    one before.
+    Values are cast on a part of the scans, with frozen nuisances. A group ends at a value whose gain is
+    hopeless and below that of the previous value.
     """
     groups = [
         (effect, group)
@@ -76,7 +76,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     state, nominal = thin_state(fitted.state, every), start_state(few, SCAN.noise)
     if state.noise.core > settings.max_core or state.noise.tail > settings.max_tail:
         state = nominal
-    # at nominal nuisances the answer hangs on the model alone, and a strained fit asks twice
+    # at nominal nuisances the result depends on the model only, and a strained fit needs it twice
     key = b"swept|" + repr([(a.key, *a.parameters.items()) for a in fitted.model]).encode()
     if state is nominal and key in data.memo:
         kept = data.memo[key]

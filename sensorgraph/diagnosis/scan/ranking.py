@@ -1,4 +1,4 @@
-"""Which of the effects tried comes first: by evidence, save where a little more of it does not choose."""
+"""Rank the effects that were tried: by evidence, except where a small difference of evidence does not decide."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools
 
 Tried = list[tuple[Fitted, float]]
-"""Fits, the effect tried last in their model, with its gain [nats]."""
+"""Fits, each with the gain [nats] of the last effect in its model."""
 
 
 def n_parameters(amendment: Amendment) -> int:
-    """Count the parameters that an effect pays for."""
+    """Return the number of parameters of an effect that count for the complexity penalty."""
     effect = amendment.effect
     counted = [v != 0.0 or not effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()]
     return max(sum(counted), 1)
 
 
 def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
-    """Order what was tried, the one to choose first.
+    """Return the tried effects in order of preference.
 
     Parameters
     ----------
-    threshold : [nats] that a name takes
+    threshold : [nats] Evidence that a name requires.
     """
     possible = [pair for pair in tried if stands_in_room(data, pair[0].model[-1])]
     order = _by_law(data, _by_gain(without_ends(data, possible or tried)), threshold)
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
-    # what may be clutter waits for what is none: it would take its readings
+    # possible clutter waits, because it would absorb the readings of other effects
     if any(gain >= threshold for _, gain in certain):
         order = certain
     first = _at_known_site(data, order, threshold)
@@ -46,7 +46,7 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
 
 
 def stands_in_room(data: ScanData, amendment: Amendment) -> bool:
-    """Tell whether an obstacle that has moved may stand where it is said to: its middle is in free space, or where it was."""
+    """Return whether the centre of a moved obstacle is at a possible place: in free space, or inside its former outline."""
     effect = amendment.effect
     if effect.place != "obstacle" or not effect.steps:
         return True
@@ -58,9 +58,10 @@ def stands_in_room(data: ScanData, amendment: Amendment) -> bool:
 
 
 def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitted, float]:
-    """Return the one to choose at a site that is known by its good runs.
+    """Return the effect to choose at a site with known-good runs.
 
-    What clutter brings an effect of the sensor says whether it has a name, not which of two is right.
+    The evidence that clutter may contribute to an effect of the sensor decides whether the effect is named.
+    It does not decide between two such effects, and is therefore added back here.
     """
 
     def whole(pair: tuple[Fitted, float]) -> float:
@@ -73,18 +74,22 @@ def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitt
 
 
 def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
-    """Tell whether a thing in the room may be what the building brings."""
+    """Return whether an object in the room may be clutter of the building."""
     amendment = pair[0].model[-1]
     return amendment.effect.place == "spot" and not surely_stands(amendment, data)
 
 
 def _is_plain(amendment: Amendment) -> bool:
-    """Tell whether an effect is of the sensor, and none that absorbs what others leave."""
+    """Return whether an effect belongs to the sensor and does not absorb residuals of other effects."""
     return is_of_sensor(amendment) and not amendment.effect.absorber
 
 
 def _by_gain(tried: Tried) -> Tried:
-    """Order by gain; an absorber yields to a material deterministic effect with more than half its gain."""
+    """Order by gain, but prefer material effects.
+
+    An absorber yields to a material deterministic effect with more than half of its gain. An immaterial
+    effect yields to a material one with nearly the same gain.
+    """
     order = sorted(tried, key=lambda pair: -pair[1])
     best, gain = order[0]
     if best.model[-1].effect.absorber:
@@ -112,7 +117,7 @@ def _by_gain(tried: Tried) -> Tried:
 
 
 def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:
-    """Let people and strays that are as likely, but for less than a name takes, be told by what their readings look like."""
+    """Decide between people and outliers with nearly the same gain by the properties of their readings."""
     best, gain = order[0]
     absorber = best.model[-1].effect
     if not absorber.diagnostics.explains:
@@ -131,14 +136,15 @@ def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:
 
 
 def _keeps_its_law(data: ScanData, fitted: Fitted) -> bool:
-    """Tell whether the readings that the last effect absorbs may be its own."""
+    """Return whether the readings that the last effect absorbs have the properties of that effect."""
     return not why_not_absorbed(FitResiduals(data, fitted), fitted.model[-1])[0]
 
 
 def without_ends(data: ScanData, tried: Tried) -> Tried:
-    """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
+    """Compare panes, mirrors and black parts of one wall on the rays that clearly meet or clearly miss them.
 
-    A ray next to an end may be on either side of it. That costs a law of certain loss more than one of likely loss.
+    A ray near an end may be on either side of it. That costs an effect with certain loss more likelihood than
+    one with probable loss.
     """
     order = sorted(tried, key=lambda pair: -pair[1])
     best, gain = order[0]
@@ -157,7 +163,7 @@ def without_ends(data: ScanData, tried: Tried) -> Tried:
 
 
 def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
-    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within a few blurs of one of its ends."""
+    """Return which rays (n_scans, n_rays) meet the wall of the last effect within a few blur widths of one of its ends."""
     a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
     bare = bare_cast(scene)
     on = np.isin(bare.wall, named_walls(data.arena, a.place))

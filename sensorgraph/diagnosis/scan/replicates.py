@@ -1,4 +1,4 @@
-"""Runs drawn from a fitted model, to see what it leaves unexplained by chance alone (Efron and Tibshirani 1993, chapter 6)."""
+"""Draw simulated replicates of a run from a fitted model (parametric bootstrap; Efron and Tibshirani 1993, chapter 6)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sensorgraph.diagnosis.scan.sweep_wobble import drawn_wobble, wobble_of_read
 
 
 def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
-    """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
+    """Draw readings from a fitted model, with pose errors and tails, and refit the nuisances linearly."""
     solution, expected, jacobian = fitted.solution, fitted.cast.expected, fitted.cast.jacobian
     state = solution.state.copy()
     prior = pose_prior(data, state.pose_scale)
     state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
     mu = expected.reading + fitted.solver.shift(state, solution.p)
-    if any(data.wobble):  # neighbouring rays share it, which they do not in the spread of each
+    if any(data.wobble):  # neighbouring rays share the wobble, so it is drawn apart from their noise
         spread = wobble_of_readings(data.wobble, jacobian.pose)
         alone = np.sqrt(np.maximum(expected.sigma**2 - spread**2, 0.0))
         delays = data.sensor.ray_delays

@@ -1,4 +1,4 @@
-"""Residuals of a fit, as the effects look at them to propose themselves."""
+"""Residuals of a fit, in the form that effects use to propose start values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SQRT_TAU = np.sqrt(2 * np.pi)
 
 @dataclass(eq=False)
 class FitResiduals:
-    """What a fit expects, and what was measured instead (see `sensorgraph.effects.interfaces.Residuals`)."""
+    """Expected and measured readings of a fit (see `sensorgraph.effects.interfaces.Residuals`)."""
 
     data: ScanData
     fitted: Fitted
@@ -57,7 +57,7 @@ class FitResiduals:
             self.long = self.strange & (self.z > self.mu + 4 * self.sigma)
 
     def of_rays(self, rays: Bools) -> FitResiduals:
-        """Return the view of some rays (n_rays,): of the others nothing is known."""
+        """Return the view of some rays (n_rays,), with all other rays masked."""
         view = copy(self)
         view.__dict__.pop("certain_loss", None)
         for name in ("returned", "lost", "near", "aimed", "valid", "strange", "short", "long"):
@@ -67,23 +67,23 @@ class FitResiduals:
 
     @cached_property
     def certain_loss(self) -> Floats:
-        """[nats] gained by the claim that a ray cannot return; rays that are not judged say nothing of it."""
+        """[nats] Gain of the hypothesis that a ray cannot return; 0 for rays that are not judged."""
         floor = np.log((self.noise.stray + SCAN.likelihood.unexplained) / self.range_max)
         gain = np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p
         return np.asarray(np.where(np.isnan(self.z), 0.0, gain))
 
     @cached_property
     def along(self) -> Floats:
-        """[m] from the first end of the wall that is hit."""
+        """[m] Distance from the first end of the wall that is hit."""
         return self.beams.along(self.walls)
 
     @cached_property
     def incidence(self) -> Floats:
-        """[rad] nan where nothing is hit."""
+        """[rad] Incidence; nan without a hit."""
         return self.beams.incidence
 
     def ends(self, some: Bools) -> Floats:
-        """Return where the measured rays end, (n, 2) [m, map]."""
+        """Return the end points (n, 2) [m, map] of measured rays."""
         ox = np.broadcast_to(self.beams.ox, self.z.shape)[some]
         oy = np.broadcast_to(self.beams.oy, self.z.shape)[some]
         return np.stack(
@@ -91,7 +91,7 @@ class FitResiduals:
         )
 
     def likely(self, mu: Floats, some: Bools | None = None) -> Floats:
-        """Return log-likelihoods [nats] under other expected readings; arrays (n_scans, n_rays) or (n,) of `some`."""
+        """Return log-likelihoods [nats] under other expected readings; arrays (n_scans, n_rays), or (n,) of `some`."""
         z, sigma = (self.z, self.sigma) if some is None else (self.z[some], self.sigma[some])
         returned = np.isfinite(z)
         aimed = np.isfinite(mu) & (mu < self.range_max)

@@ -1,4 +1,4 @@
-"""The scans of a run with the poses they were taken at, ready to be compared with the simulator."""
+"""Scans of a run with their poses, prepared for the comparison with the simulator."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from sensorgraph.world.sweep import with_sweep_of
 T = TypeVar("T")
 
 LAID, POSED = b"laid", b"posed"
-"""In `ScanData.memo`: the data with the walls, or the poses, where they were laid last."""
+"""Keys of `ScanData.memo`: the data with the walls, and with the poses, of the latest cast."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,18 +44,18 @@ class IntoUnknown:
     """Rays that leave the map before they meet a wall; arrays (n_scans, n_rays)."""
 
     horizon: Floats
-    """[m] where they do; inf for other rays."""
+    """[m] Range at which a ray leaves the map; inf for other rays."""
     ranges: Floats
-    """[m] as measured; nan for other rays."""
+    """[m] Measured range; nan for other rays."""
 
     def subset(self, scans: NDArray[np.intp] | Bools) -> IntoUnknown:
-        """Return those of some scans: indices, or a mask (n_scans,)."""
+        """Return the rays of some scans: indices, or a mask (n_scans,)."""
         return IntoUnknown(horizon=self.horizon[scans], ranges=self.ranges[scans])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanData:
-    """Measured scans, and how the simulator is set up for them."""
+    """Measured scans, and the setup of the simulator for them."""
 
     arena: Arena
     sensor: RangeSensor
@@ -63,90 +63,99 @@ class ScanData:
     stamps: Floats
     """(n_scans,) [s]"""
     ranges: Floats
-    """(n_scans, n_rays) [m] measured; +inf nothing seen, -inf too close, nan broken."""
+    """(n_scans, n_rays) [m] Measured ranges; +inf for no return, -inf for too close, nan for a broken
+    reading."""
     poses: Floats
-    """(n_scans, 3) reference at the stamps, phi unwrapped."""
+    """(n_scans, 3) Reference poses at the stamps, phi unwrapped."""
     twists: Floats
-    """(n_scans, 3) [m/s, m/s, rad/s] velocity in map."""
+    """(n_scans, 3) [m/s, m/s, rad/s] Velocity in map."""
     track: tuple[Floats, Floats]
     """Stamps (n_poses,) and poses (n_poses, 3) of the reference, phi unwrapped."""
     begin: float
-    """[s] start of the run."""
+    """[s] Start of the run."""
     span: float
-    """[s] length of the run."""
+    """[s] Length of the run."""
     into_unknown: IntoUnknown | None = None
-    """Rays that leave the map, which are not judged (nan in `ranges`) but where `judged_to_horizon` says so; None: there are none."""
+    """Rays that leave the map. They are not judged (nan in `ranges`), except those of `judged_to_horizon`.
+    None: no such rays."""
     horizon: Floats | None = None
-    """(n_scans, n_rays) [m] up to where a ray that leaves the map is judged, inf where it does not; None: none is judged."""
+    """(n_scans, n_rays) [m] Range up to which a ray that leaves the map is judged; inf for other rays. None:
+    no ray is judged in this way."""
     beyond: Bools | None = None
-    """(n_scans, n_rays) nothing stopped the ray before its horizon; its reading is nan in `ranges`."""
+    """(n_scans, n_rays) Whether the ray reached its horizon; its reading is nan in `ranges`."""
     laser_frame: bool
-    """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
+    """Whether the reference poses are those of the laser, so that its mount cannot be estimated."""
     from_scans: bool = False
-    """The poses were found from these very scans, and have taken along what moves a scan as a whole (`poses_of_scans`)."""
+    """Whether the poses were located with these scans, so that they absorb errors that move a scan as a whole
+    (`poses_of_scans`)."""
     wobble: tuple[float, float] = (0.0, 0.0)
-    """[m, rad] standard deviation of the reference's error within one sweep of the laser, along each axis and in heading."""
+    """[m, rad] Standard deviation of the reference error within one sweep of the laser, along each axis and
+    in heading."""
     references_in_sweep: float = 0.0
-    """References that fall into a sweep, between which their error is interpolated."""
+    """Number of reference poses within a sweep; their error is interpolated between them."""
     corners: Corners | None = None
-    """Of the arena that may shift. None: all of them, unless there are too many."""
+    """Corners of the arena that may shift. None: all of them, unless there are too many."""
     laid: Floats | None = None
-    """(2 n_corners,) [m] by which the corners of the arena have been moved; their errors count from where the map has them.
-    None: not at all."""
+    """(2 n_corners,) [m] Shifts that were applied to the corners of the arena; corner errors still count from
+    the map. None: no shift."""
     posed: Floats | None = None
-    """(n_scans, 3) [m, m, rad] by which `poses` are off the reference, from where pose errors count; None: not at all."""
+    """(n_scans, 3) [m, m, rad] Shifts of `poses` from the reference; pose errors still count from the
+    reference. None: no shift."""
     grain: float = 0.0
-    """[m] by which a surface may leave its straight wall from place to place: half a pixel of the map; 0 of a drawn one."""
+    """[m] Local deviation of a surface from its straight wall: half a cell of an occupancy-grid map, 0 for a
+    drawn map."""
     stated_map: float = 0.0
-    """[m] tolerance of the map where robot.yaml states it: what has moved by no more than that is none; 0: it does not."""
+    """[m] Tolerance of the map that robot.yaml specifies; smaller shifts are not named. 0: not specified."""
     known: tuple[Amendment, ...] = ()
-    """Effects that are part of the simulator already."""
+    """Effects that are already part of the simulator."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
-    """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`); inf: do not look."""
+    """Effect -> [nats] Additional evidence that its name requires at this site (see `commissioning`); inf:
+    not searched for."""
     clutter_leads: Mapping[str, float] = field(default_factory=dict)
-    """Smooth effect of the whole sensor -> [nats] that clutter alone may bring it: less is no name, and a smaller lead over
-    another that is out of its own interval, too, does not choose between them."""
+    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. An effect with
+    less is not named. A smaller lead does not decide against a rival that is also outside its own interval."""
     baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
-    """Effect -> the sizes that the site shows though nothing is wrong."""
+    """Effect -> Sizes that fits to known-good runs of the site show."""
     memo: dict[bytes, object] = field(default_factory=dict)
-    """Results kept by content, such as the edges of a cast."""
+    """Cached results, such as the edges of a cast."""
 
     @property
     def n_scans(self) -> int:
-        """Count of scans."""
+        """Number of scans."""
         return len(self.stamps)
 
     @property
     def n_rays(self) -> int:
-        """Count of rays in a scan."""
+        """Number of rays per scan."""
         return int(self.ranges.shape[1])
 
     def may_show(self, effect: Effect, place: str = "") -> bool:
-        """Tell whether an effect is looked for: the site allows it, and poses have not taken it along."""
+        """Return whether an effect is searched for: the site allows it, and the poses do not absorb it."""
         is_pose_like = not place and bool(effect.nuisances) and set(effect.nuisances) <= set(POSE_LIKE)
         return self.clutter_nats.get(effect.name) != np.inf and not (self.from_scans and is_pose_like)
 
     @cached_property
     def returned(self) -> Bools:
-        """(n_scans, n_rays) the ray came back."""
+        """(n_scans, n_rays) Whether the ray returned."""
         return np.isfinite(self.ranges)
 
     @cached_property
     def speed(self) -> Floats:
-        """(n_scans,) [m/s] along the robot's own x."""
+        """(n_scans,) [m/s] Speed along the x axis of the robot."""
         phi = self.poses[:, 2]
         return np.asarray(np.cos(phi) * self.twists[:, 0] + np.sin(phi) * self.twists[:, 1])
 
     def motion(self, times: Floats) -> Floats:
-        """Interpolate the reference (..., 3) at times (...) [s]; the first axis is of the scans where poses have been moved."""
+        """Interpolate the reference (..., 3) at times (...) [s]; their first axis must be the scans if poses were shifted."""
         stamps, poses = self.track
         at = self.kept(b"motion", lambda: Motion(stamps=stamps, poses=poses)).at(times)
         return at if self.posed is None else at + self.posed.reshape(-1, *[1] * (at.ndim - 2), 3)
 
     def posed_by(self, errors: Floats) -> ScanData:
-        """Return the data with poses moved by errors (n_scans, 3) of the reference: casts are made there.
+        """Return the data with poses shifted by errors (n_scans, 3) of the reference, so that casts are made there.
 
-        As an error of a reading that is of first order; but outlines move, too, which rays pass or meet.
+        To first order, a pose error only shifts a reading. However, it also moves outlines, and rays may then
+        meet or miss them.
         """
         for kept in (self, self.memo.get(POSED)):
             if isinstance(kept, ScanData) and kept.posed is not None and np.array_equal(kept.posed, errors):
@@ -157,7 +166,7 @@ class ScanData:
 
     @property
     def pose_start(self) -> Floats:
-        """(n_scans, 3) pose errors [m, m, rad] that a fit begins with: those that the casts have."""
+        """(n_scans, 3) [m, m, rad] Initial pose errors of a fit: those of the casts."""
         return np.zeros((self.n_scans, 3)) if self.posed is None else self.posed.copy()
 
     def scene(self, seed: int | None = None) -> Scene:
@@ -175,20 +184,20 @@ class ScanData:
 
     @property
     def barriers(self) -> Barriers:
-        """What stands, and what nobody has looked into."""
+        """Walls, and borders of unobserved space."""
         return self.kept(b"barriers", lambda: Barriers(self.arena))
 
     def kept(self, key: bytes, make: Callable[[], T]) -> T:
-        """Return what the memo has under a key, always of one kind; made where there is nothing."""
+        """Return the cached value of a key, whose type is always the same; compute it on first use."""
         if key not in self.memo:
             self.memo[key] = make()
         return cast(T, self.memo[key])
 
     def laid_by(self, shifts: Floats) -> ScanData:
-        """Return the data with the corners (2 n_corners,) of a map of pixels moved by [m], within the cells.
+        """Return the data with the corners (2 n_corners,) [m] of an occupancy-grid map shifted, within their cells.
 
-        A cell leaves open where in it a surface is. As an error of the map that is of first order; but it moves outlines that
-        rays pass, too, and these need a new cast.
+        A cell does not determine the position of the surface within it. To first order, this error only
+        shifts readings. However, it also moves outlines that rays pass, and these need a new cast.
         """
         if self.grain <= 0 or self.corners is None or not self.corners.count:
             return self
@@ -202,7 +211,7 @@ class ScanData:
         return laid
 
     def is_laid_by(self, shifts: Floats) -> bool:
-        """Tell whether walls lie where `laid_by` would lay them, but for a small share of the map's tolerance."""
+        """Return whether walls are where `laid_by` would place them, to within a small share of the map tolerance."""
         again = self.laid_by(shifts).laid
         if again is None:
             return True
@@ -211,12 +220,12 @@ class ScanData:
 
     @cached_property
     def plain_cast(self) -> tuple[Floats, Ints]:
-        """Ranges (n_scans, n_rays) [m] to the walls, inf for none, and the index of each ray's wall, -1; of one laser alone."""
+        """Ranges (n_scans, n_rays) [m] to the walls (inf: none) and wall index per ray (-1: none); single lasers only."""
         lasers = laser_poses(self.poses, self.sensor.mount)
         return cast_laser(self.arena.walls, lasers, self.sensor.bearings, self.sensor.range_max)
 
     def subset(self, scans: NDArray[np.intp] | Bools) -> ScanData:
-        """Return the data of some scans only: indices, or a mask (n_scans,)."""
+        """Return the data of some scans: indices, or a mask (n_scans,)."""
         return replace(
             self,
             stamps=self.stamps[scans],
@@ -231,9 +240,9 @@ class ScanData:
         )
 
     def judged_to_horizon(self, some: Bools) -> ScanData:
-        """Return the data with some rays (n_scans, n_rays), of those that leave the map, judged up to there.
+        """Return the data in which some rays (n_scans, n_rays) that leave the map are judged up to their horizon.
 
-        The choice must be one of where they are aimed, and not of what they read.
+        The selection must depend on the direction of the rays, not on their readings.
         """
         assert self.into_unknown is not None
         horizon = np.where(some, self.into_unknown.horizon, np.inf)
@@ -247,7 +256,7 @@ class ScanData:
         )
 
     def up_to_horizon(self, beams: Beams) -> Beams:
-        """Return beams that meet nothing beyond the horizon."""
+        """Return beams without surfaces beyond the horizon."""
         if self.horizon is None:
             return beams
         before = beams.ranges < self.horizon
@@ -261,7 +270,7 @@ class ScanData:
         )
 
     def windows(self, n: int) -> list[ScanData]:
-        """Cut the run into n windows with the same count of scans; none where they would be too short for a run."""
+        """Split the run into n windows with equal numbers of scans; return none if they are too short for a run."""
         if self.n_scans < n * SCAN.intake.min_scans:
             return []
         ends = np.linspace(0, self.n_scans, n + 1).astype(np.intp)
@@ -276,20 +285,20 @@ class ScanData:
 def prepare_scans(
     run: Run, arena: Arena, robot: Robot, known: Sequence[Amendment] = ()
 ) -> tuple[ScanData, dict[str, object]]:
-    """Pair the scans of a run with poses, and thin out a long run.
+    """Pair the scans of a run with poses, and subsample a long run.
 
     Parameters
     ----------
-    known : effects that are part of the model already; those of other channels are left out
+    known : Effects that are already part of the model; those of other channels are ignored.
 
     Returns
     -------
-    the data, and what is worth saying about the pairing under the keys of report.json
+    The data, and notes on the pairing under the keys of report.json.
 
     Raises
     ------
     SensorgraphError
-        The run is too short, has no returns or no poses, or another sensor than the robot.
+        The run is too short, has no returns or no poses, or has a different sensor than the robot.
     """
     run = with_sweep_of(run, robot)
     pairing = pair(run)
@@ -303,14 +312,18 @@ def prepare_scans(
     }
     least = SCAN.intake.min_scans
     if run.n_scans < least:
-        more = "record a longer run" if run.n_scans else "name the topic of its scans with `topics` scan=..."
+        more = (
+            "record a longer run" if run.n_scans else "select the topic of its scans with `topics` scan=NAME"
+        )
         raise SensorgraphError(f"the run has {run.n_scans} scans, expected {least} or more; {more}")
     if not np.isfinite(run.ranges).any():
-        raise SensorgraphError("no ray of the run ever returned; there is nothing to compare with the arena")
+        raise SensorgraphError(
+            "no ray of the run ever returned; check the topic of the scans with `sensorgraph inspect`"
+        )
     if kept.sum() < least:
         raise SensorgraphError(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
-            "record a longer run, or name the topic of its poses with `topics` pose=..."
+            "record a longer run, or select the topic of its poses with `topics` pose=NAME"
         )
     laser_frame = run.pose_frame == "laser"
     sensor = described_sensor(run, robot, is_laser_frame=laser_frame)
@@ -338,7 +351,7 @@ def prepare_scans(
 
 
 def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:
-    """Return poses (n, 3) whose headings are whole turns away, so that they follow phi (n,) [rad]."""
+    """Return poses (n, 3) with headings shifted by whole turns, so that they follow phi (n,) [rad]."""
     turns = np.rint((phi - poses[:, 2]) / (2 * np.pi))
     return np.column_stack([poses[:, :2], poses[:, 2] + 2 * np.pi * turns])
 
@@ -366,7 +379,7 @@ def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
 
 
 def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
-    """Return tolerances that are never zero."""
+    """Return tolerances with a positive lower limit."""
     least = SCAN.intake.min_tolerances
     return replace(
         tolerances, **{name: max(getattr(tolerances, name), value) for name, value in vars(least).items()}

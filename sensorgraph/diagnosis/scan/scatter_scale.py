@@ -1,4 +1,4 @@
-"""How much a laser scatters at all ranges alike, as a multiple of what robot.yaml states."""
+"""Estimate the scatter of a laser at all ranges, as a multiple of the specified standard deviation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects.range_noise import RANGE_NOISE
 
 SIGMA_CAUSES = (
-    "sensor.sigma of robot.yaml is too small: data sheets tell the best case",
-    "a laser that vibrates, is old, or looks through a dirty window",
+    "sensor.sigma in robot.yaml is too small: data sheets specify the best case",
+    "a laser that vibrates, is worn, or measures through a dirty window",
 )
 
 
 def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBounds) -> NoiseBounds | None:
-    """Return bounds under which the laser may scatter as it does, where that explains more than what was found; else None.
+    """Return noise bounds around the observed scatter if it explains more than the effects found; else None.
 
-    Noise of twice what is stated looks as if it grew with the range, to a search whose noise may not be more; what is stated too
-    small is asked first.
+    If the noise may not exceed the specified value, twice that noise looks like noise that grows with the
+    range. A specified value that is too small is therefore tested first.
     """
     final = explained.final
     low, high = noise_bounds.core
@@ -34,7 +34,7 @@ def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBound
         return None
     seen = data.returned & final.cast.jacobian.valid
     off = np.abs(final.solution.responsibilities.residual[seen])
-    # of a normal distribution; strays hardly move a median
+    # for a normal distribution; outliers hardly change the median
     scale = 1.4826 * float(np.median(off)) / data.sensor.sigma
     if not SCAN.nuisance.stretched_scale <= scale <= SCAN.goodness_of_fit.max_scatter:
         return None
@@ -47,14 +47,14 @@ def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBound
 
 
 def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData) -> GoodnessOfFit:
-    """Doubt a model whose laser must scatter more than is stated, unless something else is in doubt already."""
+    """Report a laser that scatters more than specified, unless another difference is already unexplained."""
     scale, sigma = explained.final.state.noise.core, data.sensor.sigma
     if found.is_doubted or scale < SCAN.nuisance.stretched_scale:
         return found
     return replace(
         found,
-        statement=f"the laser scatters {scale:.1f} times as much as sensor.sigma of robot.yaml says, at all ranges alike "
-        f"({1000 * scale * sigma:.0f} mm, not {1000 * sigma:.0f})",
+        statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
+        f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",
         statistic=scale,
         threshold=SCAN.nuisance.stretched_scale,
         size=ScanError(noise=sigma * (scale**2 - 1) ** 0.5, affected=1.0),

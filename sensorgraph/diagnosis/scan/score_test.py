@@ -1,8 +1,16 @@
-"""Screen every smooth effect at once: the score test on the normal equations of the fit without it.
+"""Predict the gain of every smooth effect without fitting it: the score test (Rao 1948).
 
-All that shifts readings smoothly lies in the span of the nuisances' columns: a moved wall, a moved obstacle and a
-scaled map shift corners together; a bias, a scale, a mount have a tolerance-sized copy. So one assembled system
-gives the expected gain of each effect, with its own prior opened and the nuisances refitted.
+    gain = max over x, s of  q(x, x + D s)  -  max over x of  q(x, x)
+    q(x, m) = right' m - m' matrix m / 2 - |g / tau|² / 2,   |g| <= max_tolerances tau
+
+Here `matrix` and `right` are the normal equations of the fit without the effect, with the pose errors
+eliminated. The first of the unknowns x are the nuisance parameters g, with tolerances tau. D are the directions
+of an effect among them, and s is its size.
+
+Every effect that shifts readings smoothly lies in the span of the nuisance columns. A moved wall, a moved
+obstacle and a scaled map shift corners together; a bias, a scale and a mount each have a tolerance-sized
+copy. One assembled system therefore predicts the gain of each effect, with no prior on the effect and the
+nuisances refitted.
 """
 
 from __future__ import annotations
@@ -25,39 +33,39 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.sensor_parts import part_names, sensor_of_rays
 
 MAP_PLACES = ("wall", "obstacle", None, "spot", "sector")
-"""Order in which effects of the map are tested: of equal ones, the first counts."""
+"""Order in which effects of the map are tested; the first of equal ones counts."""
 
 
 STAGES_OF_ONE_SENSOR = ("mount", "range")
-"""Stages of the effects that one of several sensors may have for itself."""
+"""Stages of the effects that may apply to one of several sensors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect worth fitting, with the gain that is expected of it."""
+    """An effect to be fitted, with its expected gain."""
 
     amendment: Amendment
     gain: float
-    """[nats] expected over the fit without it."""
+    """[nats] Expected gain over the fit without it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hypothesis:
-    """An effect at zero that the columns of the nuisances span."""
+    """An effect at zero, in the span of the nuisance columns."""
 
     amendment: Amendment
     directions: Floats
-    """(n_g, k) change of the nuisances by each of the effect's smooth parameters."""
+    """(n_g, k) Change of the nuisances per unit of each smooth parameter of the effect."""
     nuisances: tuple[Nuisance, ...] = ()
-    """Its tolerance-sized copies, held at 0 while it is tested."""
+    """Tolerance-sized copies of the effect, held at 0 during the test."""
 
 
 def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) -> list[Candidate]:
-    """Return every smooth effect with its start values and expected gain.
+    """Return every smooth effect with its start values and expected gain, best first.
 
     Parameters
     ----------
-    broad : weigh readings far off as well (effects far outside the noise)
+    broad : Whether readings far from the model also have weight, for effects far above the noise.
     """
     data, solver, state = as_cast(data, fitted.state), fitted.solver, fitted.state
     y = solver.y
@@ -93,7 +101,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
 
 
 def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
-    """Test the smooth effects that no nuisance spans: assemble the system with their difference quotients."""
+    """Test the smooth effects outside the span of the nuisances, with columns of difference quotients."""
     old, state = fitted.solver, fitted.state
     tau, found = old.scaled(state), []
     for effect in EFFECTS.values():
@@ -113,7 +121,7 @@ def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Cand
 
 
 def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
-    """Test biases, scales and mounts of each of several sensors, with one system of the columns of all."""
+    """Test bias, scale and mount of each of several sensors, in one system with the columns of all."""
     if not data.sensor.is_composite:
         return []
     old, state = fitted.solver, fitted.state
@@ -151,7 +159,7 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
 def _columns_of_sensors(data: ScanData, fitted: Fitted, effect: Effect) -> Floats:
     """Differentiate the readings of a fit by an effect on each of several sensors, (k, n_scans, n_rays).
 
-    Each ray's columns are by the effect on its own sensor.
+    The columns of a ray belong to the effect on its own sensor.
     """
     places = part_names(data.sensor)
     out, at = [], fitted.cast
@@ -165,7 +173,7 @@ def _columns_of_sensors(data: ScanData, fitted: Fitted, effect: Effect) -> Float
 
 
 def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:
-    """List the smooth effects that the model lacks and that the nuisances' columns span."""
+    """Return the smooth effects that the model lacks, in the span of the nuisance columns."""
     n = fitted.solver.n_g
     present = {(a.name, a.place) for a in fitted.model}
     out = []
@@ -181,7 +189,7 @@ def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:
 
 
 def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -> list[Hypothesis]:
-    """List effects of the map's geometry, as shifts of its corners: walls first, then obstacles, then the whole map."""
+    """Return effects of the map geometry as shifts of its corners: walls first, then obstacles, then the whole map."""
     corners = corners_of(data)
     if corners.count == 0:
         return []
@@ -189,7 +197,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
     length = np.hypot(*np.diff(data.arena.walls, axis=1)[:, 0].T)
     is_short = (
         length < 2 * SCAN.naming.min_wall_pixels * data.grain
-    )  # of pixels; each further one costs a solution
+    )  # in cells of the map; each further wall costs one solution
     short = {name for name, few in zip(data.arena.names, is_short, strict=True) if few}
     out = []
     for effect in sorted(EFFECTS.values(), key=lambda e: MAP_PLACES.index(e.place)):
@@ -201,7 +209,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
             if effect.place == "wall" and found.place in short:
                 continue
             if found.place and corners.rest >= 0 and found.shift[corners.rest].any():
-                continue  # few rays meet it, and no unknown stands for it
+                continue  # few rays meet it, and it has no unknown
             k = found.shift.shape[2]
             directions = np.zeros((fitted.solver.n_g, k))
             directions[len(Nuisance) :] = found.shift.reshape(-1, k)
@@ -218,7 +226,7 @@ def _problem(system: System, tau: Floats, locked: Bools) -> BorderedProblem:
 
 
 def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Floats) -> tuple[float, Floats]:
-    """Return the maximum of the quadratic if nuisances may go along directions (n_g, k) for nothing, and how far."""
+    """Return the maximum of q(x, x + D s) and the size s, for directions D (n_g, k) without a prior on s."""
     n, k = directions.shape
     across = system.matrix[:, :n] @ directions
     corner = directions.T @ across[:n]
@@ -231,16 +239,16 @@ def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Fl
 
 
 def _value(system: System, tau: Floats, x: Floats, moved: Floats | None = None) -> float:
-    """Return the quadratic where readings are shifted as by `moved` (k,), the nuisances being those of x (k,)."""
+    """Return q of a system for readings that are shifted as by `moved` (k,), with the nuisances of x (k,)."""
     return _quadratic(system.matrix, system.right, tau, x, x if moved is None else moved)
 
 
 def _quadratic(matrix: Floats, right: Floats, tau: Floats, x: Floats, moved: Floats) -> float:
-    """Return what shifts `moved` (k,) gain [nats], less the prior of the nuisances in x (k,)."""
+    """Return q(x, moved) [nats]: the gain of shifts `moved` (k,), minus the prior term of the nuisances in x (k,)."""
     return float(right @ moved - 0.5 * moved @ matrix @ moved - 0.5 * np.sum((x[: len(tau)] / tau) ** 2))
 
 
 def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools) -> tuple[float, Floats]:
-    """Return the maximum of the quadratic and where it is."""
+    """Return the maximum of q(x, x), and x."""
     x = np.concatenate(boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held))
     return _quadratic(matrix, right, tau, x, x), x

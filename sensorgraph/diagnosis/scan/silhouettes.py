@@ -1,4 +1,4 @@
-"""Where the surface that a ray meets ends for the eye, and what stands behind it there."""
+"""Find the visible ends of surfaces that rays meet, and the surfaces behind them."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_from_each
 
 BESIDE = 1e-4
-"""[rad] beside the end of a surface, where a ray meets what is behind it."""
+"""[rad] Angle beyond the end of a surface at which a ray meets the surface behind it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Silhouettes:
-    """Ends of k surfaces, each between a ray that meets it and one that does not."""
+    """Ends of k surfaces, each between a ray that meets the surface and one that does not."""
 
     edge: Floats
-    """(k,) [rad] from the right ray to the end."""
+    """(k,) [rad] Angle from the right ray to the end."""
     wall: Ints
-    """(k,) index of the wall that ends there."""
+    """(k,) Index of the wall that ends there."""
     behind: Ints
-    """(k,) index of the wall that is met just beside it; -1 none."""
+    """(k,) Index of the wall just beyond the end, -1 for none."""
     ranges: Floats
-    """(k,) [m] there; inf for none."""
+    """(k,) [m] Range of that wall; inf for none."""
 
 
 def silhouettes(
@@ -36,21 +36,21 @@ def silhouettes(
     edge: Floats,
     gap: Floats,
 ) -> Silhouettes:
-    """Follow surfaces from wall to wall to where they end, and cast a ray beside that.
+    """Follow surfaces from wall to wall to their ends, and cast a ray just beyond each end.
 
     Parameters
     ----------
     walls : (n_walls, 2, 2) [m]
-    origins, directions : x and y (k,) [m] of where the right ray begins, and of its unit direction
-    wall : (k,) index of the wall that the ray meets whose surface is followed
-    is_right : (k,) it is the right ray; its surface ends to the left
-    edge : (k,) [rad] from the right ray to the end of that wall
-    gap : (k,) [rad] between the rays
+    origins, directions : x and y (k,) [m] of the origin of the right ray, and of its unit direction
+    wall : (k,) index of the wall met by the ray whose surface is followed
+    is_right : (k,) whether that ray is the right one, so that its surface ends to the left
+    edge : (k,) [rad] angle from the right ray to the end of that wall
+    gap : (k,) [rad] angle between the rays
     """
     edge, wall, side = edge.copy(), wall.copy(), np.where(is_right, 1.0, -1.0)
     behind, ranges = np.full(len(wall), -1, dtype=np.intp), np.full(len(wall), np.inf)
     some = np.arange(len(wall))
-    while len(some):  # each time a corner further
+    while len(some):  # one more corner per iteration
         ox, oy, ux, uy = (part[some] for part in (*origins, *directions))
         c, s = np.cos(edge[some] + side[some] * BESIDE), np.sin(edge[some] + side[some] * BESIDE)
         ranges[some], behind[some] = (
@@ -69,7 +69,7 @@ def silhouettes(
 
 
 def _onward(walls: Floats, wall: Ints, other: Ints) -> tuple[Bools, Floats]:
-    """Tell which pairs of walls (k,) meet in a corner, and return where the other one ends (k, 2) [m]."""
+    """Return which pairs of walls (k,) meet in a corner, and the far end (k, 2) [m] of the other wall."""
     a, b = walls[wall], walls[np.maximum(other, 0)]  # (k, 2, 2)
     apart = np.abs(a[:, :, None] - b[:, None]).sum(axis=3)  # (k, 2, 2) from each end to each of the other's
     at_end = (apart < SAME_PLACE).any(axis=1)  # (k, 2)

@@ -1,8 +1,9 @@
-"""What the clutter of a site may bring an effect, and why a thing that surely stands there pays nothing for it.
+"""Evidence that the clutter of a site may contribute to an effect, and objects that are exempt from it.
 
-Where a map has a wall it may be a little off, or lack what leans there, and a model that fits badly puts its largest discs
-there, or into space that nobody has looked into. How much such discs bring in good runs is what a further one pays. A thing
-in known free space that stops what is aimed at it is none of them, whatever else the building brings.
+A mapped wall may be slightly off, or objects lean against it that the map lacks. A model that fits badly puts
+its largest discs there, or into unobserved space. The evidence of such discs in known-good runs is added to
+the threshold of further discs. An object in known free space that stops the rays aimed at it is exempt,
+whatever clutter the building contains.
 """
 
 from __future__ import annotations
@@ -17,17 +18,18 @@ from sensorgraph.world.beams import Beams
 
 
 def clutter_floor(amendment: Amendment, data: ScanData) -> float:
-    """Return the further evidence [nats] that a name takes at this site."""
+    """Return the additional evidence [nats] that a name requires at this site."""
     floor = data.clutter_nats.get(amendment.name, 0.0)
     return 0.0 if 0.0 < floor < np.inf and surely_stands(amendment, data) else floor
 
 
 def surely_stands(amendment: Amendment, data: ScanData) -> bool:
-    """Tell whether an effect is something round that stands alone in known free space and stops what is aimed at it.
+    """Return whether an effect is a separate round object in known free space that stops the rays aimed at it.
 
-    Counted are rays that meet the inner part of the disc, and of which the map says that they go on beyond it. Those that
-    end at its face were stopped, those that go on were not; what ends before it says nothing. Rays that end as near, but
-    beside it, are of something larger.
+    Counted are rays that are aimed at the inner part of the disc and, according to the map, continue beyond
+    it. A ray that ends at the face of the disc was stopped; a ray that ends beyond it was not. A ray that
+    ends before it carries no information. Rays that end next to the disc, at the same distance, indicate a
+    larger object.
     """
     values, site = amendment.parameters, SCAN.site
     if amendment.effect.place != "spot" or "r" not in values:
@@ -46,9 +48,9 @@ def surely_stands(amendment: Amendment, data: ScanData) -> bool:
 
 
 def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bools]:
-    """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or beside it.
+    """Return which rays (n_scans, n_rays) end at the face of a disc at which they are aimed, beyond it, or next to it.
 
-    A face out of range is none: a reading without a return does not tell whether it was met.
+    A face out of range does not count, because a missing return does not show whether the ray met it.
     """
     beams, near = _beams(data), SCAN.goodness_of_fit.outline_distance
     ahead, aside = beams.towards(x, y)
@@ -68,5 +70,5 @@ def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bo
 
 
 def _beams(data: ScanData) -> Beams:
-    """Return the rays in the bare map."""
+    """Return the rays in the map without effects."""
     return data.kept(b"bare map", lambda: data.scene().shoot())

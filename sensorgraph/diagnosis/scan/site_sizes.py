@@ -1,10 +1,13 @@
-"""How large an effect seems at a site though nothing is wrong: window by window, and as an interval over windows.
+"""Apparent sizes of effects in known-good runs: per window, and as a prediction interval over windows.
 
-A number for the whole sensor (a bias, a drift, a share of strays) that is fitted to a run at a real site is never
-zero: the map is a little off here and there, people pass. Windows of good runs show how the number spreads from one
-window to the next, each as surely as its own parts agree on it: a random-effects model, and its prediction interval
-(Higgins, Thompson and Spiegelhalter 2009, eq. 12). This module holds the data and their statistics; `site_variation`
-estimates them from fits.
+    Σ_w (values_w - mean)² / (stderrs_w² + variance) + prior / variance = dof        (Paule and Mandel 1982)
+    half width = t(joint) sqrt(spread² + stderr²)
+
+A parameter of the whole sensor (a bias, a drift, a share of outliers) that is fitted to a run at a real site
+is never zero: the map is slightly off in places, and people pass. Windows of known-good runs show the spread
+of the parameter from one window to the next. Each window is weighted by the agreement of its parts. This is a
+random-effects model with its prediction interval (Higgins, Thompson and Spiegelhalter 2009, eq. 12). This
+module holds the data and their statistics; `site_variation` estimates them from fits.
 """
 
 from __future__ import annotations
@@ -23,75 +26,76 @@ from sensorgraph.effects.sector_bias import SECTOR_BIAS
 from sensorgraph.types import Floats
 
 WHOLE_OF = {SECTOR_BIAS.name: RANGE_BIAS.name}
-"""Effect of some rays -> the same of all."""
+"""Effect of some rays -> the same effect of all rays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WindowEstimate:
-    """What one window of a good run shows by itself."""
+    """Apparent effects in one window of a known-good run."""
 
     n_scans: int
     n_readings: int
     gains: Mapping[str, float]
-    """Effect -> [nats] the most that clutter brings it, its price paid."""
+    """Effect -> [nats] Largest evidence that clutter contributes, after the complexity penalty."""
     sizes: Mapping[str, Mapping[str, float]]
     """Effect -> parameter -> fitted value."""
     stderrs: Mapping[str, Mapping[str, float]]
-    """Effect -> parameter -> jackknife standard error over parts of the window; none: of some effects."""
+    """Effect -> parameter -> jackknife standard error over parts of the window; for some effects only."""
     misfit: float
-    """[nats] left unexplained."""
+    """[nats] Unexplained misfit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineInterval:
-    """How large an effect seems, window by window, though nothing is wrong; values on the scale of `even_scale`."""
+    """Apparent size of an effect in windows of known-good runs; values on the scale of `even_scale`."""
 
     mean: Mapping[str, float]
-    """Parameter -> mean over windows, each weighed by how sure it is."""
+    """Parameter -> mean over windows, weighted by their inverse variances."""
     spread: Mapping[str, float]
-    """Parameter -> standard deviation of a further window that is known exactly: between windows, and of the mean."""
+    """Parameter -> standard deviation of an exactly known further window: between windows, and of the mean."""
     stderr: Mapping[str, float]
-    """Parameter -> standard error of the value of one window, the median of the windows."""
+    """Parameter -> standard error of the value of one window, as the median over windows."""
     dof: float
     """Degrees of freedom of the spread."""
 
     def half_width(self, stderr: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return how far from the mean a further window may be, by parameter (a prediction interval).
+        """Return the half-width of the prediction interval of a further window, by parameter.
 
         Parameters
         ----------
-        stderr : parameter -> jackknife standard error of that window's value; default: it is known exactly
+        stderr : Parameter -> jackknife standard error of the value of that window; default: the value is exact.
         """
         own = stderr or {}
         return {k: prediction_half_width(self.spread[k], self.dof, own.get(k, 0.0)) for k in self.mean}
 
     def spread_of(self, name: str) -> dict[str, float]:
-        """Return the spread of those parameters of the effect `name` that spread evenly as they are."""
+        """Return the spread of those parameters of the effect `name` that `even_scale` does not change."""
         return {k: v for k, v in self.spread.items() if k not in _powers(name)}
 
     def limits(self, name: str) -> dict[str, list[float]]:
-        """Return the two ends of the interval of each parameter of the effect `name`, for a window like the others."""
+        """Return the interval limits of each parameter of the effect `name`, for a window like the others."""
         far = self.half_width(self.stderr)
         ends = [parameter_scale(name, {k: self.mean[k] + sign * far[k] for k in far}) for sign in (-1, 1)]
         return {k: [end[k] for end in ends] for k in far}
 
     def contains(self, amendment: Amendment, stderr: Mapping[str, float] | None = None) -> bool:
-        """Tell whether a size is one that the site shows by itself; several parameters add as a vector."""
+        """Return whether a size is usual for the site; several parameters add as a vector."""
         values, far = even_scale(amendment.name, amendment.parameters), self.half_width(stderr)
         return bool(np.hypot.reduce([(values[k] - self.mean[k]) / far[k] for k in far]) < 1.0)
 
 
 def even_scale(name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters on a scale where they spread evenly.
+    """Return parameters on a scale of constant variance.
 
-    Of a share its root (Anscombe 1948), of a standard deviation the cube root of its square (Wilson and Hilferty 1931).
+    A share is replaced by its square root (Anscombe 1948), and a standard deviation by its power 2/3 (Wilson
+    and Hilferty 1931).
     """
     powers = _powers(name)
     return {k: float(v ** powers[k]) if k in powers else v for k, v in values.items()}
 
 
 def parameter_scale(name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Undo `even_scale`."""
+    """Invert `even_scale`."""
     powers = _powers(name)
     return {k: float(max(v, 0.0) ** (1 / powers[k])) if k in powers else v for k, v in values.items()}
 
@@ -110,7 +114,7 @@ def between_windows(
     Parameters
     ----------
     values, stderrs : (n,) of each window
-    prior_spread : by how much careful set-ups vary anyhow, believed for `prior_windows` values; None: not known
+    prior_spread : Usual variation of careful setups, with the weight of `prior_windows` windows; None: unknown.
     """
     belief = 0.0 if prior_spread is None else SCAN.site.prior_windows
     prior = belief * (prior_spread or 0.0) ** 2
@@ -129,12 +133,15 @@ def between_windows(
 
 
 def prediction_half_width(spread: float, dof: float, stderr: float) -> float:
-    """Return how far from the mean a further value may be, that has an error of its own.
+    """Return the half-width of the prediction interval of a further value with its own error.
+
+        half width = t(joint) sqrt(spread² + stderr²)
+        joint = (spread² + stderr²)² / (spread⁴ / dof + stderr⁴ / (n_parts - 1))
 
     Parameters
     ----------
     spread : with `dof` degrees of freedom
-    stderr : of a jackknife over `n_parts`; the degrees of freedom of both together are Welch's (1947)
+    stderr : of a jackknife over `n_parts`; the joint degrees of freedom follow Welch (1947)
     """
     parts = SCAN.site.n_parts - 1
     total = spread**2 + stderr**2
@@ -143,9 +150,9 @@ def prediction_half_width(spread: float, dof: float, stderr: float) -> float:
 
 
 def baseline_intervals(windows: Sequence[WindowEstimate]) -> dict[str, BaselineInterval]:
-    """Return, per effect, what good windows show; effects of too few windows are left out.
+    """Return the interval of each effect in known-good windows; effects with too few windows are omitted.
 
-    Readings of a part of the sensor vary at least as those of all of it.
+    Readings of a part of the sensor vary at least as much as those of the whole sensor.
     """
     out = {}
     for name in sorted({name for w in windows for name in w.sizes}):

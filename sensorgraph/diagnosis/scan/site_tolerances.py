@@ -1,4 +1,4 @@
-"""Tolerances of a site, estimated from a run that is known to be good."""
+"""Estimate the tolerances of a site from a run that is known to be good."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from sensorgraph.world.robot import Tolerances
 
 
 def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
-    """Return the tolerances of the poses under which one half of the bearings predicts the other half best.
+    """Return the pose tolerances with which one half of the bearings predicts the other half best.
 
     Parameters
     ----------
-    null : fit of the run without any effect
+    null : Fit of the run without effects.
     """
     nominal = data.tolerances
     solver, _ = solver_for(data, ())
@@ -48,7 +48,7 @@ def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
 
 
 def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> float:
-    """Fit the pose of each scan to some rays (n_rays,); return the log-likelihood of the others [nats]."""
+    """Fit the pose of each scan to some rays (n_rays,); return the log-likelihood [nats] of the other rays."""
     data, expected, none = solver.data, solver.expected, np.zeros(0)
     state = state.copy()
     state.delta = data.pose_start
@@ -61,13 +61,13 @@ def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> flo
 
 
 def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
-    """Widen the tolerances of mount and stamps to the shifts that a good run appears to have.
+    """Widen the tolerances of mount and stamps to the apparent shifts in a known-good run.
 
-    The clock is fitted alone: while a robot turns one way only, a late clock looks like a yaw.
+    The clock is fitted separately: while a robot turns in one direction only, a late clock looks like a yaw.
 
     Parameters
     ----------
-    cuts : counts of windows that the run is cut into
+    cuts : Numbers of windows into which the run is divided.
     """
     mount = [MOUNT_XY(dx=0.0, dy=0.0), MOUNT_YAW(delta=0.0)]
     clock = [LATENCY(tau=0.0)]

@@ -1,7 +1,8 @@
-"""What a site shows by itself, estimated from fits: sizes of single effects, and how far parts of a run agree on them.
+"""Estimate apparent sizes of single effects at a site, and the agreement between parts of a run.
 
-A name takes a size beyond the spread over windows of good runs (`site_sizes`), each as sure as its parts agree: where
-the parts of a run disagree on a number, it is no number of the sensor but something at a few places.
+An effect is named only if its size exceeds the spread over windows of known-good runs (`site_sizes`). Each
+size counts with the precision with which parts of the run agree. If they disagree on a parameter, it does not
+describe the sensor but a few places.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Parts = list[tuple[Floats, Floats]]
 
 
 def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect lies within the baseline of the site, as surely as the parts of the run agree on it."""
+    """Return whether an effect is within the baseline of the site, given the agreement between parts of the run."""
     baseline = fitted.solver.data.baseline_intervals.get(amendment.name)
     if baseline is None:
         return False
@@ -41,7 +42,7 @@ def cached_jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
 
 
 def jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return the standard errors of the parameters of an effect of a fit over parts of the run and of the rays."""
+    """Return the standard errors of the parameters of a fitted effect, over parts of the run and of the rays."""
     solver, names, place = fitted.solver, list[str](), 0
     for index, other in enumerate(fitted.model):
         smooth = list(other.steps)
@@ -55,11 +56,11 @@ def jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
 
 
 def single_effects(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
-    """Add each smooth effect of the whole sensor to a fit, alone.
+    """Add each smooth effect of the whole sensor to a fit separately.
 
     Returns
     -------
-    effect -> parameter -> size, and effect -> parameter -> jackknife standard error
+    Effect -> parameter -> size, and effect -> parameter -> jackknife standard error.
     """
     solver, partitions = fitted.solver, equations_by_part(fitted)
     sizes, stderrs = {}, {}
@@ -96,22 +97,28 @@ def equations_by_part(fitted: Fitted) -> list[Parts]:
 
 
 def solve_sum(parts: Parts, tau: Floats, locked: Bools) -> Floats:
-    """Solve the sum of normal equations under priors `tau` and their bounds, (k,)."""
+    """Solve the sum of normal equations under priors `tau` and their bounds; return the solution (k,)."""
     matrices, rights = zip(*parts, strict=True)
     bounds = SCAN.nuisance.max_tolerances * tau
     return np.concatenate(boxed(np.sum(matrices, axis=0), np.sum(rights, axis=0), tau, bounds, locked))
 
 
 def larger_stderrs(partitions: Sequence[Parts], tau: Floats, locked: Bools, chosen: Ints) -> Floats:
-    """Return the larger of the standard errors of the `chosen` unknowns, by parts of the way and by parts of the rays.
+    """Return the larger standard error of the `chosen` unknowns: over parts of the run, or over parts of the rays.
 
-    A number of the whole sensor is the same everywhere and at every bearing; what one wall or one sector brings is none.
+    A parameter of the whole sensor is the same at all times and at all bearings, unlike the effect of one
+    wall or one sector.
     """
     return np.asarray(np.max([jackknife_stderrs(parts, tau, locked, chosen) for parts in partitions], axis=0))
 
 
 def jackknife_stderrs(parts: Parts, tau: Floats, locked: Bools, chosen: Ints) -> Floats:
-    """Return the jackknife's standard errors of the `chosen` unknowns, parts being left out (Efron and Stein 1981)."""
+    """Return the jackknife standard errors of the `chosen` unknowns (Efron and Stein 1981).
+
+        stderr = sqrt((n - 1) var(values))
+
+    The values are those of the n solutions that each leave out one part.
+    """
     n = len(parts)
     rest = [[p for k, p in enumerate(parts) if k != left] for left in range(n)]
     values = np.array([solve_sum(some, tau, locked)[chosen] for some in rest])

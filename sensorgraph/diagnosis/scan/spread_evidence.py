@@ -1,11 +1,15 @@
-"""Evidence for an effect of the sensor, at a site that is known by its good runs: only where the parts of the way agree.
+"""Evidence for an effect of the sensor at a site with known-good runs: the parts of the path must agree.
 
-The clutter of a site is local: a wall that the map lacks, a cabinet that has moved, a door. Where the robot stands, it is
-seen in scan after scan at the same bearing and range, as a part of the robot would be; along a corridor a wall that is a
-little off looks like the floor that a tilted laser sees, until a niche contradicts it. What the sensor itself does shows
-all along the way. So the run is cut into parts in which the ends of beams move equally far, and a sign test asks whether
-the parts agree: it does not mind that one place, where the map is quite wrong, says more than all others together. Numbers
-of the whole sensor have a sharper test, their size in good runs and a jackknife (`site_variation`).
+    P(X >= number of parts with a positive gain) < disagreement,   X ~ Binomial(n_parts, 1/2)
+
+The clutter of a site is local: a wall that is missing in the map, a cabinet that was moved, a door. While the
+robot stands still, clutter appears at the same bearing and range in every scan, as a part of the robot would.
+In a corridor, a wall that is slightly off looks like the floor seen by a tilted laser. An effect of the
+sensor shows along the whole path.
+
+The run is therefore divided into parts in which the ends of beams move equally far. A sign test checks
+whether the parts agree. It is robust to a single place with a large map error. Parameters of the whole sensor
+have a sharper test: their size in known-good runs, and a jackknife (`site_variation`).
 """
 
 from __future__ import annotations
@@ -22,16 +26,21 @@ from sensorgraph.types import Floats, Ints
 
 
 def evidence(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
-    """Return the evidence of a fit over one without the effect [nats]; at a site known by good runs, `spread_evidence`."""
+    """Return the evidence [nats] of a fit over one without the effect.
+
+    At a site with known-good runs, `spread_evidence` replaces it for effects that must show on the whole
+    path.
+    """
     if data.clutter_nats and must_be_spread(amendment):
         return spread_evidence(data, better, plain)
     return better.j - plain.j
 
 
 def must_be_spread(amendment: Amendment) -> bool:
-    """Tell whether an effect of the sensor has no sharper test than that all parts of the way show it.
+    """Return whether an effect of the sensor has no sharper test than showing on all parts of the path.
 
-    A warm-up has none: it begins where the robot begins, and another place may read a little more.
+    A warm-up has none: it starts where the robot starts, and readings may be slightly longer at another
+    place.
     """
     effect = amendment.effect
     has_more = any(v != 0.0 and effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items())
@@ -39,22 +48,22 @@ def must_be_spread(amendment: Amendment) -> bool:
 
 
 def is_of_sensor(amendment: Amendment) -> bool:
-    """Tell whether an effect goes with the sensor, or with some of its bearings, and sits at no place of the site."""
+    """Return whether an effect belongs to the sensor or to some of its bearings, and not to a place of the site."""
     return amendment.effect.place in (None, "sector")
 
 
 def spread_evidence(data: ScanData, better: Fitted, plain: Fitted) -> float:
-    """Return the evidence [nats]; none where the parts of the way do not agree that there is any."""
+    """Return the evidence [nats]; at most 0 unless the parts of the path agree."""
     n, gained = SCAN.site.n_parts, _by_scan(data, better) - _by_scan(data, plain)
     by_part = np.bincount(parts_of_way(data), gained, minlength=n)
     chance = float(
         bdtrc(int((by_part > 0).sum()) - 1, n, 0.5)
-    )  # of so many parts or more, if each says either
+    )  # of this many positive parts or more, if signs are random
     return better.j - plain.j if chance < SCAN.site.disagreement else min(better.j - plain.j, 0.0)
 
 
 def _by_scan(data: ScanData, fitted: Fitted) -> Floats:
-    """Return the log-likelihood of each scan's readings and of its pose (n_scans,) [nats]."""
+    """Return the log-likelihood (n_scans,) [nats] of the readings and of the pose of each scan."""
     delta = fitted.state.delta
     precision = np.linalg.inv(pose_prior(data, fitted.state.pose_scale))
     of_pose = 0.5 * np.einsum("ni,nij,nj->n", delta, precision, delta)
@@ -62,7 +71,7 @@ def _by_scan(data: ScanData, fitted: Fitted) -> Floats:
 
 
 def parts_of_way(data: ScanData) -> Ints:
-    """Number the parts (n_scans,) in which the ends of all judged beams together move equally far, at a median range."""
+    """Return the part (n_scans,) of the path; in each part, the beam ends move equally far at a median range."""
     returned = data.ranges[data.returned]
     reach = float(np.median(returned)) if len(returned) else 1.0
     step = np.diff(data.poses, axis=0)

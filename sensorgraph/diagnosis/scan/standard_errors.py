@@ -1,10 +1,15 @@
-"""How well the parameters of an accepted effect are known, and how surely its size is material.
+"""Estimate the standard errors of accepted effects, and the probability that their size is material.
 
-Smooth parameters have the curvature of the joint fit, with poses, map, mount and clocks integrated out. Rough ones
-(cut-offs, ends of panes, shares) have the half-width over which the log-likelihood falls by half a nat; where an
-effect shares its freedom with the noise, the noise is estimated again at every step, and what neighbouring readings
-have in common widens the error (Godambe's sandwich, clustered over blocks of a second: Varin, Reid and Firth 2011, an
-overview of composite likelihood methods). What a careful set-up may hide of the same kind adds to either.
+    smooth parameter             stderr = sqrt(diag(covariance))
+    searched parameter           log p(at) - log p(at ± stderr) = 1/2
+    searched, shared with noise  stderr = max(H^(-1/2), sqrt(S) / H)
+    all                          sqrt(stderr² + hidden²)
+
+The covariance is that of the joint fit, with poses, map, mount and clocks integrated out. Searched parameters are
+cut-offs, ends of panes and shares. If an effect shares freedom with the noise, the noise is estimated again at
+every step. H is then the curvature of the log-likelihood, and S the scatter of its slope between blocks of one
+second, because neighbouring readings are correlated. This is Godambe's sandwich (Varin, Reid and Firth 2011, an
+overview of composite likelihood methods). A careful setup may contain a hidden error of the same kind.
 """
 
 from __future__ import annotations
@@ -26,7 +31,7 @@ from sensorgraph.types import Floats
 
 
 def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
-    """Return, for every effect of a fit, its parameters' standard errors; none for what cannot be known."""
+    """Return the standard errors of the parameters of every effect of a fit; undetermined ones are omitted."""
     smooth = _smooth_errors(fitted)
     out = []
     for index, amendment in enumerate(fitted.model):
@@ -38,7 +43,7 @@ def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str
 
 
 def _smooth_errors(fitted: Fitted) -> list[dict[str, float]]:
-    """Return standard errors of smooth parameters, from the curvature with all nuisances free."""
+    """Return the standard errors of smooth parameters, from the curvature with all nuisances free."""
     variance = iter(np.diag(fitted.solution.covariance))
     return [
         {name: float(np.sqrt(max(next(variance), 0.0))) for name in amendment.steps}
@@ -47,7 +52,7 @@ def _smooth_errors(fitted: Fitted) -> list[dict[str, float]]:
 
 
 def _rough_errors(fitted: Fitted, index: int, noise_bounds: NoiseBounds) -> dict[str, float]:
-    """Return standard errors of the parameters that are searched or read off the rays."""
+    """Return the standard errors of parameters that are searched or read off the rays."""
     amendment, data = fitted.model[index], fitted.solver.data
     if amendment.effect.diagnostics.is_lattice:
         return {name: lattice_error(data, step) for name, step in amendment.parameters.items()}
@@ -61,7 +66,7 @@ def _rough_errors(fitted: Fitted, index: int, noise_bounds: NoiseBounds) -> dict
 def _silhouette_errors(
     fitted: Fitted, index: int, noise_bounds: NoiseBounds, errors: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return standard errors of a move that no ray met head-on, from the ends of the silhouette alone."""
+    """Return the standard errors of a move that no ray observed head-on, from the ends of the silhouette."""
     amendment = fitted.model[index]
     if amendment.effect.place != "obstacle":
         return {}
@@ -74,7 +79,12 @@ def _silhouette_errors(
 
 
 def lattice_error(data: ScanData, q: float) -> float:
-    """Return the largest error [m] of a lattice step at which the farthest reading keeps its lattice point."""
+    """Return the largest error [m] of a lattice step q at which the farthest reading keeps its lattice point.
+
+        error = cell q / (2 max(farthest, q))
+
+    Here `cell` is the resolution of a reading.
+    """
     cell = max(data.sensor.resolution, SCAN.likelihood.min_resolution)
     farthest = float(data.ranges[data.returned].max(initial=q))
     return 0.5 * cell * q / max(farthest, q)
@@ -87,7 +97,7 @@ def spacing(data: ScanData) -> float:
 
 
 def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, step: float) -> float:
-    """Return the standard error of one rough parameter from how the likelihood falls on both sides."""
+    """Return the standard error of one searched parameter from the decrease of the likelihood on both sides."""
     data, amendment = fitted.solver.data, fitted.model[index]
     spec = amendment.effect.parameter(name)
     shares_noise = noise_bounds if amendment.effect.absorber else None
@@ -110,23 +120,26 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
         SCAN.standard_error.fall_window if shares_noise is None else SCAN.standard_error.broad_fall_window
     )
     sides = [_fall(log_p, here, at, sign * step, bounds) for sign in (1.0, -1.0)]
-    width = max((side for side in sides if np.isfinite(side)), default=np.inf)  # one side may end the wall
+    width = max((side for side in sides if np.isfinite(side)), default=np.inf)  # the wall may end on one side
     if shares_noise is None or not np.isfinite(sides).all():
         return width
     return jagged_error(lambda value: np.asarray(log_p(value) - here), data, at, step)
 
 
 def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, step: float) -> float:
-    """Return the standard error of a parameter whose likelihood is jagged: single readings jump in and out of reach.
+    """Return the standard error of a parameter with a jagged likelihood, in which single readings jump.
 
-    Differences are taken over the same step on both sides, and the step comes down from above until it is about the
-    error that follows from it: a shorter one would tell of the jags (numerical derivatives of what is not smooth:
-    Pakes and Pollard 1989).
+        H = -Σ (up + down) / step²,   slope = (up - down) / (2 step),   S = Σ over blocks of (slope - mean)²
+        stderr = max(H^(-1/2), sqrt(S) / H)
+
+    Here `up` and `down` are the changes of the log-likelihood after one step to either side. The step decreases
+    until it is below three times the resulting error. A shorter step would measure the jags (numerical
+    derivatives of non-smooth functions: Pakes and Pollard 1989).
 
     Parameters
     ----------
-    change : of the log-likelihood per scan [nats] from its value `at` the estimate
-    step : the first
+    change : Change of the log-likelihood per scan [nats] from its value `at` the estimate.
+    step : First step.
     """
     width = step
     for _ in range(SCAN.standard_error.max_casts):
@@ -144,12 +157,12 @@ def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, s
 def _fall(
     log_p: Callable[[float], Floats], here: Floats, at: float, step: float, bounds: tuple[float, float]
 ) -> float:
-    """Return the distance over which the log-likelihood falls by half a nat.
+    """Return the distance over which the log-likelihood decreases by 1/2.
 
     Parameters
     ----------
-    step : first step of the search, with the sign of the side
-    bounds : [nats] of a fall from which the distance follows by the parabola
+    step : First step of the search, with the sign of the side.
+    bounds : [nats] Decreases from which a parabola gives the distance.
     """
     reach, sign = abs(step), np.sign(step)
     h, low, high = SCAN.standard_error.first_step * reach, 0.0, np.inf
@@ -172,9 +185,9 @@ def _by_block(data: ScanData, slope: Floats) -> float:
 
 
 def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return what a careful set-up may hide of an effect, by parameter, and what a reference that wanders adds to it.
+    """Return the hidden standard error of an effect, by parameter: of a careful setup and of a slow reference error.
 
-    At a site known by its good runs, its spread from one to the next adds, too.
+    At a site with known-good runs, the spread between these runs is added.
     """
     data = fitted.solver.data
     nuisances, wanders = prior_widths(data.tolerances), wander_widths(fitted)
@@ -191,17 +204,19 @@ def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
 
 
 def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
-    """Return the evidence [nats] of a size whose error is that of the fit and of the mean of a wandering reference.
+    """Return the evidence [nats] of a size, with the errors of the fit and of the mean of a slow reference error.
 
-    Half of chi square, less the price of the parameters; inf for effects that no pose error imitates. The gains of a search
-    are larger, as they take the pose errors of different scans for independent.
+        evidence = Σ_p p² / (2 (stderr_p² - setup_p²)) - price k
+
+    Here p are the k parameters that a pose error can imitate; the result is inf without any. The gains of a search
+    are larger, because they treat the pose errors of different scans as independent.
     """
     nuisances, wanders = prior_widths(fitted.solver.data.tolerances), wander_widths(fitted)
     total, imitated = 0.0, 0
     for p in amendment.effect.parameters:
         if p.nuisance is None or p.nuisance not in wanders:
             continue
-        set_up = float(nuisances[p.nuisance])  # what `standard_errors` adds for a careful set-up
+        set_up = float(nuisances[p.nuisance])  # added by `standard_errors` for a careful setup
         variance = amendment.stderr.get(p.name, np.inf) ** 2 - set_up**2
         total += amendment[p.name] ** 2 / max(variance, 1e-18)
         imitated += 1
@@ -209,7 +224,7 @@ def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
 
 
 def set_up_of(data: ScanData) -> SetUp:
-    """Return how exact the set-up of a run is."""
+    """Return the accuracy of the setup of a run."""
     walls = np.diff(data.arena.walls, axis=1)[:, 0]
     return SetUp(
         tolerances=data.tolerances,
@@ -222,9 +237,11 @@ def set_up_of(data: ScanData) -> SetUp:
 
 
 def material_probability(amendment: Amendment, stderr: Mapping[str, float], slack: float = 1.0) -> float:
-    """Return the chance that an effect's size is at least `slack` times its materiality; 1 where it has no limit.
+    """Return the probability that an effect's size is at least `slack` times its materiality; 1 without a limit.
 
-    The error counts along the direction of the size (several sizes add as a vector); either sign is as good.
+        Φ((ratio - slack) / error) + Φ((-ratio - slack) / error)
+
+    The error is taken along the direction of the size: several sizes add as a vector, and either sign counts.
     """
     sizes = amendment.effect.sizes
     ratio = size_ratio(amendment.effect, amendment.parameters)

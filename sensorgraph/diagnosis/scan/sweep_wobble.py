@@ -1,4 +1,11 @@
-"""The error of a reference that varies while the laser sweeps: its size, what readings have of it, and how it is drawn."""
+"""Reference error that varies during a sweep of the laser: its size, its effect on readings, and random draws of it.
+
+    wobble = sqrt(share) noise,   noise = median |Δ² pose| / (0.6745 sqrt(6))
+    share = R(0) - (2 / count²) ∫ (count - lag) R(lag) d lag   over lag = 0 … count
+
+Here `count` is the number of reference poses in a sweep. R is the covariance of the interpolated reference
+error, a cubic B-spline.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +17,21 @@ from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
 MIN_SHARE = 0.01
-"""Of the reference's variance, that varies within a sweep; less is less than a tenth of the error of a pose, and none."""
+"""Minimum share of the reference variance within a sweep. A smaller share is below a tenth of the pose error,
+and is ignored."""
 MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal."""
+"""Median of the absolute value of a standard normal variable."""
 
 
 def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
-    """Estimate how much the error of the reference varies within a sweep [m, rad].
+    """Estimate the standard deviation of the reference error within a sweep [m, rad].
 
-    Second differences of the poses hold six times the variance of noise that is new in every pose, and hardly any of the
-    motion; of noise that lasts they hold less, as do sweeps. Their median leaves out where the robot starts and stops. Where
-    poses are rare they hold its turning, too: the noise is no more than stated.
+        noise = median |Δ² pose| / (0.6745 sqrt(6)),   wobble = sqrt(share) noise
+
+    Second differences of the poses contain six times the variance of noise that is independent in every pose,
+    and hardly any motion. They contain less of correlated noise, and so do sweeps. The median excludes starts and
+    stops. If poses are rare, second differences also contain the turning of the robot; the noise is therefore
+    limited to the specified tolerance.
     """
     poses = run.poses[np.isfinite(run.poses).all(axis=1)]
     share = share_within(references_in_sweep(run, sensor))
@@ -34,7 +45,7 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
 
 
 def references_in_sweep(run: Run, sensor: RangeSensor) -> float:
-    """Return the time from the first ray to the last over that between references; 0: no sweep, or too few references."""
+    """Return the duration of a sweep over the interval between references; 0 without a sweep, or with too few references."""
     stamps = run.pose_stamps[np.isfinite(run.poses).all(axis=1)]
     if sensor.scan_duration == 0 or len(stamps) < SCAN.intake.min_scans:
         return 0.0
@@ -42,16 +53,19 @@ def references_in_sweep(run: Run, sensor: RangeSensor) -> float:
 
 
 def share_within(count: float) -> float:
-    """Return the share of a reference's variance that varies within a sweep that takes as long as so many references.
+    """Return the share of the reference variance that varies within a sweep of `count` reference intervals.
 
-    Errors that are new in every pose and interpolated between poses have, at a random time, the covariance R of a cubic
-    B-spline: 2/3, and 0 from two poses on. What is common to the sweep is no wobble, which leaves 2/3 less the mean of R
-    over all pairs of times of the sweep.
+        share = R(0) - (2 / count²) ∫ (count - lag) R(lag) d lag   over lag = 0 … count
+
+    Errors that are independent in every pose and interpolated between poses have the covariance R of a cubic
+    B-spline at a random time: R(0) = 2/3, and R = 0 above a lag of two poses. The second term is the mean of
+    R over all pairs of times of the sweep. It is the part that all rays share, which belongs to the pose
+    error.
     """
     if count <= 0:
         return 0.0
     near, beyond = min(count, 1.0), min(max(count - 1, 0.0), 1.0)
-    # twice integrated, from 0 to 1, to 2, and beyond: the sum of (count - lag) R(lag)
+    # the integral of (count - lag) R(lag), in pieces: 0 to 1, 1 to 2, and beyond
     pairs = near**2 / 3 - near**4 / 12 + near**5 / 40
     pairs += 11 / 24 * beyond + ((1 - beyond) ** 5 - 1) / 120 + beyond / 24
     pairs += 1 / 2 * max(count - 2, 0.0)
@@ -59,12 +73,12 @@ def share_within(count: float) -> float:
 
 
 def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
-    """Return the standard deviation (n_scans, n_rays) [m] of readings by what the reference's error varies within a sweep.
+    """Return the standard deviation (n_scans, n_rays) [m] of readings from the reference error within a sweep.
 
     Parameters
     ----------
     wobble : [m, rad] standard deviation of the error, along each axis and in heading
-    pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi; one pose error per scan holds what is common to its rays
+    pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi; the common part of a scan is its pose error
     """
     if not any(wobble):
         return np.zeros(pose[:, 0].shape)
@@ -76,15 +90,16 @@ def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
 def drawn_wobble(
     wobble: tuple[float, float], count: float, when: Floats, pose: Floats, rng: np.random.Generator
 ) -> Floats:
-    """Draw by what readings (n_scans, n_rays) are off [m] while the reference's error varies: neighbouring rays share it.
+    """Draw the errors of readings (n_scans, n_rays) [m] from the reference error within a sweep.
 
-    Between two references the error is interpolated, as the poses are. The mean of a scan is its pose error.
+    Neighbouring rays share the error. It is interpolated between two references, as the poses are. Its mean
+    over a scan is removed, because it belongs to the pose error.
 
     Parameters
     ----------
     wobble : [m, rad] standard deviation of the error, along each axis and in heading
-    count : references in a sweep
-    when : (n_rays,) 0 to 1, of the time from the first ray to the last
+    count : number of references in a sweep
+    when : (n_rays,) time of each ray in the sweep, from 0 for the first to 1 for the last
     pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi
     """
     sizes = np.array(wobble)[[0, 0, 1]] / np.sqrt(share_within(count))

@@ -1,4 +1,4 @@
-"""Which scans of a long run are used."""
+"""Select the scans of a long run that are used."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 
 
 def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
-    """Keep one in n of the usable scans of a long run; say how many that leaves out.
+    """Keep one in n of the usable scans of a long run; return them, and the number of scans left out.
 
-    Of each n successive scans one is kept, at a place that changes by the golden ratio (Weyl 1916): every n-th scan may
-    always be of the same facet of a mirror.
+    One of each n successive scans is kept, at a position that changes by the golden ratio (Weyl 1916). At a
+    fixed position, every n-th scan could belong to the same facet of a mirror.
     """
     count = int(kept.sum())
     step = min(-(-count * n_rays // SCAN.intake.max_readings), count // SCAN.intake.min_scans)

@@ -1,8 +1,14 @@
-"""By how much one part of the reference's error exceeds what robot.yaml states: the jitter of stamps, or the heading.
+"""Estimate the ratio of one part of the reference error to its tolerance: the jitter of stamps, or the heading.
 
-The scale of the reference's error that a fit has is one for all of it. Where the poses are better than stated and the stamps
-are worse, it sees neither: what jitter of a stamp does grows with speed, what a pose is off does not. So with a heading that is
-worse than stated beside places that are not.
+    gain(of_rest, of_part) = Σ_i clip(log p_i(of_rest² rest + of_part² part) - log p_i(common² (rest + part)), ±MOST)
+
+Here `rest` and `part` are the prior covariances of the pose error of scan i: of everything else, and of this
+part. The log-likelihood log p_i has the pose error integrated out (`odd_scans`), and `common` is the pose scale
+of the fit.
+
+A fit has one scale for the whole reference error. If poses are better than specified and stamps are worse,
+that scale shows neither: the error from stamp jitter grows with speed, and the pose error does not. The same
+applies to a heading that is worse than specified while the position is not.
 """
 
 from __future__ import annotations
@@ -18,21 +24,22 @@ from sensorgraph.diagnosis.scan.odd_scans import each_scan
 from sensorgraph.diagnosis.scan.settings import SCAN
 
 REST_SCALES = np.geomspace(0.25, 4.0, 7)
-"""Multiples of the stated rest of a pose's error that are tried, beside each multiple of the part."""
+"""Multiples of the rest of the pose error that are tried, for each multiple of the part."""
 PART_SCALES = np.geomspace(0.25, 8.0, 16)
 MOST = 3.0
-"""[nats] that one scan may say for one pair of scales against another: a few scans that are elsewhere are no jitter."""
+"""[nats] Maximum contribution of one scan to a comparison of scales, because a few scans at wrong poses are
+not jitter."""
 
 
 def tolerance_scale(fitted: Fitted, name: Literal["stamp", "pose_yaw"]) -> float:
-    """Return how many times worse than stated one part of the poses is, at least 1; 1 also where the run does not tell.
+    """Return the ratio of one part of the pose error to its tolerance, at least 1; also 1 if it is undetermined.
 
-    The likeliest pair of scales of the part and of the rest, the pose error of each scan integrated out, if it is likelier than
-    the fit's one scale of both by what a number takes.
+    The result is the scale of the part in the most likely pair of scales of part and rest. The pair must be
+    more likely than the common scale of the fit by the evidence that one parameter requires.
 
     Parameters
     ----------
-    name : of the tolerance: of the scans' stamps, or of the reference's heading
+    name : Tolerance of the part: stamps of the scans, or heading of the reference.
     """
     each, data, common = each_scan(fitted), fitted.solver.data, fitted.state.pose_scale
     without = replace(data.tolerances, **{name: 0.0})

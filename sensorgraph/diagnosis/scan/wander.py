@@ -1,8 +1,12 @@
-"""How far the mean of a reference's error may be off: what wanders slowly looks like a mount or a delay that is wrong.
+"""Estimate the error of the mean of slow reference errors, which look like a wrong mount or delay.
 
-A fit takes the pose errors of all scans for independent. Where they last, the mean of them in the frame of the robot, or along
-its way, has a larger error: that of a mean of correlated values, with autocovariances summed as long as neighbouring pairs
-of them are positive (Geyer 1992, Practical Markov chain Monte Carlo, section 3.3).
+    square = (2 Σ_k<m (c_2k + c_2k+1) - c_0) / n / max(1 - (4 m - 1) / n, LEAST_SEEN)
+    width² = square - (c_0 + square) / n
+
+Here c_k is the autocovariance of the n pose errors at lag k. The sum ends at the first pair of neighbours that is
+not positive (Geyer 1992, Practical Markov chain Monte Carlo, section 3.3). A fit treats the pose errors of all
+scans as independent. If they are correlated in time, their mean in the robot frame or along its path has a
+larger error.
 """
 
 from __future__ import annotations
@@ -14,13 +18,13 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 
 LEAST_SEEN = 0.1
-"""Share of the square of an error that a run shows at least, however long it lasts."""
+"""Minimum share of the squared error that a run shows, for any correlation time."""
 
 
 def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
-    """Return the standard deviation [m, m, rad, s] that wandering pose errors give to what is constant on the robot.
+    """Return the standard deviations [m, m, rad, s] of mount and delay from slow pose errors.
 
-    A delay is told by ways and by turns, each as surely as the reference tells these.
+    A delay is estimated from translation and turning, each weighted by the tolerance of the reference.
     """
     data, delta = fitted.solver.data, fitted.state.delta
     c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
@@ -37,10 +41,10 @@ def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
 
 
 def error_of_mean(values: Floats) -> float:
-    """Return by how much the standard error of the mean of values (n,) exceeds, in squares, that of independent ones.
+    """Return `width`, the standard error of the mean of values (n,) in excess of that of independent values.
 
-    Autocovariances about the mean of the values themselves are too small by the square of that error, each of them, which
-    is given back. Of what lasts longer than a tenth of the run this tells only a part.
+    Autocovariances about the sample mean are each too small by the squared error of that mean. The divisor of
+    `square` corrects this. If the correlation time exceeds a tenth of the run, the correction is partial.
     """
     n, off = len(values), values - values.mean()
     spectrum = np.abs(np.fft.rfft(off, 2 * n)) ** 2

@@ -1,9 +1,13 @@
-"""What an effect is worth: its evidence, less the price of its parameters, of its place and of the site's clutter.
+"""Evidence of an effect after the penalties for its parameters, for the choice of its place, and for site clutter.
 
-A smooth effect of the whole laser or the whole map shows on plain walls. Beside an edge in depth a reading hangs on which
-side of it a ray passes, and where things are thin, walls a millimetre from where they are bring rays from one to the other:
-a fit finds such a place by moving everything a little. What only rays beside edges tell is no smooth effect, and they do not
-choose between two of them. (A site that is known by its good runs has sharper tests, and a map made of scraps is full of edges.)
+    worth = J(with) - J(without) - price k - log n - clutter
+
+Here k is the number of parameters, and n the number of places. A smooth effect of the whole laser or the whole
+map shows on plain walls. Next to a depth edge, a reading depends on the side of the edge that the ray passes. At
+thin objects, a wall error of a millimetre moves rays to the other side, and a fit finds such a place by small
+shifts of everything. Therefore, evidence from rays next to edges alone does not support a smooth effect, and does
+not decide between two of them. Sites with known-good runs are exempt: they have sharper tests, and a
+map of scan fragments is full of edges.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from sensorgraph.world.sensor_parts import sensor_of_rays
 
 
 def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
-    """Return the evidence of a fit over one without the effect, less its price [nats]."""
+    """Return the evidence [nats] of a fit over one without the effect, minus its penalties."""
     gain = evidence(data, amendment, better, plain) - price(amendment, data)
     if gain < SCAN.selection.threshold or data.clutter_nats or not shows_everywhere(amendment.effect):
         return gain
@@ -32,11 +36,11 @@ def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -
 
 
 def led_on_plain_walls(data: ScanData, tried: Tried, plain: Fitted) -> Tried:
-    """Return what was tried, with leads of smooth effects over each other as on rays away from edges.
+    """Return the tried effects, with the leads of smooth effects over each other measured on rays away from edges.
 
     Parameters
     ----------
-    plain : the fit that all were tried beside
+    plain : Fit without any of the tried effects.
     """
     smooth = [pair for pair in tried if shows_everywhere(pair[0].model[-1].effect)]
     if data.clutter_nats or len(smooth) < 2:
@@ -51,7 +55,7 @@ def led_on_plain_walls(data: ScanData, tried: Tried, plain: Fitted) -> Tried:
 
 
 def price(amendment: Amendment, data: ScanData) -> float:
-    """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
+    """Return the penalty [nats] of an effect for its parameters, for the choice of its place, and for site clutter."""
     places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
         amendment.effect.place or "", 1
     )
@@ -62,15 +66,19 @@ def price(amendment: Amendment, data: ScanData) -> float:
 
 
 def shows_everywhere(effect: Effect) -> bool:
-    """Tell whether an effect moves the readings of all rays smoothly: it has a tolerance of its own, or moves the whole map."""
+    """Return whether an effect shifts the readings of all rays smoothly.
+
+    Such an effect has a parameter with a tolerance, or moves the whole map.
+    """
     moves_all = bool(effect.nuisances) or effect.diagnostics.corner_shifts is not None
     return effect.place is None and moves_all
 
 
 def nats_away_from_edges(data: ScanData, better: Fitted, plain: Fitted) -> float:
-    """Return what a fit gains over another on rays away from edges in depth, for as many rays as there are [nats].
+    """Return the gain [nats] of a fit over another on rays away from depth edges, scaled to the number of all rays.
 
-    A ray next to one that is beside an edge counts as beside it. Without any ray away from edges, it is the whole gain.
+    Rays next to a ray at an edge are also excluded. Without any ray away from edges, the result is the whole
+    gain.
     """
     beside = _beside_edges(data, better) | _beside_edges(data, plain)
     judged = data.returned
@@ -83,7 +91,7 @@ def nats_away_from_edges(data: ScanData, better: Fitted, plain: Fitted) -> float
 
 
 def _beside_edges(data: ScanData, fitted: Fitted) -> Bools:
-    """Return which rays (n_scans, n_rays) the cast of a fit has beside an edge in depth, or next to one that is."""
+    """Return which rays (n_scans, n_rays) of the cast of a fit are at a depth edge, or next to such a ray."""
     out = np.zeros((data.n_scans, data.n_rays), dtype=np.bool_)
     if fitted.cast.edges is None:
         return out
