@@ -131,13 +131,13 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
         if max(nats) >= need:
             angle = int(45 * int(np.argmin(nats)))
             reason = f"not along {angle}° (0° is forward): {reason}"
-        out[effect.name] = f"{reason}; at {SIZE:g} times its materiality {falls_short(min(nats), need)}"
+        out[effect.name] = f"{reason}; at {SIZE:g} times its materiality, {falls_short(min(nats), need)}"
     for effect in EFFECTS.values():
         if effect.has_own_columns and effect.sizes and effect.name not in exposure.fitted.names():
             nats_alone, need = exposure.nats_alone(effect, SIZE), exposure.need_of(effect)
             if nats_alone < need:
                 out[effect.name] = (
-                    f"{_lacks(effect, exposure)}; at {SIZE:g} times its materiality {falls_short(nats_alone, need)}"
+                    f"{_lacks(effect, exposure)}; at {SIZE:g} times its materiality, {falls_short(nats_alone, need)}"
                 )
     for name, places in blind.items():
         out[name] = f"{listed(places)}: observed too rarely for {SIZE:g} times its materiality"
