@@ -55,7 +55,7 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("drive: tank", "expected one of diff, reeds_shepp, dubins"),
         ("drive: dubins", "needs limits.turning_radius > 0"),
         ("footprint_radius: wide", "`footprint_radius` is 'wide', expected a number"),
-        ("footprint_radius: 0", "expected above 0"),
+        ("footprint_radius: 0", "expected a value above 0"),
         ("sensor: {n_rays: 1.5}", "expected a whole number"),
         ("sensor: {n_rays: true}", "expected a whole number"),
         ("sensor: {fov: 180}", "write an angle in degrees as `180 deg`"),

@@ -55,7 +55,7 @@ def test_a_ring_of_robot_yaml_looks_outwards_from_its_rim() -> None:
     [
         ("sensors: 16", "expected a list such as"),
         ("sensors: [{ring: 16, radios: 0.2}]", "did you mean `sensors[0].radius`"),
-        ("sensors: [{ring: 0}]", "expected above 0"),
+        ("sensors: [{ring: 0}]", "expected a value above 0"),
         ("sensors: [{mount: [0, 0]}]", "expected 3 numbers"),
         ("sensors: [{ring: 4}]\nsensor: {n_rays: 4}", "`sensor.n_rays` does not go with `sensors`"),
     ],
