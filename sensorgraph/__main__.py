@@ -1,4 +1,4 @@
-"""`python -m sensorgraph` is the command `sensorgraph`."""
+"""Run the command `sensorgraph` as `python -m sensorgraph`."""
 
 from sensorgraph.cli import main
 

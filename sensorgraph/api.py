@@ -1,4 +1,4 @@
-"""What `import sensorgraph` offers: one function for each step, taking objects or the paths of their files."""
+"""The functions of `import sensorgraph`: one per step, taking objects or the paths of their files."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ __all__ = [
 ]  # fmt: skip
 
 RunLike = Run | Path | str
-"""A run, or a file of one."""
+"""A run, or its file."""
 GraphLike = Sensorgraph | Path | str
 """A sensorgraph, or its file."""
 ArenaLike = Arena | Path | str
-"""An arena, its file, or the name of a shipped one."""
+"""An arena, its file, or the name of a shipped arena."""
 RobotLike = Robot | Path | str
 """A robot, or its robot.yaml."""
 
@@ -69,13 +69,13 @@ def read(
 
     Parameters
     ----------
-    topics : role (`scan`, `pose`, `odom`, `cmd`) -> topic, where a log names them otherwise
-    no_return : how a missing return was logged: `range_max`, `zero`, `inf` or `nan`; None: noticed from its frequency
-    robot : whose `sensors` sit where no transform in the log says
+    topics : Role (`scan`, `pose`, `odom`, `cmd`) -> topic, if the log has other names.
+    no_return : Value of a missing return: `range_max`, `zero`, `inf` or `nan`. None: detected from its frequency.
+    robot : Robot with the mounts of its `sensors`, for logs without transforms.
 
     Raises
     ------
-    SensorgraphError : the file is no log, or is damaged
+    SensorgraphError : The file is not a log, or is damaged.
     """
     mounts = None if robot is None else _robot(robot).mounts
     return logs.read(path, topics=topics, no_return=no_return, mounts=mounts)
@@ -91,51 +91,53 @@ def record(
     seed: int = 0,
     path: Path | str | None = None,
 ) -> Run:
-    """Let the embedded robot drive a plan, and record what it perceives.
+    """Drive a plan with the simulated robot and record the run.
 
     Parameters
     ----------
-    drive : a plan, its folder, a trajectory or its CSV; or the file of a run, whose commands are driven again
-    arena, robot : None: those of the plan
-    effects : what robot, sensor and room have beyond robot.yaml and the map; or an effects.yaml
-    seed : of all noise; the same seed gives the same run, byte for byte
-    path : also write the run there, as MCAP
+    drive : Plan, its folder, a trajectory or its CSV; or the file of a run, whose commands are replayed.
+    arena, robot : Arena and robot. None: those of the plan.
+    effects : Effects of robot, sensor and environment to simulate, or an effects.yaml.
+    seed : Random seed of all noise. The same seed gives the same run, byte for byte.
+    path : MCAP file to which the run is also written.
 
     Raises
     ------
-    SensorgraphError : no arena is known, the drive starts in a wall, or an effect names a place that the arena lacks
+    SensorgraphError : No arena is known, the drive starts in a wall, or the arena lacks the place of an effect.
     """
-    way, plan_arena, plan_robot, attachments = _drive(drive)
+    commands, plan_arena, plan_robot, attachments = _drive(drive)
     walls = plan_arena if arena is None else _arena(arena)
     if walls is None:
-        raise SensorgraphError("a trajectory alone names no arena; give the arena to drive in")
+        raise SensorgraphError("a trajectory has no arena; give the arena to drive in")
     machine = (plan_robot or load_robot()) if robot is None else _robot(robot)
     amendments = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
-    check_start(start_of(way), walls, machine)
+    check_start(start_of(commands), walls, machine)
     file = None if path is None else Path(path)
-    return record_drive(file, walls, machine, way, effects=amendments, seed=seed, attachments=attachments)
+    return record_drive(
+        file, walls, machine, commands, effects=amendments, seed=seed, attachments=attachments
+    )
 
 
 @as_sensorgraph_error
 def locate(
     run: RunLike, arena: ArenaLike | GraphLike | None = None, *, path: Path | str | None = None
 ) -> LocatedRun:
-    """Find where each scan of a run was taken, from scans and wheels alone.
+    """Estimate the pose of each scan of a run from scans and wheel odometry.
 
     Parameters
     ----------
-    run : of a laser; its own reference poses, if it has any, are left aside
-    arena : the place, where it is known: an arena, a sensorgraph of faces or cells, the file of one, or a shipped arena; None:
-        it is mapped, and the first pose is that of the odometry
-    path : also write the run with its poses there, as MCAP
+    run : Run of a laser. Its reference poses are not used.
+    arena : Known place: an arena, a sensorgraph of faces or cells, the file of one, or the name of a shipped arena.
+        None: a map is built, and the first pose is that of the odometry.
+    path : MCAP file to which the run with its poses is also written.
 
     Returns
     -------
-    LocatedRun with poses (n_scans, 3), covariances (n_scans, 3, 3), status, and `run`, which `build` takes
+    LocatedRun with poses (n_scans, 3), covariances (n_scans, 3, 3), status, and `run`, which `build` takes.
 
     Raises
     ------
-    SensorgraphError : too few scans, wide cones, or scans that fit nowhere in the arena
+    SensorgraphError : There are too few scans, the sensor has wide cones, or the scans fit nowhere in the arena.
     """
     log = _run(run)
     place = arena
@@ -154,16 +156,16 @@ def locate(
 def build(
     runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, **options: Any
 ) -> Sensorgraph:
-    """Fit a sensorgraph to one run or several of the same sensor.
+    """Fit a sensorgraph to one or several runs of the same sensor.
 
     Parameters
     ----------
-    arena : its bounds scale x and y, so that graphs of several runs share them
-    options : of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, `force`, ...
+    arena : Arena whose bounds scale x and y, so that graphs of several runs have the same scale.
+    options : Options of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, ...
 
     Raises
     ------
-    SensorgraphError : too few scans have a pose, the poses jump, or the runs are of different sensors
+    SensorgraphError : Too few scans have a pose, the poses jump, or the runs have different sensors.
     """
     several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
     walls = None if arena is None else _arena(arena)
@@ -180,18 +182,18 @@ def evaluate(
     cap: float | None = None,
     force: bool = False,
 ) -> Evaluation:
-    """Compare what a sensorgraph predicts with what a run measured.
+    """Compare the predictions of a sensorgraph with the ranges measured in a run.
 
     Parameters
     ----------
-    split : `every10` or `block`: score only the scans that this split held out of the fit
-    point : `mode`, `median` or `mean`; None: to each number its own
-    cap : [m] longest return that counts; None: 10, or the sensor's range
-    force : compare a run whose poses jump, too
+    split : `every10` or `block`. Score only the held-out scans of this split.
+    point : Point value for all scores: `mode`, `median` or `mean`. None: the best one for each score.
+    cap : [m] Longest return that is scored. None: 10, or the sensor's range if shorter.
+    force : Accept a run whose poses jump.
 
     Raises
     ------
-    SensorgraphError : the run is of another sensor, or has no scan with a pose to score
+    SensorgraphError : The run has another sensor, or no scan with a pose to score.
     """
     return evaluate_run(_graph(graph), _run(run), split=split, point=point, cap=cap, force=force)
 
@@ -202,16 +204,16 @@ def predict(graph: GraphLike, poses: ArrayLike | Path, *, point: Point = "mode")
 
     Parameters
     ----------
-    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map; or a CSV with these columns
-    point : which value of the mixture `ranges` is
+    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map; or a CSV with these columns.
+    point : Point value of the mixture in `ranges`.
 
     Returns
     -------
-    Prediction with arrays (n_poses, n_rays)
+    Prediction with arrays (n_poses, n_rays).
 
     Raises
     ------
-    SensorgraphError : a pose is not finite, or is far from any arena
+    SensorgraphError : A pose is not finite, or is far from any arena.
     """
     where = read_poses(Path(poses)) if isinstance(poses, str | Path) else np.asarray(poses, dtype=np.float64)
     return _graph(graph).predict(np.atleast_2d(where), point=point)
@@ -230,29 +232,31 @@ def diagnose(
     seed: int = 0,
     force: bool = False,
 ) -> Diagnosis | DrivingDiagnosis:
-    """Find where simulation and measurement disagree, and name the missing physical effect.
+    """Find the physical effects that explain why measurement and simulation differ.
 
-    A run without a reference is located first. Without an arena, too, only wheels and mount can be told, from driving alone.
+    A run without reference poses is located first. If there is no arena either, only wheels and mount are estimated.
 
     Parameters
     ----------
-    second : a further run of the same place, used for nothing but the proof; without arena and reference: to compare with
-    arena, robot : None: those that the run keeps
-    effects : what is part of the model already; or an effects.yaml
-    commissioning : runs known to be good; what differs from them is found
-    simulation : a run of your own simulator in the same arena; what differs between the two is found
-    seed : of the replicates; the same seed gives the same report
-    force : diagnose a run whose poses jump, too
+    second : Second run of the same place, used only to verify the result. Without arena and reference poses, the
+        second run is compared with the first.
+    arena, robot : Arena and robot. None: those kept in the run.
+    effects : Effects that the simulation already includes, or an effects.yaml.
+    commissioning : Runs known to be good. Only differences from them are reported.
+    simulation : Run of your own simulator in the same arena. Only differences between the two runs are reported.
+    seed : Random seed of the simulated replicates (parametric bootstrap). The same seed gives the same report.
+    force : Accept a run whose poses jump.
 
     Raises
     ------
-    SensorgraphError : no arena is known of a run with a reference, no odometry of one without, or the second is of another place
+    SensorgraphError
+        A run with reference poses has no arena, a run without them has no odometry, or the second run is of another place.
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
     if walls is None:
         if has_reference(log) or effects or commissioning or simulation is not None:
-            raise SensorgraphError("the run keeps no arena; give the arena it was driven in")
+            raise SensorgraphError("the run keeps no arena; give the arena in which it was recorded")
         several = [log] if second is None else [log, _run(second)]
         return DrivingDiagnosis.of(drive_alone(several, None if robot is None else _robot(robot)))
     machine = (robot_in(log) or robot_for(log)) if robot is None else _robot(robot)
@@ -261,7 +265,7 @@ def diagnose(
     effects_file.check_places(known, walls)
     good = [_run(one) for one in commissioning]
     if good and simulation is not None:
-        raise SensorgraphError("simulation and commissioning are both given; compare with one or the other")
+        raise SensorgraphError("simulation and commissioning are both given; give only one of them")
     options: dict[str, Any] = {
         "second": None if second is None else located_in(_run(second), walls, machine),
         "known": known,
@@ -280,18 +284,18 @@ def diagnose(
 def identify(
     data: RunLike | SignalData, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
 ) -> identifying.IdentifiedSignal:
-    """Identify one signal of a run or a table as a polynomial of others.
+    """Identify one signal of a run or a table as a polynomial of other signals.
 
     Parameters
     ----------
-    data : a run, the file of one, or a CSV with a header line
-    output, inputs : `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or the columns of the CSV
-    every : take every n-th sample
-    options : of `sensorgraph.identification.identify.IdentificationSpec`: `lags`, `output_lags`, `degree`, `noise_lags`, ...
+    data : Run, its file, or a CSV with a header line.
+    output, inputs : Names of signals: `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or columns of the CSV.
+    every : Use every n-th sample.
+    options : Fields of `sensorgraph.identification.identify.IdentificationSpec`: `lags`, `output_lags`, `degree`, ...
 
     Raises
     ------
-    SensorgraphError : a signal is unknown, the data are too few, or they do not determine a model
+    SensorgraphError : A signal is unknown, or the data are too few to determine a model.
     """
     question = identifying.IdentificationSpec(output=output, inputs=tuple(inputs), **options)
     names = [output, *question.inputs]
@@ -317,16 +321,16 @@ def review(
 
     Parameters
     ----------
-    path : the recording to write, `*.rrd`
-    graph : a sensorgraph to compare with the run
-    plan : a plan, or its folder, whose path is drawn
-    arena : walls to draw; None: those that the run keeps
-    ray : index of the ray whose series is shown; None: the one straight ahead
-    force : show a run whose poses jump, too
+    path : Recording to write, `*.rrd`.
+    graph : Sensorgraph to compare with the run.
+    plan : Plan, or its folder, whose path is drawn.
+    arena : Arena whose walls are drawn. None: the arena kept in the run.
+    ray : Index of the ray whose time series is shown. None: the ray straight ahead.
+    force : Accept a run whose poses jump.
 
     Raises
     ------
-    SensorgraphError : the path does not end in `.rrd`
+    SensorgraphError : The path does not end in `.rrd`.
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
@@ -344,21 +348,21 @@ def export(
     run: RunLike | None = None,
     name: str = "arena",
 ) -> list[str]:
-    """Write an arena or a sensorgraph as a world for another simulator, or for Nav2; return what the target cannot do.
+    """Export an arena or a sensorgraph to another simulator or to Nav2; return the effects that are left out.
 
     Parameters
     ----------
-    source : an arena, a sensorgraph of faces, or the file or name of one
-    target : `mujoco`, `irsim`, `gazebo` or `nav2`
-    folder : to write; all of it or nothing
-    robot : None: the shipped one
-    effects : what the world, the laser and the wheels have beyond map and robot.yaml; or an effects.yaml
-    run : one with poses, from which AMCL's parameters are estimated (`nav2`)
-    name : of the world
+    source : Arena, sensorgraph of faces, or the file or name of one.
+    target : `mujoco`, `irsim`, `gazebo` or `nav2`.
+    folder : Folder to write. After an error, nothing is written.
+    robot : Robot to export. None: the shipped robot.
+    effects : Effects to build in, as far as the target supports them, or an effects.yaml.
+    run : Run with poses from which the AMCL parameters are estimated (`nav2`).
+    name : Name of the world.
 
     Raises
     ------
-    SensorgraphError : an unknown target, a world without walls, or a robot that fits nowhere in it
+    SensorgraphError : The target is unknown, the world has no walls, or the robot fits nowhere in it.
     """
     walls = arena_of(source) if isinstance(source, Sensorgraph) else _arena(source)
     machine = load_robot() if robot is None else _robot(robot)
@@ -387,7 +391,7 @@ def _robot(robot: RobotLike) -> Robot:
 def _drive(
     drive: CoveragePlan | Trajectory | Path | str,
 ) -> tuple[Trajectory | Commands, Arena | None, Robot | None, dict[str, bytes]]:
-    """Return what to drive, the arena and the robot that it was planned for if they are known, and what a run keeps."""
+    """Return the trajectory or commands, their arena and robot if known, and the attachments of the run."""
     if isinstance(drive, CoveragePlan):
         return drive.trajectory, drive.arena, drive.robot, kept_plan(drive.to_dict())
     if isinstance(drive, Trajectory):

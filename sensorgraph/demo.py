@@ -1,4 +1,4 @@
-"""The whole loop on the shipped arena: plan, record, build, evaluate, review; planned against random driving."""
+"""Run the whole loop on an arena: plan, record, build, evaluate, review; compare planned and random driving."""
 
 from __future__ import annotations
 
@@ -33,38 +33,38 @@ from sensorgraph.world.wall_distance import WallDistance
 
 N_CHECK_POSES = 1000
 BASELINE = "polynomial"
-"""The model that the faces are compared with: the form of 2004."""
+"""Model that is compared with the faces: the form of 2004."""
 MARGIN = 0.02
-"""[m] between checked poses and walls, beyond the robot's radius."""
+"""[m] Distance between checked poses and walls in addition to the robot's radius."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DemoDrive:
-    """One drive with one model fitted to it, and how well it predicts."""
+    """One drive with the model fitted to it, and the errors of its predictions."""
 
     planner: str
     model: str
     drive_time: float
-    """[s]"""
+    """[s] Driving time."""
     coverage: Coverage
-    """By the poses of the log, at its scans."""
+    """Coverage by the poses of the scans in the log."""
     growth: tuple[Floats, Floats]
     """Stamps (n,) [s] and share (n,) of the reachable bins visited by then."""
     graph: Sensorgraph
     checked: Evaluation
-    """On poses spread evenly over the arena that no run has seen."""
+    """Evaluation at poses spread evenly over the arena, independent of all runs."""
 
 
 def demo(
     folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars
 ) -> tuple[list[DemoDrive], HiddenEffect]:
-    """Run the loop; leave plan, runs, graphs, review and diagnosis in `folder`.
+    """Run the loop; write plan, runs, graphs, review and diagnosis to `folder`.
 
-    The random drive and the hidden effect are the work of other processes, as they need nothing of the planned run.
+    The random drive and the hidden effect run in other processes, because they are independent of the planned run.
 
     Returns
     -------
-    the planned drive, the random one, and the planned one with the model of 2004; and the effect that was hidden
+    The planned drive, the random drive, and the planned drive with the model of 2004; and the hidden effect.
     """
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
     logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
@@ -108,7 +108,7 @@ def _random_drive(
     *,
     progress: ProgressBars,
 ) -> DemoDrive:
-    """Drive at random for as long as the plan takes."""
+    """Drive at random for the duration of the plan."""
     plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
     path = folder / "random_bounce.mcap"
     run = record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
@@ -137,7 +137,7 @@ def _modelled(
 def _plan(
     arena: Arena, robot: Robot, planner: str, duration: float | None, seed: int, progress: ProgressBars
 ) -> Plan:
-    """Plan one way of driving."""
+    """Plan a drive with one planner."""
     with progress(f"plan {planner}", "cells") as tick:
         return make_plan(
             arena,
@@ -153,7 +153,7 @@ def _plan(
 def check_run(
     arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK_POSES, poses: Floats | None = None
 ) -> Run:
-    """Scan from `poses` (n, 3), or from n spread evenly over the free space and all headings: what a graph should know."""
+    """Simulate scans at `poses` (n, 3), or at n poses spread evenly over the free space and all headings."""
     x0, y0, x1, y1 = arena.bounds
     clearance = WallDistance(arena)
     n, poses = (n, np.zeros((0, 3))) if poses is None else (len(poses), poses)
@@ -173,7 +173,7 @@ def check_run(
 
 
 def to_dict(drives: list[DemoDrive]) -> dict[str, Any]:
-    """Return the numbers of the demo as plain data."""
+    """Return the results of the demo as plain data."""
     return {
         drive.planner if drive.model != BASELINE else f"{drive.planner}_{BASELINE}": {
             "model": drive.model,

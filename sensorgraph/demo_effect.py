@@ -1,4 +1,4 @@
-"""An effect hidden by seed, to be found again: what `demo` shows of diagnosis."""
+"""Hide a random effect in a simulation and find it by diagnosis, for `demo`."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
 
 DURATION = 60.0
-"""[s] that the robot drives."""
+"""[s] Duration of each drive."""
 MIN_WALL, PANE = 1.2, 0.9
-"""[m] of a wall that may be moved or hold a pane of glass, and of the pane."""
+"""[m] Minimum length of a wall that is moved or contains a pane of glass, and length of the pane."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenEffect:
-    """An effect that was hidden, and what diagnosis found."""
+    """A hidden effect and the result of the diagnosis."""
 
     planted: Amendment
     finding: Finding
 
     @property
     def found(self) -> Amendment | None:
-        """The effect of that name among those found."""
+        """The reported effect with the name of the hidden one; None if it was not found."""
         return next((a for a in self.finding.effects if a.name == self.planted.name), None)
 
 
 def to_dict(hidden: HiddenEffect) -> dict[str, Any]:
-    """Return as plain data what was planted, what was found in its place, and the gap before and after."""
+    """Return the hidden effect, the reported effect, and the gap before and after as plain data."""
     report = report_dict(hidden.finding)
     planted, found = hidden.planted, hidden.found
     return {
@@ -64,7 +64,7 @@ def to_dict(hidden: HiddenEffect) -> dict[str, Any]:
 def hide_and_find(
     folder: Path, arena: Arena, robot: Robot, seed: int, *, progress: ProgressBars
 ) -> HiddenEffect:
-    """Drive twice with an effect that the map and robot.yaml lack; diagnose one run, prove it on the other."""
+    """Drive twice with an effect that map and robot.yaml lack; diagnose the first run, verify on the second."""
     planted = random_effect(arena, robot, np.random.default_rng([seed, 7]))
     folder.mkdir(parents=True, exist_ok=True)
     runs = []
@@ -89,7 +89,7 @@ def hide_and_find(
 
 
 def random_effect(arena: Arena, robot: Robot, rng: np.random.Generator) -> Amendment:
-    """Draw an effect, its size and its place."""
+    """Draw a random effect with its size and its place."""
     sign = float(rng.choice([-1.0, 1.0]))
     outline = arena.names[0].rsplit("/", 1)[0]
     long = [
@@ -125,7 +125,7 @@ def _middle(arena: Arena, wall: int) -> Floats:
 
 
 def _free_point(arena: Arena, robot: Robot, rng: np.random.Generator) -> tuple[float, float]:
-    """Return a point in a corner that the robot, which does not know of the obstacle, does not drive through."""
+    """Return a point near a wall, where a robot that does not know the obstacle does not drive."""
     x0, y0, x1, y1 = arena.bounds
     clearance = WallDistance(arena)
     best, point = np.inf, (0.0, 0.0)

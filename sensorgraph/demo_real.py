@@ -1,4 +1,4 @@
-"""The loop on a real raw log: poses from scans and wheels, a graph, stretches held out, the wheels, a review."""
+"""Run the loop on a real log: poses from scans and wheels, graph, held-out evaluation, wheel parameters, review."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats, ProgressBars
 
 LOG = "fr079.clf.bz2"
-"""The shipped log; `fr079.ATTRIBUTION.md` beside it says whose it is."""
+"""The shipped log; `fr079.ATTRIBUTION.md` next to it gives its origin."""
 SPLIT = "block"
 EVERY = 3
-"""Every third scan goes into the graph and the review, so that the demo takes two minutes; all are located."""
-WAY = 10.0
-"""[m] over which the drift of the wheels is said."""
+"""Use every third scan in the graph and the review, so that the demo takes two minutes; all scans are located."""
+DRIFT_DISTANCE = 10.0
+"""[m] Distance over which the drift of the odometry is reported."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RealDemo:
-    """What became of the log."""
+    """Results on the log."""
 
     found: LocatedRun
     graph: Sensorgraph
     held_out: Evaluation
-    """On stretches that the graph has not seen."""
+    """Evaluation on the held-out parts of the log."""
     drift: tuple[float, float]
-    """[m] median error of the odometry after `WAY`, as logged and with the wheels that were identified."""
+    """[m] Median error of the odometry after `DRIFT_DISTANCE`, as logged and with the estimated wheel parameters."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers as plain data."""
+        """Return the results as plain data."""
         return {
             "log": LOG,
             "locate": {k: v for k, v in self.found.to_dict().items() if k not in ("closures", "stretches")},
@@ -55,12 +55,12 @@ class RealDemo:
 
 
 def demo_real(folder: Path, *, progress: ProgressBars) -> RealDemo:
-    """Run the loop on the shipped log; leave log, run, poses, graph, review and picture in `folder`."""
+    """Run the loop on the shipped log; write log, run, poses, graph, review and picture to `folder`."""
     log = folder / LOG
     with as_file(files("sensorgraph.data") / LOG) as shipped, atomic_file(log) as part:
         part.write_bytes(shipped.read_bytes())
-    with as_file(files("sensorgraph.data") / "fr079.ATTRIBUTION.md") as said:
-        (folder / said.name).write_bytes(said.read_bytes())
+    with as_file(files("sensorgraph.data") / "fr079.ATTRIBUTION.md") as attribution:
+        (folder / attribution.name).write_bytes(attribution.read_bytes())
     with progress("reading", "lines") as tick:
         raw = logs.read(log, progress=tick)
     found = LocatedRun.of(raw, locate(raw, progress=progress))
@@ -78,12 +78,12 @@ def demo_real(folder: Path, *, progress: ProgressBars) -> RealDemo:
 
 
 def every_nth(run: Run, n: int) -> Run:
-    """Return the run with each n-th of its scans, and all other signals."""
+    """Return the run with every n-th scan and all other signals."""
     return replace(run, stamps=run.stamps[::n], ranges=run.ranges[::n])
 
 
-def odometry_drift(found: LocatedRun, way: float = WAY) -> tuple[float, float]:
-    """Return the median error [m] of the odometry after a way, as logged and corrected; nan without odometry."""
+def odometry_drift(found: LocatedRun, distance: float = DRIFT_DISTANCE) -> tuple[float, float]:
+    """Return the median error [m] of the odometry after a distance [m], as logged and corrected; nan without odometry."""
     motion = odometry_of(found.run)
     if motion is None or found.wheels is None:
         return float("nan"), float("nan")
@@ -91,21 +91,21 @@ def odometry_drift(found: LocatedRun, way: float = WAY) -> tuple[float, float]:
     steps = compose(invert(odometry[:-1]), odometry[1:])
     steps[:, 2] = wrap(steps[:, 2])
     wheels = found.wheels
-    mended = corrected_steps(steps, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
-    again = np.zeros_like(odometry)
-    for k, step in enumerate(mended):
-        again[k + 1] = compose(again[k], step)
+    better_steps = corrected_steps(steps, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
+    better = np.zeros_like(odometry)
+    for k, step in enumerate(better_steps):
+        better[k + 1] = compose(better[k], step)
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.poses[:, :2], axis=0).T))])
     first = np.arange(0, len(driven), 10)
-    last = np.searchsorted(driven, driven[first] + way)
+    last = np.searchsorted(driven, driven[first] + distance)
     first, last = first[last < len(driven)], last[last < len(driven)]
     if len(first) == 0:
         return float("nan"), float("nan")
     true = compose(invert(found.poses[first]), found.poses[last])
-    as_logged, corrected = (_off(poses, first, last, true) for poses in (odometry, again))
+    as_logged, corrected = (_median_error(poses, first, last, true) for poses in (odometry, better))
     return as_logged, corrected
 
 
-def _off(poses: Floats, first: np.ndarray, last: np.ndarray, true: Floats) -> float:
+def _median_error(poses: Floats, first: np.ndarray, last: np.ndarray, true: Floats) -> float:
     relative = compose(invert(poses[first]), poses[last])
     return float(np.median(np.hypot(*(relative - true)[:, :2].T)))

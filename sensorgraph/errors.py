@@ -1,4 +1,4 @@
-"""The error that users of `sensorgraph` catch: every step raises it, whichever package found the fault."""
+"""The error of `sensorgraph`: every step raises it, independently of the package that detected the error."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from planners.errors import PlanError
 from robotmodic_ident.errors import IdentError
 
 MAX_TEXT = 1200
-"""Characters of a message; what a hostile file puts into it is cut in the middle."""
+"""Maximum number of characters of a message; a longer one, from a hostile file, is cut in the middle."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 class SensorgraphError(ValueError):
-    """Say what came, what was expected and what to do, in one line.
+    """An error whose message states in one line what was wrong, what was expected and what to do.
 
-    `planners`, `logs` and `robotmodic_ident` can be used alone and have errors of their own; behind
-    `import sensorgraph` they arrive as this one, with the original as `__cause__`.
+    `planners`, `logs` and `robotmodic_ident` can be used alone and have separate errors. The functions of
+    `import sensorgraph` convert them into this error, with the original as `__cause__`.
     """
 
     def __str__(self) -> str:
@@ -29,7 +29,7 @@ class SensorgraphError(ValueError):
 
 
 def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a public function raise `SensorgraphError` where one of the other packages finds the fault."""
+    """Convert the errors of the other packages in a public function into `SensorgraphError`."""
 
     @wraps(function)
     def raising(*args: P.args, **kwargs: P.kwargs) -> R:

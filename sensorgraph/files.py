@@ -1,4 +1,4 @@
-"""Atomic writes of folders: all files of a folder are complete or not there; `logs.files` does the same for one file."""
+"""Write folders atomically: either all files are written or none; `logs.files` does the same for one file."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from logs.files import atomic_file
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder to write in; on leaving its files move to `folder`, after an exception none does.
+    """Yield a temporary folder; at the end, move its files to `folder`.
 
-    A folder that had to be made for this is removed again after an exception.
+    After an exception no file is moved, and folders created here are removed.
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
@@ -32,13 +32,13 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(part, ignore_errors=True)
     except BaseException:
-        with suppress(OSError):  # another command writes there, too
+        with suppress(OSError):  # another command may write there
             for path in made:
                 path.rmdir()
         raise
 
 
 def write_timing(folder: Path, seconds: Mapping[str, Any]) -> None:
-    """Write timing.json: how long the work took, apart from the files that the same seed repeats."""
+    """Write the computing times to timing.json, separate from the files that depend only on the seed."""
     with atomic_file(folder / "timing.json") as part:
         part.write_text(json.dumps(seconds, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Work that another process does while this one goes on with its own."""
+"""Run a function in another process while this process continues."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from sensorgraph.types import Progress, ProgressBars
 
 Result = TypeVar("Result")
 MESSAGE_PERIOD = 0.2
-"""[s] between two messages about progress."""
+"""[s] Interval of progress messages."""
 
 
 class OtherProcess(Generic[Result]):
-    """A function that runs in another process; on a machine with one processor, it runs here when its result is wanted.
+    """A function that runs in another process or, on a machine with one processor, here when `result` is called.
 
     Parameters
     ----------
-    work : a function of a module; takes `arguments` and, by keyword, `progress`
+    work : Function at module level that takes `arguments` and the keyword `progress`.
     """
 
     def __init__(self, work: Callable[..., Result], *arguments: object) -> None:
@@ -42,8 +42,8 @@ class OtherProcess(Generic[Result]):
             self._process = context.Process(
                 target=_run, args=(theirs, self._work, self._arguments), daemon=True
             )
-            resource_tracker.ensure_running()  # or it starts with the process, and lets Ctrl-C through
-            with _interrupt_blocked():  # for the new process, too, until it can end in silence
+            resource_tracker.ensure_running()  # else it starts with the process and does not block Ctrl-C
+            with _interrupt_blocked():  # also for the new process, until it can end without a traceback
                 self._process.start()
             theirs.close()
             self._reader = threading.Thread(target=self._read, args=(ours,), daemon=True)
@@ -58,12 +58,12 @@ class OtherProcess(Generic[Result]):
             self._process.join()
 
     def result(self, progress: ProgressBars) -> Result:
-        """Wait for the result, and show meanwhile which stage the work is at.
+        """Wait for the result and show the progress of the work.
 
         Raises
         ------
-        whatever the work raised
-        RuntimeError : the process ended without an answer
+        Exception : The exception of the work.
+        RuntimeError : The process ended without an answer.
         """
         if self._process is None:
             return self._work(*self._arguments, progress=progress)
@@ -85,7 +85,7 @@ class OtherProcess(Generic[Result]):
         return result
 
     def _read(self, pipe: Connection) -> None:
-        """Take messages: (stage, unit, done, total), and at last (whether it succeeded, result or error)."""
+        """Receive messages (stage, unit, done, total) and the last message (success, result or error)."""
         while True:
             try:
                 message = pipe.recv()
@@ -98,14 +98,14 @@ class OtherProcess(Generic[Result]):
 
 
 def _block_interrupt(is_blocked: bool) -> None:
-    """Let Ctrl-C wait, or come through, where signals can be blocked."""
+    """Block or unblock Ctrl-C on systems that can block signals."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK if is_blocked else signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager
 def _interrupt_blocked() -> Iterator[None]:
-    """Let Ctrl-C wait until the end of the block; what is started within inherits that."""
+    """Block Ctrl-C until the end of the block; processes started within inherit this."""
     _block_interrupt(True)
     try:
         yield
@@ -114,7 +114,7 @@ def _interrupt_blocked() -> Iterator[None]:
 
 
 def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object, ...]) -> None:
-    """Run the work in this process and send its progress and what came of it."""
+    """Run the work in this process and send its progress and its result."""
 
     @contextmanager
     def progress(title: str, unit: str = "") -> Iterator[Progress]:

@@ -1,40 +1,39 @@
 """Check that `logs`, `planners` and `robotmodic_ident` are the packages that come with sensorgraph.
 
-Two of the names are common: a folder `logs/` or a file `planners.py` of the user's own project can stand before ours
-on the search path. The failure would otherwise be an AttributeError far from its cause.
+Two of the names are common: a folder `logs/` or a file `planners.py` of the user's project can precede them on the
+search path. The failure would otherwise be an AttributeError far from its cause.
 """
 
 from __future__ import annotations
 
-import os.path  # rather than pathlib: `import sensorgraph` is to stay fast
+import os.path  # not pathlib, so that `import sensorgraph` stays fast
 import sys
 from importlib.util import find_spec
 
 COMPANIONS = ("logs", "planners", "robotmodic_ident")
-"""Top-level packages that are installed side by side with `sensorgraph`."""
+"""Top-level packages that are installed next to `sensorgraph`."""
 
 
 def check_packages() -> None:
-    """Check where Python finds the companion packages, without importing them.
+    """Check the locations of the companion packages without importing them.
 
     Raises
     ------
-    ImportError
-        where Python finds another package of that name, or none; one line that says which and what to do
+    ImportError : Python finds no package or another package with one of the names.
     """
     home = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
     for name in COMPANIONS:
         found = _location(name)
         if found is None:
             raise ImportError(
-                f"sensorgraph needs its own package `{name}`, which is missing in {home}; "
+                f"sensorgraph needs its package `{name}`, which is missing in {home}; "
                 "install sensorgraph again",
                 name=name,
             )
         if os.path.dirname(found) != home:
             raise ImportError(
-                f"Python finds another package `{name}` in {found}, but sensorgraph needs the one in {home}; "
-                f"rename yours, or take {os.path.dirname(found)} off the search path "
+                f"Python finds another package `{name}` in {found}, but sensorgraph needs the package in {home}; "
+                f"rename yours, or remove {os.path.dirname(found)} from the search path "
                 "(PYTHONPATH, the current folder)",
                 name=name,
                 path=found,
@@ -42,7 +41,7 @@ def check_packages() -> None:
 
 
 def _location(name: str) -> str | None:
-    """Return the folder (or file) of a top-level package, None where there is none."""
+    """Return the folder (or file) of a top-level package; None if it does not exist."""
     if name in sys.modules:
         origin = getattr(sys.modules[name], "__file__", None)
         places = list(getattr(sys.modules[name], "__path__", ()))

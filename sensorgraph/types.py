@@ -1,4 +1,4 @@
-"""The array types that the whole package shares, and how long work tells its progress."""
+"""Array types of the whole package, and types of progress reports."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
 Progress = Callable[[int, int], None]
-"""Called with (done, total) while work goes on."""
+"""Function that is called with (done, total) during the work."""
 
 ProgressBars = Callable[[str, str], AbstractContextManager[Progress]]
-"""Open a progress bar by (title, unit): one for each stage of long work."""
+"""Function of (title, unit) that opens a progress bar, one for each stage of the work."""
 
 
 def no_progress(label: str, unit: str) -> AbstractContextManager[Progress]:

@@ -1,3 +1,3 @@
-"""The version of this software, which every graph and report records."""
+"""The version of sensorgraph, which each graph and report records."""
 
 __version__ = "0.2.0"

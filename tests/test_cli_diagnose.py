@@ -248,7 +248,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
         (["run.mcap", "--simulation", "run.mcap"], "its own simulation"),
         (["run.mcap", "--simulation", "missing.mcap"], "missing.mcap"),
         (["run.mcap", "--simulation", "short.mcap"], "short.mcap: the run has 20 scans"),
-        (["run.mcap", "--simulation", "second.mcap", "--commissioning", "second.mcap"], "one or the other"),
+        (["run.mcap", "--simulation", "second.mcap", "--commissioning", "second.mcap"], "only one of them"),
         (["blind.mcap"], "no ray of the run ever returned"),
         (["run.mcap", "--robot", "near.yaml"], "beyond sensor.range_max"),
         (["run.mcap", "--robot", "exact.yaml"], "sensor.sigma of robot.yaml is 0"),

@@ -232,8 +232,8 @@ def test_a_reference_that_is_no_image_of_the_scans_is_left_to_the_odometry_chann
     [
         ({}, "the run: the run has no odometry that moves"),
         ({"second": "same"}, "the first run: the run has no odometry that moves"),
-        ({"simulation": "same"}, "keeps no arena; give the arena it was driven in"),
-        ({"commissioning": ["same"]}, "keeps no arena; give the arena it was driven in"),
+        ({"simulation": "same"}, "keeps no arena; give the arena in which it was recorded"),
+        ({"commissioning": ["same"]}, "keeps no arena; give the arena in which it was recorded"),
     ],
 )
 def test_a_run_that_cannot_tell_its_wheels_gets_one_line(
