@@ -157,7 +157,7 @@ def table(
     lines = [
         f"{scored['n_scans']} of {scored['of_scans']} scans, {result.n_rays} returns between "
         f"{scored['from_m']:g} and {scored['to_m']:g} m; {result.settings['training']}",
-        f"{'':<24}{_row(blocks)}   of",
+        f"{'':<24}{_row(blocks)}   point value",
         f"{'share of rays':<24}{_row(['100.0 %', _cell(result.answered, '%')])}",
     ]
     for label, key, unit in ROWS:

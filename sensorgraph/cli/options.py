@@ -1,4 +1,4 @@
-"""Arguments and options of the commands, with the help that `sensorgraph COMMAND --help` prints."""
+"""Arguments and options of the commands, one table, with the help that `sensorgraph COMMAND --help` prints."""
 
 from __future__ import annotations
 
