@@ -85,7 +85,7 @@ def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
     finite = np.isfinite(run.poses).all(axis=1)
     stamps, poses = run.pose_stamps[finite], run.poses[finite]
     if len(stamps) == 0:
-        raise ValueError("the run has no reference pose")
+        raise ValueError("the run has no finite reference pose, expected at least one; locate the run first")
     between = _between_references(run, stamps, poses) if use_odometry else None
     if between is not None:
         order = np.argsort(np.concatenate([stamps, between.stamps]), kind="stable")

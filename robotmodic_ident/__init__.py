@@ -1,18 +1,17 @@
-"""Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot.
+"""Identify polynomial, ARMAX and NARMAX models from data; the package is independent of robots.
 
-`fit(records, output, terms)` chooses terms, estimates their coefficients and returns a `Narmax`; `validate` and
-`scores` tell how good it is. `robotmodic_ident.analysis` asks the model questions, `robotmodic_ident.export` writes
-it as C and LaTeX. Nothing heavy is imported until a name is used.
+`fit(records, output, terms)` selects terms, estimates their coefficients and returns a `Narmax`. `validate` tests its
+residuals, and `scores` compares its predictions with persistence. `robotmodic_ident.analysis` computes slopes, Sobol
+indices, frequency responses and Lyapunov exponents. `robotmodic_ident.export` writes C and LaTeX. Heavy libraries are
+imported when a name is first used.
 
-| room | what happens there |
-|---|---|
-| `terms`, `basis_functions`, `bases/` | candidate terms: products of lagged signals, and families of them |
-| `records`, `scale`, `moments` | the data: signals over time, their scaling, and the sums that a fit needs |
-| `selection/` | which terms, and how many |
-| `estimation/` | coefficients where least squares is not enough |
-| `fitting`, `automatic` | `fit`: the two together; `auto_fit`: lags, degree and terms chosen for free run |
-| `model`, `prediction/`, `notation/`, `export` | the result, how it runs, how it is written |
-| `validation/`, `analysis/` | how good it is, and what it says |
+* `terms`, `basis_functions`, `bases/`: Candidate terms, which are products of lagged signals, and families of them.
+* `records`, `scale`, `moments`: The data, that is signals over time, their scaling and the sums for a fit.
+* `selection/`: Selection of the terms and of the model size.
+* `estimation/`: Estimation of coefficients beyond least squares.
+* `fitting`, `automatic`: `fit` combines selection and estimation; `auto_fit` also selects lags and degree.
+* `model`, `prediction/`, `notation/`, `export`: The model, its predictions, its text form and its files.
+* `validation/`, `analysis/`: Residual tests and scores; analysis of a model.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ __all__ = [
     "wavelet",
 ]
 
-_HOMES = {
+_MODULES = {
     "AutoFit": "robotmodic_ident.automatic",
     "AutoSettings": "robotmodic_ident.trials",
     "auto_fit": "robotmodic_ident.automatic",
@@ -124,10 +123,10 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from its home when it is first used."""
-    if name not in _HOMES:
+    """Import a public name from its module on first use."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_HOMES[name]), name)
+    found = getattr(import_module(_MODULES[name]), name)
     globals()[name] = found
     return found
 

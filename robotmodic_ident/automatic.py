@@ -1,8 +1,9 @@
-"""`auto_fit`: a model for free run without settings; lags, degree, terms and limits are chosen by cross-validation.
+"""`auto_fit`: identify a model for free run without settings, by cross-validation.
 
-The output of one stretch after another is hidden: terms are searched by the simulation error of the rest, and models of
-every size run free through what is hidden, which needs its inputs alone. What does best there decides; then the search
-is repeated with nothing hidden.
+It selects lags, degree, terms and saturation limits. Each fold holds out the output of one block of every record. Terms
+are searched by the simulation error on the remaining samples. Models of every size then run freely through the
+held-out block, which requires only the inputs. The smallest model within one standard error of the best is selected,
+and the search is repeated with all data.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AutoFit:
-    """The model of `auto_fit`, and what was tried on the way."""
+    """The model of `auto_fit`, and the trials of the search."""
 
     model: Narmax
     chosen: Trial
@@ -44,26 +45,26 @@ class AutoFit:
 
     def __repr__(self) -> str:
         return (
-            f"{self.model!r}\n  chosen among {len(self.trials)} dictionaries: order {self.chosen.order}, degree "
-            f"{self.chosen.degree}, {self.chosen.n_terms} terms; free run on stretches left out: RMSE {self.chosen.rmse:.4g}"
+            f"{self.model!r}\n  selected from {len(self.trials)} dictionaries: order {self.chosen.order}, degree "
+            f"{self.chosen.degree}, {self.chosen.n_terms} terms; free-run RMSE on held-out blocks {self.chosen.rmse:.4g}"
         )
 
 
 def auto_fit(
     records: Records, output: str, inputs: Sequence[str] = (), *, settings: AutoSettings = AUTO
 ) -> AutoFit:
-    """Identify one output for free run; no lag, degree or number of terms need be given.
+    """Identify one output for free run; lags, degree and number of terms are selected automatically.
 
     Parameters
     ----------
-    records : training data; nothing else is looked at
-    inputs : signals that drive the output, read from lag 0 on
+    records : Training data.
+    inputs : Signals that drive the output, with lags from 0.
 
     Raises
     ------
     IdentError
-        if the records are too short, a signal is missing, several outputs are given, or no model runs free without
-        diverging
+        If the records are too short, a signal is missing, several outputs are given, or every model diverges in free
+        run.
     """
     check_names(output, inputs)
     records = as_records(records)
@@ -91,7 +92,7 @@ def auto_fit(
         best, idle = (now, 0) if now.beats(best, settings) else (best, idle + 1)
     if not np.isfinite(best.rmse):
         raise IdentError(
-            f"no model of {output} runs free over the stretches left out without diverging; give longer records, or "
+            f"every model of {output} diverges in free run over the held-out blocks; use longer records, or "
             "fit one step ahead"
         )
     terms = dictionary(output, inputs, best.order, best.degree, settings.max_product_lag)
@@ -112,11 +113,13 @@ def linear_orders(
     limits: tuple[float, float],
     settings: AutoSettings,
 ) -> tuple[int, ...]:
-    """Return the orders worth a search of products, by what linear models say, which are cheap at all of them.
+    """Return the orders for the search of nonlinear terms, preselected with linear models, which are cheap to fit.
 
-    The first is the least that none longer beats by far, and everywhere, in free run: at too short lags products fit what is not there.
-    The last is the one beyond which the one-step error hardly falls: it feels dynamics that the free run of a linear
-    model, blind to the nonlinear part, does not; but noise of the output, too, which asks for more lags than there are.
+    The first order is the smallest one that no larger order beats in free run by `min_order_gain` and in every fold.
+    With too few lags, products of signals would fit spurious effects. The last order is the one beyond which the
+    one-step error decreases by less than `min_one_step_gain`. The one-step error also reveals dynamics that the free
+    run of a linear model misses because of the nonlinear part. It is, however, sensitive to noise of the output, which
+    calls for more lags than the process has.
     """
     n = len(settings.orders)
     in_free_run, one_step = np.full((n, stretches.n_folds), np.inf), np.full(n, np.inf)
@@ -140,7 +143,7 @@ def linear_orders(
 def _linear_errors(
     stretches: HiddenStretches, terms: Terms, limits: tuple[float, float], settings: AutoSettings
 ) -> list[float]:
-    """Return the mean square on every hidden stretch of the linear model of least simulation error on the rest."""
+    """Return the mean squared error of a linear model on every held-out block, after fitting the other samples."""
     out = []
     for fold, shown in enumerate(stretches.shown):
         start = _linear_start(shown, stretches.output, terms, limits)
@@ -155,7 +158,7 @@ def _best_degree(
     limits: tuple[float, float],
     settings: AutoSettings,
 ) -> Trial:
-    """Return what does best at one order; also whether the output is held between limits."""
+    """Return the best trial of one order over all degrees, with or without saturation limits of the output."""
     first, *others = settings.degrees
     best = tried(order, first, limits)
     if limits != UNLIMITED:
@@ -167,7 +170,7 @@ def _best_degree(
 
 
 def _searched(records: Sequence[Record], settings: AutoSettings) -> list[Record]:
-    """Return the records, or pieces spread evenly over each where they are too long to search."""
+    """Return the records, or evenly spaced pieces of each record if they are too long for the search."""
     total = sum(map(len, records))
     if total <= settings.max_rows:
         return list(records)
@@ -188,9 +191,9 @@ def _cross_validated(
     limits: tuple[float, float],
     settings: AutoSettings,
 ) -> Trial:
-    """Hide one stretch of every record after another; return the least size that does as well there as the best.
+    """Cross-validate one dictionary; return the smallest model within one standard error of the best.
 
-    That is within one standard error over the stretches (Breiman et al. 1984, sec. 3.4.3).
+    Each fold holds out one block of every record (one-standard-error rule: Breiman et al. 1984, sec. 3.4.3).
     """
     most = settings.search.max_terms
     errors = np.full((settings.n_folds, most + 1), np.inf)
@@ -204,7 +207,7 @@ def _cross_validated(
         for size in range(1, most + 1):
             if size in path:
                 errors[i, size] = stretches.mean_square(path[size].model, i)
-            elif size > min(path):  # it gained nothing by that many terms
+            elif size > min(path):  # that many terms brought no gain
                 errors[i, size] = errors[i, size - 1]
     means, best = errors.mean(axis=0), int(errors.mean(axis=0).argmin())
     spread = float(errors[:, best].std(ddof=1) / np.sqrt(len(errors))) if np.isfinite(means[best]) else 0.0
@@ -228,7 +231,7 @@ def _path(
     limits: tuple[float, float],
     settings: AutoSettings,
 ) -> dict[int, Simulated]:
-    """Search from the linear model on."""
+    """Search the best models of every size, starting from the linear model."""
     start = _linear_start(records, output, terms, limits)
     return FreeRunTerms(records, terms, settings.search).path(start)
 
@@ -236,7 +239,7 @@ def _path(
 def _linear_start(
     records: Sequence[Record], output: str, terms: Terms, limits: tuple[float, float]
 ) -> Narmax:
-    """Return the linear model of least one-step error."""
+    """Return the linear model with the least one-step error."""
     linear = linear_part(terms)
     return fit(records, output, linear, n_terms=len(linear), search="forward", limits=limits)
 
@@ -248,10 +251,10 @@ def _final(
     best: Trial,
     settings: AutoSettings,
 ) -> Narmax:
-    """Estimate on all records the structure that does best on stretches left out.
+    """Estimate on all records the structure with the least error on held-out blocks.
 
-    Compared are what is found with nothing hidden, and what every fold found: where a search ends hangs on the data,
-    and a structure whose coefficients the data do not determine shows in other folds.
+    The candidates are the structure found with all data, and those found in the folds. The result of a search depends
+    on the data, and a structure with poorly determined coefficients has a large error in other folds.
     """
     path = _path(stretches.records, stretches.output, terms, best.limits, settings)
     size = min(path, key=lambda k: (abs(k - best.n_terms), k))
@@ -259,14 +262,20 @@ def _final(
     errors = [_structure_error(model, stretches, terms, settings) for model in tried]
     model = replace(tried[int(np.argmin(errors))], notes=path[size].model.notes)
     model = refined(model, records, "simulation", "hac")
-    note = f"order {best.order}, degree {best.degree} and {len(model.terms)} terms do best in free run on stretches left out"
+    note = (
+        f"order {best.order}, degree {best.degree} and {len(model.terms)} terms have the least free-run error "
+        "on held-out blocks"
+    )
     return replace(model, notes=(*model.notes, note), stop="cv")
 
 
 def _structure_error(
     model: Narmax, stretches: HiddenStretches, terms: Terms, settings: AutoSettings
 ) -> float:
-    """Return the mean square on hidden stretches of a model's terms, estimated on the rest; inf where it diverges."""
+    """Return the mean squared error of a structure on held-out blocks; inf if it diverges.
+
+    The coefficients are estimated on the other samples of each fold.
+    """
     squares = []
     for i, shown in enumerate(stretches.shown):
         try:

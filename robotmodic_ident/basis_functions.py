@@ -1,7 +1,9 @@
-"""Functions of one scaled variable in [-1, 1] other than powers: names, values; letters as printed in terms.
+"""Basis functions of one scaled variable t in [-1, 1] other than powers: names and values.
 
-`P3(x)` Legendre and `T3(x)` Chebyshev polynomials; `B3_2of8(x)` the third of eight cubic B-splines on uniform
-knots; `W2_1(x)` the Mexican-hat wavelet of level 2 (four times narrower than level 0) at its second place.
+* `P3(x)`: Legendre polynomial of degree 3.
+* `T3(x)`: Chebyshev polynomial of degree 3.
+* `B3_2of8(x)`: Cubic B-spline with index 2, the third of eight on uniform knots.
+* `W2_1(x)`: Mexican-hat wavelet (1 - r²) exp(-r² / 2), r = 2^level (t + 1) / 2 - shift, here level 2 and shift 1.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ SHAPES = {"P": "Legendre polynomial", "T": "Chebyshev polynomial", "B": "B-splin
 
 
 def shape_name(letter: str, order: int, part: tuple[int, int]) -> str:
-    """Print a shape as terms do: `P3`, `B3_2of8`, `W2_1`."""
+    """Return the name of a shape as printed in terms: `P3`, `B3_2of8`, `W2_1`."""
     tail = {"B": f"_{part[0]}of{part[1]}", "W": f"_{part[0]}"}.get(letter, "")
     return f"{letter}{order}{tail}"
 
@@ -25,17 +27,20 @@ def shape_name(letter: str, order: int, part: tuple[int, int]) -> str:
 def check_shape(
     letter: str, has_first: bool, has_second: bool, part: tuple[int, int], order: int, text: str
 ) -> None:
-    """Refuse a shape whose numbers do not make sense."""
+    """Reject a shape with invalid numbers."""
     expected = {"P": (False, False), "T": (False, False), "B": (True, True), "W": (True, False)}[letter]
     if (has_first, has_second) != expected:
         example = shape_name(letter, 2, (1, 5))
-        raise IdentError(f"term {text!r}: a {SHAPES[letter]} is written like {example}(x)")
+        raise IdentError(f"term {text!r} is not a valid {SHAPES[letter]}; expected the form {example}(x)")
     if letter == "B" and not (part[0] < part[1] and order < part[1]):
-        raise IdentError(f"term {text!r}: no spline {part[0]} among {part[1]} of degree {order}")
+        raise IdentError(
+            f"term {text!r}: there is no spline {part[0]} of {part[1]} with degree {order}; "
+            "expected an index and a degree below the number of splines"
+        )
 
 
 def evaluate(letter: str, order: int, part: tuple[int, int], t: Floats) -> Floats:
-    """Evaluate a shape at scaled values t (n,); outside [-1, 1] splines are 0 and polynomials grow."""
+    """Evaluate a shape at scaled values t (n,); outside [-1, 1], splines are 0 and polynomials grow."""
     if letter == "P":
         return np.asarray(legendre.legval(t, _unit(order)), dtype=np.float64)
     if letter == "T":

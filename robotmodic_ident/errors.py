@@ -1,11 +1,11 @@
-"""The one error that the identification package raises when the data do not allow what was asked."""
+"""The error that the identification package raises if the data do not permit the requested operation."""
 
 MAX_TEXT = 1200
-"""Characters of a message; what a hostile file puts into it is cut in the middle."""
+"""[characters] maximum length of a message; longer text from a malformed file is cut in the middle."""
 
 
 class IdentError(ValueError):
-    """The data do not allow what was asked; the message says in one line what came, what was expected, what to do."""
+    """The data do not permit the operation; the one-line message gives the value, the expectation and the remedy."""
 
     def __str__(self) -> str:
         text = " ".join(super().__str__().split())

@@ -1,4 +1,4 @@
-"""A model as C, LaTeX or JSON text; and back from JSON."""
+"""Export a model as C, LaTeX or JSON text, and restore it from JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Factor, Term
 
 MAX_CANCELLATION_IN_C = 1e3
-"""How many times larger than the result the terms of the C code may be that cancel in it: 13 digits stay."""
+"""Maximum ratio of cancelling terms to the result in the C code; 13 digits remain."""
 GREEK = ("alpha", "beta", "gamma", "omega", "phi", "psi", "theta", "sigma")
 
 
@@ -24,26 +24,28 @@ def to_json(model: Narmax) -> str:
 
 
 def from_json(text: str) -> Narmax:
-    """Restore what `to_json` gave."""
+    """Restore a model from the text of `to_json`."""
     try:
         return Narmax.from_dict(json.loads(text))
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
         if isinstance(exc, IdentError):
             raise
-        raise IdentError(f"not a model: {exc}; give the text that to_json wrote") from exc
+        raise IdentError(f"not a model: {exc}; expected the text of to_json") from exc
 
 
 def to_c(model: Narmax, *, name: str | None = None) -> str:
-    """Return C99 source of one step: `double NAME(const double s[])` of the signals that its comment lists.
+    """Return C99 source of one step, `double NAME(const double s[])`; a comment lists the signals s.
 
-    Past outputs are signals as any other: fed with measurements it predicts one step ahead, fed with its own
-    results it runs free. Noise terms are left out (their expectation is 0). Variables far from 0 stay centred.
+    Past outputs are ordinary signals. With measured past outputs, the function predicts one step ahead; with its own
+    results, it runs freely. Noise terms are omitted, as their expectation is 0. Variables far from 0 stay centred.
     """
     _check_signed(model)
     plain = polynomial_part(model.readable(MAX_CANCELLATION_IN_C))
     function = name or f"{model.output}_step"
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
-        raise ValueError(f"{function!r} is no name of a C function")
+        raise ValueError(
+            f"{function!r} is not a valid C function name; expected letters, digits and underscores"
+        )
     place = {signal: i for i, signal in enumerate(plain.terms.signals)}
     lines = [
         f"    y += {float(c)!r}{_c_factors(t, place, plain.scale)};"
@@ -75,8 +77,8 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
 def _check_signed(model: Narmax) -> None:
     if model.is_magnitude:
         raise IdentError(
-            f"the terms are of the signed {model.output}, of which the magnitude is measured; write "
-            "replace(model, is_magnitude=False), and take the magnitude of what it gives"
+            f"the terms describe the signed {model.output}, but only its magnitude is measured; export "
+            "replace(model, is_magnitude=False), and take the magnitude of its result"
         )
 
 
@@ -94,7 +96,7 @@ def _c_factors(term: Term, place: dict[str, int], scale: Scale) -> str:
 
 
 def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
-    r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
+    r"""Return the equation as LaTeX, in an `aligned` block if it needs more than one line."""
     _check_signed(model)
     plain = polynomial_part(model.readable(max_cancellation(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")

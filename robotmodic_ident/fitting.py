@@ -1,4 +1,4 @@
-"""`fit`: from records to a model, in one call."""
+"""`fit`: identify a model from records in one call."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from robotmodic_ident.selection.process_terms import ProcessTermSelection
 from robotmodic_ident.terms import Terms
 
 ESTIMATORS: tuple[Estimator, ...] = ("ls", "els", "pem", "simulation")
-"""Those that `fit` offers."""
+"""Estimators supported by `fit`."""
 
 
 def fit(
@@ -54,31 +54,31 @@ def fit(
     covariance: Covariance | None = None,
     limits: tuple[float, float] = UNLIMITED,
 ) -> Narmax:
-    """Identify one output from records: choose among `terms`, estimate, and say how sure it is.
+    """Identify one output from records: select terms, estimate coefficients and their standard errors.
 
     Parameters
     ----------
-    n_terms : terms to keep (criterion `n_terms`), else the most to look at
-    criterion : see `select`; default `ebic`, or `n_terms` where that is given
-    scale : of the variables; None: each is divided by its largest size, and centred only where it lies far from 0
-        (centring keeps the span of a full polynomial but changes which few terms describe it)
+    n_terms : Number of terms to keep (criterion `n_terms`), otherwise the maximum number.
+    criterion : See `select`; default `ebic`, or `n_terms` if that is given.
+    scale : Of the variables; None: Divide each by its largest magnitude, and centre it only if it is far from 0.
+        Centring preserves the span of a full polynomial but changes its sparse representation.
     search : `exchange`, `restart` or `forward`
-    keep : names of terms that stay
-    n_folds : contiguous blocks that criterion `cv` leaves out in turn
-    noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor; `auto`: as many lags as the
-        residual's own test asks for and EBIC agrees to, and products such as `e(k-1)*u(k-1)`, alike; see the notes
-    denominator : candidate terms below the line of a rational model, without a constant
-    estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
-    covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
-    limits : [units of the output] between which the output is held, as a full tank holds its level; see `output_limits`
+    keep : Names of terms that are always kept.
+    n_folds : Number of contiguous blocks that criterion `cv` holds out in turn.
+    noise : Number of lags of e(k), or terms with `e(k-1)`, ...; these are always kept in the predictor.
+        `auto`: Add lags, and products such as `e(k-1)*u(k-1)`, while a residual test requires and EBIC accepts them.
+    denominator : Candidate denominator terms of a rational model, without a constant.
+    estimator : `ls`, `els`, `pem` (default with noise or a denominator), or `simulation` (least free-run error).
+    covariance : `classical`, `sandwich`, or `hac` (default for `simulation`, whose residuals are correlated).
+    limits : [units of the output] Saturation limits, such as the level of a full tank; see `output_limits`.
 
     Raises
     ------
     IdentError
-        if the records do not allow it: a signal is missing, the output is never known, no row is left, a term
-        explains the output by itself, or a ratio would have nothing above its line
+        If a signal is missing, the output is never known, no row remains, a term contains the current output, or no
+        numerator term is selected.
     ValueError
-        if an option is none of those listed
+        If an option has an unknown value.
     """
     records = as_records(records)
     if noise == "auto":
@@ -122,7 +122,9 @@ def _check_causal(terms: Terms, output: str) -> None:
     check_names(output)
     for term, name in zip(terms, terms.names, strict=True):
         if any(f.variable == output and not f.lag for f in term):
-            raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
+            raise IdentError(
+                f"term {name} contains the current {output}; use past values, such as {output}(k-1)"
+            )
 
 
 def refined(
@@ -132,9 +134,11 @@ def refined(
     kind: Covariance,
     descent: LevenbergMarquardt = DESCENT,
 ) -> Narmax:
-    """Finish a model by Gauss-Newton (not for ls and els) and give the covariance asked for.
+    """Refine a model by Gauss-Newton (except for ls and els) and compute the requested covariance.
 
-    descent : of the free run; without steps, only the covariance is found
+    Parameters
+    ----------
+    descent : settings for the free run; with no steps, only the covariance is computed
     """
     free = estimator == "simulation"
     try:
@@ -156,11 +160,11 @@ def refined(
     except IdentError as exc:
         if not free:
             raise
-        return replace(model, notes=(*model.notes, f"no refinement in free run: {exc}"))
+        return replace(model, notes=(*model.notes, f"not refined in free run: {exc}"))
     a, b = len(model.terms), len(model.terms) + len(model.denominator)
     notes = model.notes
     if not result.converged and descent.max_steps:
-        notes = (*notes, "the descent did not come to rest; theta may still move")
+        notes = (*notes, "the descent did not converge; the coefficients may be inaccurate")
     return replace(
         model,
         theta=result.theta[:a],

@@ -1,4 +1,4 @@
-"""Narmax: one output as a sum of terms; its equation, its predictions, its file."""
+"""Narmax: a model of one output as a sum of terms, with its equation, its predictions and its file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from robotmodic_ident.notation.printing import (
 )
 from robotmodic_ident.prediction.magnitude import with_signs
 from robotmodic_ident.prediction.recursion import UNLIMITED, Recursion, Segment
-from robotmodic_ident.records import Record, as_records, standing_before
+from robotmodic_ident.records import Record, as_records, padded_before
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.selection.criteria import Stop
 from robotmodic_ident.selection.select import Selection
@@ -35,61 +35,62 @@ from robotmodic_ident.types import Floats
 
 NO_TERMS = Terms(())
 Estimator = Literal["ls", "els", "pem", "simulation", "orbit"]
-"""Least squares; extended least squares; prediction error; error of the free run; the orbit of `without_noise`."""
+"""Least squares, extended least squares, prediction error, simulation error, or the orbit of `without_noise`."""
 REPR_WIDTH = 200
-"""[characters] of the equation that `repr` shows."""
+"""[characters] maximum length of the equation in `repr`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Narmax:
-    """A model of one output; without lagged inputs it is a static equation.
+    """A model of one output: ŷ(k) = Σ theta terms / (1 + Σ denominator_theta denominator) + Σ noise_theta noise_terms.
 
-    ŷ(k) = Σ theta * terms / (1 + Σ denominator_theta * denominator) + Σ noise_theta * noise_terms, where
-    noise terms hold e(k-1), ...: what the one-step prediction left unexplained. Mostly both are empty.
+    Noise terms contain past residuals e(k-1), ... of the one-step prediction. Denominator and noise terms are usually
+    empty. Without lags, the model is a static equation.
 
-    One class, though a long one: its equation, its predictions and its file all read the same few fields.
+    This is one class, because the equation, the predictions and the file use the same few fields.
     """
 
     output: str
-    """Name of the output, as the terms call it."""
+    """Name of the output, as used in the terms."""
     terms: Terms
     theta: Floats
     """(n_terms,) coefficients of the scaled terms."""
     covariance: Floats
     """(n_parameters, n_parameters) of theta, then denominator_theta, then noise_theta."""
     err: Floats
-    """(n_terms,) error reduction ratio when the term was chosen, 0...1."""
+    """(n_terms,) error reduction ratio of each term at its selection, 0...1."""
     sigma: float
-    """Standard deviation of the one-step residual."""
+    """[units of the output] standard deviation of the one-step residual."""
     n_samples: int
-    """Rows it was fitted on."""
+    """Number of rows in the fit."""
     scale: Scale = field(default=UNSCALED)
     stop: Stop = "n_terms"
-    """Why the selection ended."""
+    """Reason why the selection ended."""
     denominator: Terms = NO_TERMS
-    """Of a rational model, without its constant 1."""
+    """Denominator terms of a rational model, without the constant 1."""
     denominator_theta: Floats = field(default_factory=lambda: np.empty(0))
     """(len(denominator),)"""
     noise_terms: Terms = NO_TERMS
-    """Terms with past noise e(k-1), kept in the predictor."""
+    """Terms with past residuals e(k-1), ... in the predictor."""
     noise_theta: Floats = field(default_factory=lambda: np.empty(0))
     """(len(noise_terms),)"""
     estimator: Estimator = "ls"
     spans: Mapping[str, float] = field(default_factory=dict)
-    """Variable -> half its span in the fit, where the scale no longer says; tells what cancels far from 0."""
+    """Variable -> half its span in the fit, if the scale no longer contains it; needed to detect cancellation."""
     limits: tuple[float, float] = UNLIMITED
-    """[units of the output] between which the output is held: a full tank, the end of a travel."""
+    """[units of the output] saturation limits of the output, such as a full tank or an end stop."""
     is_magnitude: bool = False
-    """Whether only the magnitude of the output is measured; the terms are of the signed output."""
+    """Whether only the magnitude of the output is measured; the terms then describe the signed output."""
     notes: tuple[str, ...] = ()
-    """What the user should know: dependent terms left out, few samples, ..."""
+    """Notes for the user: dependent terms left out, few samples, ..."""
 
     def __post_init__(self) -> None:
         k = len(self.terms)
         shapes = (self.theta.shape, self.err.shape, self.denominator_theta.shape, self.noise_theta.shape)
         if shapes != ((k,), (k,), (len(self.denominator),), (len(self.noise_terms),)):
             raise ValueError(
-                f"theta, err, denominator_theta, noise_theta have shapes {shapes} with {k} terms"
+                f"theta, err, denominator_theta, noise_theta have shapes {shapes}, expected one value per term of "
+                f"{k} terms, {len(self.denominator)} in the denominator and {len(self.noise_terms)} of noise"
             )
         n = len(self.parameters)
         if self.covariance.shape != (n, n):
@@ -97,7 +98,7 @@ class Narmax:
 
     @classmethod
     def of(cls, selection: Selection, index: int, output: str) -> Narmax:
-        """Take one output out of a selection, terms in order of choice."""
+        """Return the model of one output of a selection, with the terms in order of selection."""
         chosen = selection.chosen(index)
         return cls(
             output=output,
@@ -134,12 +135,12 @@ class Narmax:
 
     @property
     def is_dynamic(self) -> bool:
-        """Tell whether any term has a lag."""
+        """Return whether any term has a lag."""
         groups = (self.terms, self.denominator, self.noise_terms)
         return any(f.lag is not None for terms in groups for term in terms for f in term)
 
     def recursion(self) -> Recursion:
-        """Return the model prepared to run."""
+        """Return the model in the form that runs sample by sample."""
         return Recursion(
             self.output,
             self.terms,
@@ -151,18 +152,17 @@ class Narmax:
         )
 
     def in_user_units(self) -> Narmax:
-        """Return the same model with the scaling multiplied out.
+        """Return the same model in the units of the user, with the scaling multiplied out.
 
-        `err` stays with its term where variables are only divided by a width; terms that centring creates
-        have none (nan).
+        `err` is preserved if variables are only divided by a width. With centring, it is nan.
         """
         terms, theta, linear = expand(self.terms, self.theta, self.scale)
         below, below_theta, below_linear = expand(self.denominator, self.denominator_theta, self.scale)
         noise, noise_theta, noise_linear = expand(self.noise_terms, self.noise_theta, self.scale)
         constant = [i for i, name in enumerate(below.names) if name == CONSTANT]
-        if constant:  # centring puts a constant below the line: divide by 1 + it to have 1 there again
+        if constant:  # centring adds a constant to the denominator, whose constant must be 1
             raise IdentError(
-                "a rational model of centred variables has no form in the user's units; do not centre"
+                "a rational model of centred variables has no form in the units of the user; fit it without centring"
             )
         total = block_diag(linear, below_linear, noise_linear)
         return replace(
@@ -181,7 +181,7 @@ class Narmax:
         )
 
     def without_widths(self) -> Narmax:
-        """Return the same model with every variable centred as before but no longer divided by its width."""
+        """Return the same model with variables still centred, but no longer divided by their widths."""
         below, below_factor = unscaled(self.denominator, self.scale)
         terms, factor = unscaled(self.terms, self.scale)
         noise, noise_factor = unscaled(self.noise_terms, self.scale)
@@ -200,14 +200,16 @@ class Narmax:
         )
 
     def readable(self, most: float) -> Narmax:
-        """Return the form to print: in the user's units, or in (x - centre) where multiplying out would lose digits.
+        """Return the form to print: in the units of the user, or in (x - centre) if the former would lose digits.
 
-        `most`: how many times larger than the model itself the terms that cancel may be.
+        Parameters
+        ----------
+        most : maximum ratio of cancelling terms to the model itself
         """
         if not any(self.scale.centres):
             return self.in_user_units()
         centred = self.without_widths()
-        if len(self.denominator):  # multiplied out it would have a constant below the line
+        if len(self.denominator):  # multiplied out, its denominator would have another constant
             return centred
         plain = self.in_user_units()
         own = total_size(centred.terms, centred.theta, self.scale, self.spans, around_zero=False)
@@ -215,9 +217,9 @@ class Narmax:
         return centred if multiplied > most * own else plain
 
     def equation(self, *, digits: int = 6, scaled: bool = False) -> str:
-        """Print the model in the user's units, so that it holds to 1 %; in the scaled variables if `scaled`.
+        """Return the equation as text, accurate to 1 %, in the units of the user or in scaled variables if `scaled`.
 
-        Far from 0 powers of x cancel, and their coefficients would need more digits: there (x - centre) is printed.
+        Far from 0, powers of x cancel and their coefficients need more digits, so (x - centre) is printed.
         """
         form = self if scaled else self.readable(max_cancellation(digits))
         scale = UNSCALED if scaled else form.scale
@@ -232,9 +234,13 @@ class Narmax:
         return f"{form.output}(k) = {text}" if form.is_dynamic else f"{form.output} = {text}"
 
     def __repr__(self) -> str:
-        """Print the equation, cut where it is long, and in one line where it comes from."""
+        """Return the equation, shortened if it is long, and one line on its estimation."""
         equation = shorten(self.equation(), REPR_WIDTH, placeholder=" ...")
-        groups = ((self.terms, "terms"), (self.denominator, "below the line"), (self.noise_terms, "of noise"))
+        groups = (
+            (self.terms, "terms"),
+            (self.denominator, "denominator terms"),
+            (self.noise_terms, "noise terms"),
+        )
         counts = ", ".join(f"{len(terms)} {name}" for terms, name in groups if len(terms))
         return (
             f"Narmax: {equation}\n"
@@ -243,24 +249,27 @@ class Narmax:
         )
 
     def predict_osa(self, record: Record | Mapping[str, Floats]) -> Floats:
-        """Predict each sample from the measured past and the noise found in it (n,); nan where not known.
+        """Predict each sample (n,) one step ahead, from past measurements and past residuals; nan if unknown.
 
         Raises
         ------
         IdentError
-            if the record lacks a signal that the model reads
+            If the record lacks a signal of the model.
         """
         return self._predict(record, lambda recursion, segment: recursion.run(segment, free=False)[0])
 
     def predict_mpo(self, record: Record | Mapping[str, Floats], *, warm_up: int = 0) -> Floats:
-        """Predict in free run (n,): past outputs are predictions, measured ones only start each segment.
+        """Predict in free run (n,): past outputs are predictions; measured outputs only start each segment.
 
-        The first `max_lag` samples of a segment are nan; noise terms count as 0. Where an input is not known there is
-        no prediction, and the measured output stands in for it in what follows.
+        The first `max_lag` samples of a segment are nan, and noise terms are 0. At an unknown input there is no
+        prediction, and later samples use the measured output instead.
 
-        warm_up : [samples] at the start of each segment whose measured outputs may be used: the run starts from the
-            outputs that meet them best, and is returned from the first sample on. Where they are no more than
-            `max_lag`, the record is taken to have stood at its first values before. 0: from the first `max_lag` ones
+        Parameters
+        ----------
+        warm_up : [samples] Start of each segment whose measured outputs may be used.
+            The run starts from the outputs that fit these samples best, and includes the first sample. If there are at
+            most `max_lag` of them, the signals are assumed to be constant before the record. 0: The run starts from
+            the first `max_lag` measured outputs.
         """
         (record,) = as_records(record)
         recursion = self.recursion()
@@ -270,17 +279,17 @@ class Narmax:
             initial = initial_outputs(recursion, segment, before + warm_up)
             return recursion.run(segment, free=True, initial=initial)[0]
 
-        return self._predict(standing_before(record, before), run)[before:]
+        return self._predict(padded_before(record, before), run)[before:]
 
     def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
-        """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known.
+        """Predict each sample (n,) `steps` ahead, from outputs measured up to `steps` samples before; inputs are known.
 
         Raises
         ------
         ValueError
-            if `steps` is below 1
+            If `steps` is below 1.
         IdentError
-            if the record lacks a signal
+            If the record lacks a signal of the model.
         """
         if steps < 1:
             raise ValueError(f"steps is {steps}, expected 1 or more")
@@ -292,11 +301,12 @@ class Narmax:
         return np.asarray(record.signals[self.output], dtype=np.float64) - self.predict_osa(record)
 
     def leverage(self, record: Record | Mapping[str, Floats]) -> Floats:
-        """Tell how far each sample (n,) lies from what the model was fitted on: its hat value; nan where not known.
+        """Return the leverage (hat value) `g' (covariance / sigma²) g` of each sample (n,); nan if unknown.
 
-        g' (covariance / sigma²) g with g the gradient of the one-step prediction: its variance by the coefficients'
-        errors, in residual variances. Over the rows of a least-squares fit it adds up to the number of terms. Above
-        the largest one of the fit the model extrapolates (Weisberg 2005, sec. 8.4). nan for a fit without residual.
+        With g the gradient of the one-step prediction, it is the variance of the prediction due to the errors of the
+        coefficients, in units of the residual variance. Over the rows of a least-squares fit, it sums to the number of
+        terms. Above the largest leverage of the fit, the model extrapolates (Weisberg 2005, sec. 8.4). For a fit
+        without residual, it is nan.
         """
         if not self.sigma > 0:
             return np.full(len(as_records(record)[0]), np.nan)
@@ -306,7 +316,7 @@ class Narmax:
             out, _, slopes = recursion.run(segment, free=False, gradient=True)
             size = np.abs(slopes).max(axis=1, initial=0.0)
             unit = slopes / np.where(size > 0, size, 1.0)[:, None]
-            with np.errstate(over="ignore"):  # beyond all numbers is far away, too
+            with np.errstate(over="ignore"):  # inf is a valid leverage
                 return np.where(np.isfinite(out), ((unit @ shape) * unit).sum(axis=1) * size * size, np.nan)
 
         return self._predict(record, hat)
@@ -333,21 +343,21 @@ class Narmax:
         Raises
         ------
         OSError
-            if the file cannot be written
+            If the file cannot be written.
         """
         with atomic_file(path) as part:
             part.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Narmax:
-        """Read what `save` wrote.
+        """Read a model written by `save`.
 
         Raises
         ------
         IdentError
-            if the file is no model
+            If the file is not a model.
         OSError
-            if it cannot be read
+            If the file cannot be read.
         """
         try:
             data = json.loads(path.read_text())
@@ -355,16 +365,16 @@ class Narmax:
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, IdentError):
                 raise
-            raise IdentError(f"{path}: not a model ({exc}); write one with Narmax.save") from exc
+            raise IdentError(f"{path}: not a model ({exc}); expected a file of Narmax.save") from exc
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
-        """Restore what `to_dict` gave."""
+        """Restore a model from the data of `to_dict`."""
         return cls(**from_plain(data))
 
 
 def among(model: Narmax, terms: Terms) -> Narmax:
-    """Return the same model written in other process terms; the coefficients of those it does not have are 0."""
+    """Return the same model with another set of process terms; the coefficients of new terms are 0."""
     found = dict(zip(model.terms.names, model.theta.tolist(), strict=True))
     n = len(terms) + len(model.denominator) + len(model.noise_terms)
     return replace(

@@ -1,7 +1,7 @@
-"""Moments: Φ'Φ, Φ'Y and Y'Y of any amount of data; added, merged, subtracted, saved.
+"""Moments: the sums Φ'Φ, Φ'Y and Y'Y of any amount of data, which can be added, merged, subtracted and saved.
 
-All outputs share one Φ'Φ. An output with missing values (nan) keeps the Gram of the rows that it misses,
-which is subtracted when it is needed: the cost is proportional to what is missing (or present, if less).
+All outputs share one Gram matrix Φ'Φ. For an output with missing values (nan), the Gram matrix of the missing rows is
+stored and subtracted on demand. The cost is proportional to the number of missing rows, or of present rows if fewer.
 """
 
 from __future__ import annotations
@@ -21,61 +21,63 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
 ROWS_PER_BLOCK = 4096
-"""Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""
+"""Rows per block, so that Φ of a block fits into the cache and memory stays bounded."""
 ROWS_IN_CACHE = 128
 """Rows of Y that are multiplied while they are in the cache."""
 MAX_UNPACKED_PRODUCTS = 1_000_000
-"""Multiplications up to which BLAS multiplies matrices as they lie, without packing them first."""
+"""Maximum number of multiplications for which BLAS does not pack the matrices first."""
 MOMENTS_FORMAT = "robotmodic-moments-1"
 MAX_OUTPUT = 1e150
-"""Of an output: squares of larger values overflow."""
+"""Maximum magnitude of an output; squares of larger values overflow."""
 
 
 class Moments:
-    """Sums that every fit needs, for many outputs at once."""
+    """The sums for a least-squares fit of many outputs at once."""
 
     def __init__(self, terms: Terms, n_outputs: int, *, scale: Scale | None = None) -> None:
         if n_outputs < 1 or len(terms) < 1:
-            raise ValueError(f"moments of {len(terms)} terms and {n_outputs} outputs; expected 1 or more")
+            raise ValueError(
+                f"moments have {len(terms)} terms and {n_outputs} outputs; expected at least 1 of each"
+            )
         m = len(terms)
         self.terms = terms
         self.scale = scale
-        """None until the first data declare it: from their least to their largest value."""
+        """Scale of the variables; None until it is taken from the range of the first data."""
         self.gram: Floats = np.zeros((m, m))
         """(n_terms, n_terms) Φ'Φ over all rows with at least one output."""
         self.cross: Floats = np.zeros((m, n_outputs))
-        """(n_terms, n_outputs) Φ'Y over the rows where the output is known."""
+        """(n_terms, n_outputs) Φ'Y over the rows with a known output."""
         self.power: Floats = np.zeros(n_outputs)
         """(n_outputs,) Y'Y."""
         self.count: NDArray[np.int64] = np.zeros(n_outputs, dtype=np.int64)
-        """(n_outputs,) rows where the output is known."""
+        """(n_outputs,) number of rows with a known output."""
         self.missing: dict[int, Floats] = {}
-        """Output -> (n_terms, n_terms) Gram of the rows it misses."""
+        """Output -> (n_terms, n_terms) Gram matrix of the rows with an unknown output."""
 
     @property
     def n_outputs(self) -> int:
-        """Count of outputs."""
+        """Number of outputs."""
         return len(self.power)
 
     def add(self, columns: Mapping[str, ArrayLike], y: ArrayLike) -> Moments:
-        """Add data in the user's units.
+        """Add data in the units of the user.
 
         Parameters
         ----------
-        columns : signal (`y(k-1)`, `x`) -> (n,); a row that is not finite is left out
-        y : (n, n_outputs) or (n,); nan: not known
+        columns : signal (`y(k-1)`, `x`) -> (n,) values; rows that are not finite are left out
+        y : (n, n_outputs) or (n,); nan: unknown
 
         Raises
         ------
         ValueError
-            if shapes do not fit
+            If the shapes do not match.
         IdentError
-            if a column is missing or an output is too large for its square
+            If a column is missing, or the square of an output overflows.
         """
         data = {name: np.asarray(columns[name], dtype=np.float64) for name in columns}
         y = _as_rows(y, self.n_outputs)
         if wrong := {name: v.shape for name, v in data.items() if v.shape != (len(y),)}:
-            raise ValueError(f"columns have shapes {wrong}, expected ({len(y)},) as y has rows")
+            raise ValueError(f"columns have shapes {wrong}, expected ({len(y)},), the number of rows of y")
         if self.scale is None:
             self.scale = _scale_of(self.terms, data)
         for start in range(0, len(y), ROWS_PER_BLOCK):
@@ -85,24 +87,24 @@ class Moments:
         return self
 
     def add_rows(self, phi: Floats, y: ArrayLike) -> Moments:
-        """Add rows of an evaluated dictionary, phi (n, n_terms), as `terms.matrix` gives it."""
+        """Add rows phi (n, n_terms) of an evaluated dictionary, as returned by `terms.matrix`."""
         y = _as_rows(y, self.n_outputs)
         if phi.shape != (len(y), len(self.terms)):
             raise ValueError(f"phi has shape {phi.shape}, expected ({len(y)}, {len(self.terms)})")
         with np.errstate(over="ignore", invalid="ignore"):
-            cross, power = self._products(phi, y)  # power also tells whether all is known
+            cross, power = self._products(phi, y)  # power is finite only if all outputs are known
         if np.isfinite(power).all() and np.isfinite(phi).all():
             self.gram += phi.T @ phi
             self.cross += cross
             self.power += power
             self.count += len(y)
             return self
-        return self._add_holed(phi, y)
+        return self._add_incomplete(phi, y)
 
     def _products(self, phi: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return Φ'Y (n_terms, n_outputs) and Y'Y (n_outputs,), a few rows at a time: Y is read once.
+        """Return Φ'Y (n_terms, n_outputs) and Y'Y (n_outputs,), a few rows at a time, so that Y is read once.
 
-        Where Y'Y comes out as not finite, Y holds what is not known, and Φ'Y is not complete.
+        If Y'Y is not finite, Y contains unknown values and Φ'Y is incomplete.
         """
         cross, power, part = np.zeros(self.cross.shape), np.zeros(len(self.power)), np.empty(self.cross.shape)
         step = max(ROWS_IN_CACHE, MAX_UNPACKED_PRODUCTS // cross.size // ROWS_IN_CACHE * ROWS_IN_CACHE)
@@ -114,17 +116,15 @@ class Moments:
             cross += np.matmul(rows.T, some, out=part)
         return cross, power
 
-    def _add_holed(self, phi: Floats, y: Floats) -> Moments:
-        """Add rows some of whose outputs or terms are not known."""
+    def _add_incomplete(self, phi: Floats, y: Floats) -> Moments:
+        """Add rows with unknown outputs or terms."""
         known = ~np.isnan(y)
         if np.isinf(y).any():
-            raise IdentError("y holds an infinite value; replace what was not measured by nan")
+            raise IdentError("y contains an infinite value; replace missing measurements by nan")
         use = known.any(axis=1) & np.isfinite(phi).all(axis=1)
         phi, y, known = phi[use], np.where(known, y, 0.0)[use], known[use]
         if len(y) and np.abs(y).max() > MAX_OUTPUT:
-            raise IdentError(
-                f"y reaches {np.abs(y).max():.3g}, whose square cannot be held; use larger units"
-            )
+            raise IdentError(f"y reaches {np.abs(y).max():.3g}, whose square overflows; use larger units")
         block = phi.T @ phi
         n_known = known.sum(axis=0)
         self.gram += block
@@ -132,7 +132,7 @@ class Moments:
         self.cross += cross
         self.power += power
         self.count += n_known
-        phi = np.ascontiguousarray(phi)  # rows are gathered below
+        phi = np.ascontiguousarray(phi)  # rows are selected below
         for i in np.flatnonzero(n_known < len(y)).tolist():
             if 2 * n_known[i] < len(y):
                 few = phi[known[:, i]]
@@ -147,13 +147,13 @@ class Moments:
         return self
 
     def gram_of(self, output: int) -> Floats:
-        """Return Φ'Φ (n_terms, n_terms) over the rows where one output is known."""
+        """Return Φ'Φ (n_terms, n_terms) over the rows in which one output is known."""
         return self.gram - self.missing[output] if output in self.missing else self.gram
 
     def groups(self, *, limit: int = 1 << 24) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-        """Yield (outputs, grams) with grams (1, m, m) where it is shared, else (len(outputs), m, m).
+        """Yield (outputs, grams) with grams (1, m, m) if the Gram matrix is shared, otherwise (len(outputs), m, m).
 
-        At most `limit` numbers are held in one stack of Grams.
+        One stack of Gram matrices holds at most `limit` numbers.
         """
         shared = np.array([i for i in range(self.n_outputs) if i not in self.missing], dtype=np.intp)
         if len(shared):
@@ -165,7 +165,7 @@ class Moments:
             yield some, self.gram - np.stack([self.missing[int(i)] for i in some])
 
     def pick(self, terms: ArrayLike | None = None, outputs: ArrayLike | None = None) -> Moments:
-        """Keep some terms and some outputs, given by index; no pass over the data is needed."""
+        """Return the moments of a subset of terms and outputs, given by index, without reading the data again."""
         t = np.arange(len(self.terms)) if terms is None else np.asarray(terms, dtype=np.intp)
         o = np.arange(self.n_outputs) if outputs is None else np.asarray(outputs, dtype=np.intp)
         out = Moments(self.terms[t.tolist()], len(o), scale=self.scale)
@@ -176,15 +176,15 @@ class Moments:
         return out
 
     def __add__(self, other: Moments) -> Moments:
-        """Merge with moments of other data."""
+        """Merge with the moments of other data."""
         return self._combined(other, 1.0)
 
     def __sub__(self, other: Moments) -> Moments:
-        """Take away moments of data that these contain: a fold, an old segment."""
+        """Remove the moments of data that these contain, such as a fold or an old segment."""
         out = self._combined(other, -1.0)
         if (out.count < 0).any():
             raise IdentError(
-                "the moments to subtract have more rows than these; subtract only what was added before"
+                "the moments to subtract have more rows than these; subtract only data that were added before"
             )
         return out
 
@@ -196,7 +196,7 @@ class Moments:
             )
         if None not in (self.scale, other.scale) and self.scale != other.scale:
             raise IdentError(
-                "moments with different scales cannot be combined; declare one scale for all of them: "
+                "moments with different scales cannot be combined; specify one scale for all of them: "
                 "Moments(terms, n_outputs, scale=Scale.between({...}))"
             )
         out = Moments(self.terms, self.n_outputs, scale=self.scale or other.scale)
@@ -231,26 +231,28 @@ class Moments:
 
     @classmethod
     def load(cls, path: Path) -> Moments:
-        """Read what `save` wrote.
+        """Read moments written by `save`.
 
         Raises
         ------
         IdentError
-            if the file holds no moments, or its arrays do not fit its terms
+            If the file holds no moments, or its arrays do not match its terms.
         OSError
-            if it cannot be read
+            If the file cannot be read.
         """
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
                 return _restored({name: data[name] for name in data.files})
-        except Exception as exc:  # zipfile, zlib and numpy meet a damaged file with errors of many kinds
+        except Exception as exc:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
             if isinstance(exc, OSError) and exc.filename is not None:  # it cannot be opened
                 raise
-            raise IdentError(f"{path}: not a file of moments ({exc}); write one with Moments.save") from exc
+            raise IdentError(
+                f"{path}: not a file of moments ({exc}); expected a file of Moments.save"
+            ) from exc
 
 
 def _restored(data: Mapping[str, NDArray[Any]]) -> Moments:
-    """Return the moments whose arrays these are."""
+    """Restore moments from their arrays."""
     header = json.loads(bytes(data["header"]))
     if header["format"] != MOMENTS_FORMAT:
         raise IdentError(f"format {header['format']!r}, expected {MOMENTS_FORMAT!r}")
@@ -266,7 +268,7 @@ def _restored(data: Mapping[str, NDArray[Any]]) -> Moments:
     out.gram, out.cross, out.power = (data[name].astype(np.float64) for name in ("gram", "cross", "power"))
     out.count = data["count"].astype(np.int64)
     if out.count.min() < 0:
-        raise ValueError(f"count is {out.count.tolist()}, expected 0 rows or more")
+        raise ValueError(f"count is {out.count.tolist()}, expected at least 0 rows")
     own, missing = data["missing_outputs"].tolist(), data["missing"].astype(np.float64)
     if own != sorted(set(own) & set(range(n))) or (own and missing.shape != (len(own), m, m)):
         raise ValueError(f"missing_outputs is {own} and missing {missing.shape}, expected each output once")
@@ -283,7 +285,10 @@ def _as_rows(y: ArrayLike, n_outputs: int) -> Floats:
 
 
 def _scale_of(terms: Terms, columns: Mapping[str, Floats]) -> Scale:
-    """Take each variable's bounds over all its lags; variables only seen inside cos and sin stay as they are."""
+    """Return the scale from the bounds of each variable over all its lags.
+
+    Variables that appear only inside cos and sin are not scaled.
+    """
     values: dict[str, list[Floats]] = {}
     for term in terms:
         for f in term:

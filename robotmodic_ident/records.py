@@ -1,4 +1,4 @@
-"""Records of signals over time, and the lagged columns taken from them; no lag crosses a record or a gap."""
+"""Records of signals over time, and lagged columns of them; no lag crosses a gap or the start of a record."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """Signals sampled together, without a break unless the stamps jump."""
+    """Signals sampled at common times; steps of the stamps above `max_gap` are gaps."""
 
     signals: Mapping[str, Floats]
-    """Variable -> (n,) values; nan: not known."""
+    """Variable -> (n,) values; nan: unknown."""
     stamps: Floats | None = None
     """(n,) [s] strictly increasing; None: evenly sampled without a gap."""
     max_gap: float | None = None
-    """[s] a longer step is a gap; None: 1.5 times the median step."""
+    """[s] longer steps are gaps; None: 1.5 times the median step."""
 
     def __post_init__(self) -> None:
         lengths = {name: np.shape(values) for name, values in self.signals.items()}
@@ -43,7 +43,7 @@ class Record:
         return len(next(iter(self.signals.values())))
 
     def segments(self) -> list[slice]:
-        """Return the segments without a time gap."""
+        """Return the segments between time gaps."""
         n = len(self)
         if self.stamps is None or n < 2:
             return [slice(0, n)]
@@ -62,42 +62,44 @@ def check_names(output: object, inputs: object = ()) -> None:
 
     Raises
     ------
-    IdentError : there are several outputs, or inputs are one text, whose letters would be taken for names
+    IdentError : If there are several outputs, or inputs are one text, whose letters would be read as names.
     """
     if not isinstance(output, str):
-        raise IdentError(f"output is {output!r}, and a model explains one signal; identify each by itself")
+        raise IdentError(
+            f"output is {output!r}, but a model describes one signal; identify each signal separately"
+        )
     if isinstance(inputs, str):
-        raise IdentError(f"inputs is {inputs!r}, expected a list of names, as [{inputs!r}]")
+        raise IdentError(f"inputs is {inputs!r}, expected a list of names, such as [{inputs!r}]")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaggedData:
-    """Rows of lagged signals with what is to be explained."""
+    """Rows of lagged signals with the outputs to predict."""
 
     columns: dict[str, Floats]
     """Signal (`y(k-1)`, `u(k)`, `x`) -> (n,) values, all finite."""
     targets: Floats
-    """(n, n_outputs) values at k; nan where not known."""
+    """(n, n_outputs) outputs at k; nan if unknown."""
     record: NDArray[np.intp]
-    """(n,) which record a row comes from."""
+    """(n,) index of the record of each row."""
     sample: NDArray[np.intp]
-    """(n,) which sample k of that record."""
+    """(n,) index k of the sample in that record."""
 
 
 def lags(variable: str, first: int, last: int) -> list[str]:
-    """Name the signals of a variable from lag `first` to lag `last`: `u(k)`, `u(k-1)`, ..."""
+    """Return the names of a variable from lag `first` to lag `last`: `u(k)`, `u(k-1)`, ..."""
     if not 0 <= first <= last:
         raise ValueError(f"lags are {first} to {last}, expected 0 <= first <= last")
     return [signal_name(variable, lag) for lag in range(first, last + 1)]
 
 
 def halves(record: Record | Mapping[str, Floats]) -> list[Record]:
-    """Split a record into its first and second half: one to fit, the other to judge."""
+    """Split a record into its first and second half: one to fit a model, the other to test it."""
     return blocks(record, 2)
 
 
 def blocks(record: Record | Mapping[str, Floats], n: int) -> list[Record]:
-    """Split a record into n contiguous pieces of nearly one length; random splits would leak through the lags."""
+    """Split a record into n contiguous blocks of nearly equal length; random splits would leak through the lags."""
     (record,) = as_records(record)
     if not 1 <= n <= len(record):
         raise ValueError(f"n is {n}, expected 1 to {len(record)}, the number of samples")
@@ -113,7 +115,7 @@ def blocks(record: Record | Mapping[str, Floats], n: int) -> list[Record]:
 
 
 def cut(record: Record, piece: slice) -> Record:
-    """Return a stretch of a record; what counts as a gap stays as it was."""
+    """Return a section of a record with the same maximum gap."""
     gap = record.max_gap
     if gap is None and record.stamps is not None and len(record) > 1:
         gap = 1.5 * float(np.median(np.diff(record.stamps)))
@@ -124,8 +126,8 @@ def cut(record: Record, piece: slice) -> Record:
     )
 
 
-def standing_before(record: Record, n: int) -> Record:
-    """Return a record with n samples more before it, in which every signal stands at its first value."""
+def padded_before(record: Record, n: int) -> Record:
+    """Return a record with n additional samples before it, in which every signal has its first value."""
     if n == 0 or len(record) == 0:
         return record
     whole = cut(record, slice(None))
@@ -138,7 +140,7 @@ def standing_before(record: Record, n: int) -> Record:
 
 
 def as_records(records: Records) -> list[Record]:
-    """Accept one record or many, each a `Record` or plain signals by name."""
+    """Convert one record or many, each a `Record` or a mapping of signals, to a list of records."""
     if isinstance(records, Record | Mapping):
         records = [records]
     return [r if isinstance(r, Record) else Record(signals=r) for r in records]
@@ -151,21 +153,23 @@ def lagged(
     *,
     skip: int | None = None,
 ) -> LaggedData:
-    """Collect the lagged columns that `terms` read; rows with an unknown regressor are left out.
+    """Collect the lagged columns of `terms`; rows with an unknown regressor are left out.
 
-    `skip` [samples] leaves out the start of every segment (default: the largest lag, the least possible),
-    so that models of different lags can be judged on the same rows.
+    Parameters
+    ----------
+    skip : [samples] Start of every segment to leave out, so that models with different lags use the same rows.
+        Default: the largest lag, which is the minimum.
 
     Raises
     ------
     IdentError
-        if a record lacks a signal, or no row is left
+        If a record lacks a signal, or no row remains.
     ValueError
-        if `skip` is below the largest lag
+        If `skip` is below the largest lag.
     """
     look_back = terms.max_lag if skip is None else skip
     if look_back < terms.max_lag:
-        raise ValueError(f"skip is {skip}, but the terms look back {terms.max_lag} samples")
+        raise ValueError(f"skip is {skip}, expected at least {terms.max_lag}, the largest lag of the terms")
     atoms = {f.signal: (f.variable, f.lag or 0, f.minus) for term in terms for f in term}
     parts: dict[str, list[Floats]] = {name: [] for name in atoms}
     targets, owner, sample = [], [], []
@@ -193,7 +197,9 @@ def lagged(
             owner.append(np.full(int(known.sum()), i, dtype=np.intp))
             sample.append(k[known])
     if not targets or sum(map(len, targets)) == 0:
-        raise IdentError(f"no row is left after a look back of {look_back} samples; give longer records")
+        raise IdentError(
+            f"no row remains after a look back of {look_back} samples; use longer records, or smaller lags"
+        )
     return LaggedData(
         columns={name: np.concatenate(values) for name, values in parts.items()},
         targets=np.concatenate(targets),

@@ -1,4 +1,4 @@
-"""Scale: centre and width of every variable, so that no coordinate offset spoils the numbers."""
+"""Scale: centre and width of every variable, which keep sums well conditioned for any coordinate offset."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True)
 class Scale:
-    """Maps a variable v to (v - centre) / width; a variable it does not name stays as it is."""
+    """Map a variable v to (v - centre) / width; other variables are unchanged."""
 
     variables: tuple[str, ...] = ()
     centres: tuple[float, ...] = ()
@@ -24,15 +24,20 @@ class Scale:
 
     def __post_init__(self) -> None:
         if not len(self.variables) == len(self.centres) == len(self.widths):
-            raise ValueError("a scale needs one centre and one width for each variable")
+            raise ValueError(
+                f"a scale has {len(self.variables)} variables, {len(self.centres)} centres and {len(self.widths)} "
+                "widths; expected equal numbers"
+            )
         if not (np.isfinite(self.centres).all() and np.isfinite(self.widths).all()):
-            raise IdentError("a scale has a centre or width that is not finite; drop those samples first")
+            raise IdentError(
+                "a scale has a centre or width that is not finite; remove the samples that cause it"
+            )
         if not all(width > 0 for width in self.widths):
             raise IdentError(f"widths are {self.widths}, expected positive numbers")
 
     @classmethod
     def between(cls, bounds: Mapping[str, tuple[float, float]], *, centre: bool = True) -> Scale:
-        """Map each variable's (low, high) to (-1, 1), or only divide by the larger size if not `centre`."""
+        """Map (low, high) of each variable to (-1, 1); without `centre`, only divide by the larger magnitude."""
         centres, widths = [], []
         for name, (low, high) in bounds.items():
             if not low <= high:
@@ -44,13 +49,13 @@ class Scale:
 
     @classmethod
     def of(cls, data: Mapping[str, ArrayLike], *, centre: bool = True) -> Scale:
-        """Take the bounds from data; values that are not finite do not count."""
+        """Return the scale with bounds from data; values that are not finite are ignored."""
         bounds = {}
         for name, values in data.items():
             finite = np.asarray(values, dtype=np.float64)
             finite = finite[np.isfinite(finite)]
             if len(finite) == 0:
-                raise IdentError(f"variable {name} has no finite value to take a scale from")
+                raise IdentError(f"variable {name} has no finite value; a scale requires at least one")
             bounds[name] = (float(finite.min()), float(finite.max()))
         return cls.between(bounds, centre=centre)
 
@@ -76,7 +81,7 @@ class Scale:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, tuple[float, float] | list[float]]) -> Scale:
-        """Restore what `to_dict` gave."""
+        """Restore a scale from the data of `to_dict`."""
         pairs = [(float(centre), float(width)) for centre, width in data.values()]
         return cls(tuple(data), tuple(c for c, _ in pairs), tuple(w for _, w in pairs))
 
@@ -85,16 +90,16 @@ UNSCALED = Scale()
 
 
 def size_of(*arrays: ArrayLike) -> float:
-    """Return the largest absolute value of all arrays, 1 where they are empty or 0: a unit to take squares in.
+    """Return the largest absolute value of all arrays, or 1 if they are empty or 0, as a unit for squares.
 
-    Squares of values beyond about 1e154 overflow, those of values below 1e-162 vanish; squares of value / size do not.
+    Squares of values above about 1e154 overflow, and those below 1e-162 underflow; squares of value / size do not.
     """
     size = max((float(np.max(np.abs(a), initial=0.0)) for a in arrays), default=0.0)
     return size or 1.0
 
 
 def root_mean_square(values: Floats) -> float:
-    """Return sqrt(mean(values²)) (n,) -> float, nan for no value; no square overflows or vanishes."""
+    """Return sqrt(mean(values²)) of values (n,) without overflow or underflow; nan without values."""
     if not len(values):
         return float("nan")
     size = size_of(values)

@@ -1,4 +1,4 @@
-"""Terms: which products of lagged signals and harmonics a model is made of, with names that parse back."""
+"""Terms: the products of lagged signals and functions in a model, with names that can be parsed again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robotmodic_ident.types import Floats
 
 CONSTANT = "1"
 PLAIN_FUNCTIONS = ("cos", "sin", "abs", "tanh")
-"""Functions of a signal in the user's units."""
+"""Functions of a signal in the units of the user."""
 _SIGNAL = r"(?P<variable>[A-Za-z_]\w*)(?:\(\s*k\s*(?:-\s*(?P<lag>\d+)\s*)?(?P<lagged>\)))?"
 _MINUS = r"(?:\s*-\s*(?P<same>[A-Za-z_]\w*)\(\s*k\s*-\s*(?P<minus>\d+)\s*\))?"
 _NUMBER = r"\d+\.?\d*(?:e[+-]?\d+)?"
@@ -32,52 +32,52 @@ _FACTOR = re.compile(
 
 @dataclass(frozen=True)
 class Factor:
-    """One signal, its lag, and what is done to it: a power, a harmonic, or another function of `shapes`."""
+    """One signal with its lag, and the function applied to it: a power, a harmonic or another basis function."""
 
     variable: str
     lag: int | None = None
     """[samples]; None: a static variable, printed without `(k)`."""
     power: int = 1
     function: str = ""
-    """`cos`, `sin`, `abs`, `tanh`, a letter of `shapes.SHAPES`, or nothing."""
+    """`cos`, `sin`, `abs`, `tanh`, a letter of `basis_functions.SHAPES`, or empty."""
     harmonic: int = 1
-    """Of cos and sin; degree of a polynomial or spline; level of a wavelet."""
+    """Harmonic of cos and sin, degree of a polynomial or spline, or level of a wavelet."""
     part: tuple[int, int] = (0, 0)
-    """Which spline of how many; shift of a wavelet."""
+    """Index and number of splines, or shift of a wavelet."""
     domain: tuple[float, float] | None = None
-    """(centre, width) of the argument of a shape, which None leaves to the model's scale, or of tanh."""
+    """(centre, width) of the argument of tanh or of a basis function; None: the scale of the model applies."""
     minus: int | None = None
-    """[samples] larger lag whose value is subtracted inside abs and tanh: `abs(y(k-1)-y(k-2))`, a speed."""
+    """[samples] larger lag whose value is subtracted inside abs and tanh, as in the speed `abs(y(k-1)-y(k-2))`."""
 
     @property
     def signal(self) -> str:
-        """The column that it reads: `y(k-1)`, `u(k)`, `x`, `y(k-1)-y(k-2)`."""
+        """Name of its column: `y(k-1)`, `u(k)`, `x`, `y(k-1)-y(k-2)`."""
         name = signal_name(self.variable, self.lag)
         return name if self.minus is None else f"{name}-{signal_name(self.variable, self.minus)}"
 
     @property
     def look_back(self) -> int:
-        """[samples]"""
+        """[samples] largest lag of the factor."""
         return max(self.lag or 0, self.minus or 0)
 
     @property
     def degree(self) -> int:
-        """Power of a plain signal; the harmonic counts as a degree, a wavelet's level from 1."""
+        """Power of a plain signal, times the harmonic; the level of a wavelet counts from 1."""
         return self.power * (self.harmonic + (self.function == "W"))
 
     @property
     def width(self) -> float:
-        """Of a tanh: [units of the signal] beyond it the sign is all that is left."""
+        """[units of the signal] width of a tanh, which approximates the sign of larger values."""
         return 1.0 if self.domain is None else self.domain[1]
 
     @property
     def is_shape(self) -> bool:
-        """Tell whether it is a function of the scaled variable other than a power."""
+        """Return whether it is a function of the scaled variable other than a power."""
         return self.function in SHAPES
 
     @property
     def is_scaled(self) -> bool:
-        """Tell whether it reads the variable as the model scales it."""
+        """Return whether it uses the variable as scaled by the model."""
         return self.domain is None and self.function not in PLAIN_FUNCTIONS
 
     def __str__(self) -> str:
@@ -93,7 +93,7 @@ class Factor:
 
 Term = tuple[Factor, ...]
 Step = tuple[int | None, Factor | None, int | None, int | None]
-"""(column, factor, head, tail): a factor or the constant, or the product of two earlier steps, and where it goes."""
+"""(column, factor, head, tail): a factor or the constant, or the product of two earlier steps, and its column."""
 
 
 def _argument(signal: str, domain: tuple[float, float] | None) -> str:
@@ -104,7 +104,7 @@ def _argument(signal: str, domain: tuple[float, float] | None) -> str:
 
 
 def signal_name(variable: str, lag: int | None) -> str:
-    """Name the column of a variable at a lag."""
+    """Return the column name of a variable at a lag."""
     if lag is None:
         return variable
     return f"{variable}(k)" if lag == 0 else f"{variable}(k-{lag})"
@@ -129,7 +129,7 @@ def _parse_term(text: str) -> Term:
 
 
 def _is_closed(match: re.Match[str]) -> bool:
-    """Tell whether every bracket that was opened is closed, and no other, and each function has its argument."""
+    """Return whether all brackets match and each function has a valid argument."""
     wave, is_wide = match["wave"], match["width"] is not None
     if (match["open"] is not None) != is_wide or (is_wide and wave and wave != "tanh"):
         return False
@@ -154,7 +154,8 @@ def _factor(match: re.Match[str], text: str) -> Factor:
     minus = int(match["minus"]) if match["minus"] else None
     if (minus is not None and (lag is None or minus <= lag)) or (domain and domain[1] <= 0):
         raise IdentError(
-            f"term {text!r}: expected the difference from an earlier sample, and a width above 0"
+            f"term {text!r} has an invalid difference or width; expected a difference from an earlier sample, and a "
+            "width above 0"
         )
     function = match["shape"] or match["wave"] or ""
     if power < 1 or (harmonic < 1 and function not in ("B", "W")):
@@ -165,7 +166,7 @@ def _factor(match: re.Match[str], text: str) -> Factor:
 
 
 def _merged(factors: Iterable[Factor]) -> Term:
-    """Add up the powers of equal factors, in the order of first appearance."""
+    """Merge equal factors by adding their powers, in the order of first appearance."""
     powers: dict[Factor, int] = {}
     for f in factors:
         base = replace(f, power=1)
@@ -174,12 +175,12 @@ def _merged(factors: Iterable[Factor]) -> Term:
 
 
 def term_name(term: Term) -> str:
-    """Print a term as `Terms.parse` reads it."""
+    """Return the name of a term as read by `Terms.parse`."""
     return "*".join(map(str, term)) or CONSTANT
 
 
 def canonical_key(term: Term) -> tuple[int, int, int, str]:
-    """Order terms by degree, largest lag, sum of lags, name: the rule that resolves ties."""
+    """Return the key that orders terms by degree, largest lag, sum of lags and name, and resolves ties."""
     lags = [f.look_back for f in term]
     return sum(f.degree for f in term), max(lags, default=0), sum(lags), term_name(term)
 
@@ -201,12 +202,12 @@ class Terms:
 
     @classmethod
     def parse(cls, *names: str) -> Terms:
-        """Read terms from their names, one name a term.
+        """Parse terms from their names.
 
         Raises
         ------
         IdentError
-            if a name is no term, or a term is given twice
+            If a name is not a term, or a term is given twice.
         """
         return cls(tuple(map(_parse_term, names)))
 
@@ -217,17 +218,17 @@ class Terms:
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
-        """The columns that the terms read, in order of first appearance."""
+        """The columns of the terms, in order of first appearance."""
         return tuple(dict.fromkeys(f.signal for term in self.table for f in term))
 
     @cached_property
     def variables(self) -> tuple[str, ...]:
-        """The variables behind the signals, whatever their lags."""
+        """The variables of the signals, without lags."""
         return tuple(dict.fromkeys(f.variable for term in self.table for f in term))
 
     @cached_property
     def max_lag(self) -> int:
-        """[samples] the farthest look back."""
+        """[samples] largest lag of all terms."""
         return max((f.look_back for term in self.table for f in term), default=0)
 
     @cached_property
@@ -243,25 +244,25 @@ class Terms:
         return iter(self.table)
 
     def __getitem__(self, indices: Iterable[int]) -> Terms:
-        """Keep the terms at these indices, in this order."""
+        """Return the terms at these indices, in this order."""
         return Terms(tuple(self.table[i] for i in indices))
 
     def __add__(self, other: Terms) -> Terms:
-        """Unite: terms of both, each once."""
+        """Return the union of both sets of terms."""
         seen = {frozenset(term) for term in self.table}
         return Terms(self.table + tuple(t for t in other.table if frozenset(t) not in seen))
 
     def __mul__(self, other: Terms) -> Terms:
-        """Multiply every term of one with every term of the other.
+        """Multiply every term of one set by every term of the other.
 
-        Functions of one signal are never multiplied with each other: such products are sums of
-        other functions of the family (cos² + sin² = 1), and the columns would depend on each other exactly.
+        Functions of one signal are never multiplied by each other. Such products are sums of other functions of the
+        family (cos² + sin² = 1), so the columns would be exactly dependent.
         """
         both = _harmonic_signals(self) & _harmonic_signals(other)
         if both:
             raise IdentError(
-                f"both factors hold functions of {', '.join(sorted(both))}, whose products depend on each "
-                "other exactly; use one basis of a higher degree instead"
+                f"both factors contain functions of {', '.join(sorted(both))}, whose products are exactly dependent; "
+                "use one basis of a higher degree instead"
             )
         product: dict[frozenset[Factor], Term] = {}
         for a in self.table:
@@ -273,13 +274,13 @@ class Terms:
     def matrix(
         self, columns: Mapping[str, Floats], scale: Scale = UNSCALED, *, n: int | None = None
     ) -> Floats:
-        """Evaluate every term on signals given by name.
+        """Evaluate every term.
 
         Parameters
         ----------
-        columns : signal (`y(k-1)`, `x`) -> (n,) values in the user's units
-        scale : applied to plain signals; a signal inside cos or sin stays in radians
-        n : count of rows, needed only where `columns` is empty
+        columns : Signal (`y(k-1)`, `x`) -> (n,) values in the units of the user.
+        scale : Scale of plain signals; a signal inside cos or sin stays in radians.
+        n : Number of rows, required only if `columns` is empty.
 
         Returns
         -------
@@ -302,7 +303,7 @@ class Terms:
 
     @cached_property
     def _steps(self) -> tuple[Step, ...]:
-        """How to evaluate: products of leading factors, and lower powers, are computed once for all terms."""
+        """Steps of the evaluation; products of leading factors, and lower powers, are computed once for all terms."""
         column: dict[Term, int] = {term: j for j, term in enumerate(self.table)}
         place: dict[Term, int] = {}
         steps: list[Step] = []
@@ -326,7 +327,7 @@ def _harmonic_signals(terms: Terms) -> set[str]:
 
 
 def _halves(term: Term) -> tuple[Term, Term | None]:
-    """Return the two terms whose product it is; (term, None) if it is a single factor or the constant."""
+    """Return two terms whose product is the term; (term, None) for a single factor or the constant."""
     if len(term) > 1:
         return term[:-1], term[-1:]
     if term and term[0].power > 1:
@@ -335,7 +336,7 @@ def _halves(term: Term) -> tuple[Term, Term | None]:
 
 
 def _values(f: Factor, signal: Floats, scale: Scale) -> Floats:
-    """Evaluate a factor of power 1 on its signal (n,)."""
+    """Evaluate a factor of power 1 at the values of its signal (n,)."""
     signal = np.asarray(signal, dtype=np.float64)
     if f.function in ("cos", "sin"):
         angle = f.harmonic * signal

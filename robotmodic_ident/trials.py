@@ -1,4 +1,4 @@
-"""What `auto_fit` looks at, and what it keeps of every dictionary that it tries."""
+"""Settings of `auto_fit`, and the result for every dictionary that it tries."""
 
 from __future__ import annotations
 
@@ -11,40 +11,41 @@ from robotmodic_ident.selection.hidden_stretches import WARM_UP, WarmUp
 
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
-    """What `auto_fit` looks at."""
+    """Settings of `auto_fit`."""
 
     orders: tuple[int, ...] = (2, 3, 4, 6, 8, 12)
-    """[samples] lags of output and inputs; beyond those of the linear dynamics, until `patience` of them in a row do no
-    better."""
+    """[samples] maximum lags of output and inputs to try."""
     patience: int = 2
+    """Number of consecutive orders without a gain after which the search ends."""
     min_order_gain: float = 0.2
-    """Relative fall of the error that longer lags must bring: the spread over folds of sets of some 1,000 samples ..."""
+    """Minimum relative decrease of the RMSE for a larger order: the spread over folds of about 1,000 samples."""
     min_sure_gain: float = 0.1
-    """... or this one, where the error falls on every stretch."""
+    """Minimum relative decrease of the RMSE for a larger order if the error decreases in every fold."""
     min_one_step_gain: float = 0.15
-    """Relative fall of a linear model's one-step error that speaks for longer lags."""
+    """Minimum relative decrease of the one-step error of a linear model for a larger order."""
     degrees: tuple[int, ...] = (2, 3, 1)
-    """All are tried at the order of the linear dynamics, the best one at longer ones."""
+    """Degrees to try at the order of the linear dynamics; larger orders use the best one."""
     max_product_lag: int = 3
-    """[samples] of signals in terms of degree 2 and more; longer lags are linear."""
+    """[samples] maximum lag in terms of degree 2 and above; terms with larger lags are linear."""
     n_folds: int = 5
     min_whole_gain: float = 0.2
-    """Relative fall of the error over whole records that speaks for another model than the one that pieces chose."""
+    """Minimum relative decrease of the RMSE over whole records for replacing the selected model."""
     min_unexplained: float = 0.01
-    """Error of the free run over the output's standard deviation that asks for friction and lost signs."""
+    """Free-run RMSE over the standard deviation of the output above which friction and unsigned outputs are tried."""
     max_friction_rows: int = 25_000
-    """Samples at the start of the records on which friction is estimated: a motor drifts for long."""
+    """Number of samples, from the start of the records, for estimating friction; a motor drifts slowly."""
     max_magnitude_order: int = 4
-    """[samples] lags of the signed output behind a magnitude."""
+    """[samples] maximum lag of the signed output of a magnitude model."""
     max_whole_loss: float = 0.1
-    """Relative rise of that error that fewer terms are worth."""
+    """Maximum relative increase of the RMSE over whole records in exchange for fewer terms."""
     max_rows: int = 3_000
-    """Samples among which terms are searched, in pieces spread over the records; all are fitted in the end."""
+    """Number of samples for the search of terms, in pieces spread over the records; the final fit uses all samples."""
     n_pieces: int = 4
+    """Number of pieces per record if the records are longer than `max_rows`."""
     warm_up: WarmUp = WARM_UP
-    """Never hidden."""
+    """Start of every record that is never held out."""
     min_limit_gain: float = 0.02
-    """Relative fall of the error that holding the output between limits must bring to be kept."""
+    """Minimum relative decrease of the RMSE for keeping saturation limits."""
     search: FreeRunSearch = FREE_RUN_SEARCH
 
 
@@ -53,25 +54,25 @@ AUTO = AutoSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One dictionary, cross-validated."""
+    """The cross-validation of one dictionary."""
 
     order: int
-    """[samples]"""
+    """[samples] maximum lag."""
     degree: int
     limits: tuple[float, float]
-    """[units of the output]"""
+    """[units of the output] saturation limits of the output."""
     n_candidates: int
     n_terms: int
-    """Least size that does as well as the best on stretches left out."""
+    """Smallest number of terms within one standard error of the best on the held-out blocks."""
     rmse: float
-    """[units of the output] of the free run there; inf where no size ran to the end on all of them."""
+    """[units of the output] free-run RMSE on the held-out blocks; inf if every size diverges in some block."""
     errors: tuple[float, ...] = ()
-    """[units of the output, squared] mean square of that size on every stretch."""
+    """[units of the output, squared] mean squared error of that size on every held-out block."""
     found: tuple[Narmax, ...] = ()
-    """The model of that size of every fold."""
+    """The model of that size from every fold."""
 
     def beats(self, other: Trial, settings: AutoSettings) -> bool:
-        """Tell whether a larger dictionary is worth its terms."""
+        """Return whether the gain over a smaller dictionary justifies the additional terms."""
         everywhere = all(mine < its for mine, its in zip(self.errors, other.errors, strict=True))
         gain = settings.min_sure_gain if everywhere else settings.min_order_gain
         return self.rmse < other.rmse * (1.0 - gain)

@@ -1,4 +1,4 @@
-"""The array types that the whole package shares."""
+"""Array types shared by the whole package."""
 
 from __future__ import annotations
 

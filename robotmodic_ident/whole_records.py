@@ -1,4 +1,4 @@
-"""Whole records decide between the model that stretches chose and others: linear ones, friction, lost signs."""
+"""Compare the selected model with alternatives over whole records: linear models, friction, unsigned outputs."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from robotmodic_ident.trials import AutoSettings, Trial
 def over_whole_records(
     model: Narmax, best: Trial, trials: Sequence[Trial], records: Sequence[Record], settings: AutoSettings
 ) -> tuple[Narmax, Trial]:
-    """Return the model, or one found on the way that runs free over whole records far better.
+    """Return the model, or an alternative with a far smaller free-run error over whole records.
 
-    What is searched in pieces of a long record says nothing of how far a free run drifts over all of it, as that of
-    an integrating output does; and of friction and lost signs no polynomial tells.
+    A search on pieces of a long record does not measure the drift of a free run over the whole record, which is large
+    for an integrating output. Friction and unsigned outputs cannot be described by polynomials.
     """
 
     def error(one: Narmax) -> float:
@@ -46,12 +46,12 @@ def over_whole_records(
         descended = refined(other, records, "simulation", "hac")
         stay = LevenbergMarquardt(max_steps=0)
         kept = descended if error(descended) < least else refined(other, records, "simulation", "hac", stay)
-    note = f"of the models found it drifts least in free run over whole records: order {trial.order}, degree {trial.degree}"
+    note = f"this model has the least free-run error over whole records: order {trial.order}, degree {trial.degree}"
     return replace(kept, notes=(*kept.notes, note), stop="cv"), replace(trial, rmse=float(np.sqrt(least)))
 
 
 def unexplained(model: Narmax, records: Sequence[Record], settings: AutoSettings) -> float:
-    """Return the free run's error over whole records as a share of the output's standard deviation."""
+    """Return the free-run RMSE over whole records divided by the standard deviation of the output."""
     spread = np.nanstd(np.concatenate([record.signals[model.output] for record in records]))
     return float(np.sqrt(whole_mean_square(model, records, settings.warm_up)) / max(spread, 1e-300))
 
@@ -59,7 +59,7 @@ def unexplained(model: Narmax, records: Sequence[Record], settings: AutoSettings
 def linear_trial(
     records: Sequence[Record], best: Trial, inputs: Sequence[str], settings: AutoSettings
 ) -> Trial:
-    """Return linear models estimated in free run over one long stretch at the start of every record."""
+    """Return linear models estimated in free run over one long section at the start of every record."""
     heads = _heads(records, 2 * settings.max_rows)
     output = best.found[0].output
     found = []
@@ -85,12 +85,14 @@ def linear_trial(
 def other_forms(
     records: Sequence[Record], best: Trial, inputs: Sequence[str], settings: AutoSettings
 ) -> list[Trial]:
-    """Return linear models with dry friction, and of a signed output of which the magnitude is measured."""
+    """Return linear models with dry friction, and linear models of a signed output with measured magnitude."""
     output, out = best.found[0].output, []
     heads = _heads(records, settings.max_friction_rows)
     order = settings.orders[0]
     found = {order: friction_models(heads, output, inputs, order, best.limits)}
-    if best.limits[1] == UNLIMITED[1]:  # a magnitude may well rest at its least, 0
+    if (
+        best.limits[1] == UNLIMITED[1]
+    ):  # a magnitude often rests at its minimum 0, so only the upper limit counts
         heads = _heads(records, 2 * settings.max_rows)
         for order in (order for order in settings.orders if order <= settings.max_magnitude_order):
             found[order] = [*found.get(order, []), *magnitude_models(heads, output, inputs, order)]
@@ -100,6 +102,6 @@ def other_forms(
 
 
 def _heads(records: Sequence[Record], n: int) -> list[Record]:
-    """Return the start of every record, some n samples in all."""
+    """Return the start of every record, about n samples in total."""
     share = n / sum(map(len, records))
     return [cut(record, slice(0, int(share * len(record)) + 1)) for record in records]

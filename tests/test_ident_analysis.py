@@ -368,7 +368,7 @@ def test_surrogates_keep_values_and_spectrum() -> None:
 )
 def test_what_holds_the_output_is_not_left_out_in_silence(asked: Callable[[Narmax], object]) -> None:
     plain = model("y", {"y(k-1)": 0.5, "u(k)": 0.3})
-    with pytest.raises(IdentError, match="holds y between -inf and 10"):
+    with pytest.raises(IdentError, match=r"limits y to -inf \.\.\. 10"):
         asked(replace(plain, limits=(-np.inf, 10.0)))
-    with pytest.raises(IdentError, match="of y this model gives the magnitude alone"):
+    with pytest.raises(IdentError, match="predicts only the magnitude of y"):
         asked(replace(plain, is_magnitude=True))

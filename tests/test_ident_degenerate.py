@@ -28,7 +28,7 @@ def test_cos_squared_plus_sin_squared_leaves_one_of_them(rng) -> None:
         assert dict(zip(model.terms.names, model.theta, strict=True)) == pytest.approx(
             {"1": 3, "cos(phi)^2": -1}
         )
-        assert any("sin(phi)^2 is given exactly by 1, cos(phi)^2" in note for note in model.notes)
+        assert any("sin(phi)^2 is an exact combination of 1, cos(phi)^2" in note for note in model.notes)
 
 
 def test_input_of_two_levels_has_no_square(rng) -> None:
@@ -38,7 +38,7 @@ def test_input_of_two_levels_has_no_square(rng) -> None:
     assert dict(zip(model.terms.names, model.theta, strict=True)) == pytest.approx(
         {"y(k-1)": 0.5, "u(k-1)": 0.4, "1": -0.3}, abs=0.02
     )  # u^2 = 4 u - 3
-    assert any(note.startswith("u(k-1)^2 is given exactly by 1, u(k-1)") for note in model.notes)
+    assert any(note.startswith("u(k-1)^2 is an exact combination of 1, u(k-1)") for note in model.notes)
 
 
 def test_constant_and_doubled_columns_are_named(rng) -> None:
@@ -47,7 +47,7 @@ def test_constant_and_doubled_columns_are_named(rng) -> None:
     model = fit(record, "z", Terms.parse("1", "still", "x", "twin", "none"))
     assert set(model.terms.names) == {"1", "twin"}  # of equals, the first by name
     notes = " ".join(model.notes)
-    assert "x is given exactly by twin" in notes and "still is given exactly by 1" in notes
+    assert "x is an exact combination of twin" in notes and "still is an exact combination of 1" in notes
     assert "none is zero in every row" in notes
 
 
@@ -76,12 +76,12 @@ def test_fewer_samples_than_candidates_are_marked(rng) -> None:
 
 
 def test_output_that_is_never_known_is_an_error(rng) -> None:
-    with pytest.raises(IdentError, match="output y is not known"):
+    with pytest.raises(IdentError, match="output y is unknown"):
         fit({"y": np.full(50, np.nan), "u": rng.normal(size=50)}, "y", Terms.parse("1", "u(k)"))
 
 
 def test_input_that_is_never_known_is_an_error(rng) -> None:
-    with pytest.raises(IdentError, match="no row is left"):
+    with pytest.raises(IdentError, match="no row remains"):
         fit({"y": rng.normal(size=50), "u": np.full(50, np.nan)}, "y", Terms.parse("1", "u(k)"))
 
 
@@ -96,13 +96,13 @@ def test_record_shorter_than_the_lags_is_named_and_all_of_them_are_an_error(rng)
 
 def test_output_that_explains_itself_is_refused(rng) -> None:
     record = {"y": rng.normal(size=50)}
-    with pytest.raises(IdentError, match="explains y by itself"):
+    with pytest.raises(IdentError, match="contains the current y"):
         fit(record, "y", Terms.parse("y(k)", "y(k-1)"))
 
 
 def test_kept_term_that_depends_on_others_is_refused(rng) -> None:
     x = rng.normal(size=50)
-    with pytest.raises(IdentError, match="given exactly by others"):
+    with pytest.raises(IdentError, match="exact combination of other terms"):
         fit({"a": x, "b": x, "z": x}, "z", Terms.parse("a", "b"), keep=["b"])
 
 
@@ -134,7 +134,7 @@ def test_an_output_that_is_a_far_coordinate_gives_the_same_terms(offset: float, 
     found = dict(zip(model.terms.names, model.theta, strict=True))
     assert found["x(k-1)"] == pytest.approx(0.9, abs=0.005)
     assert found["v(k-1)"] == pytest.approx(0.5, abs=0.01)
-    assert any("err is of x - " in note for note in model.notes)
+    assert any("err refers to x - " in note for note in model.notes)
     assert 0.9 < model.err.sum() <= 1
     assert np.nanstd(model.residuals(record)) == pytest.approx(0.02, rel=0.1)
     assert f"(x(k-1) - {offset:.0f})" in model.equation() or offset == 1e5

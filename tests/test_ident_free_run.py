@@ -310,9 +310,9 @@ def test_long_dynamics_are_found_by_linear_models_first() -> None:
 
 def test_several_outputs_and_inputs_as_one_text_are_refused_in_a_line() -> None:
     data = {"volts": np.arange(9.0), "y": np.arange(9.0)}
-    with pytest.raises(IdentError, match=r"output is \['y', 'z'\], and a model explains one signal"):
+    with pytest.raises(IdentError, match=r"output is \['y', 'z'\], but a model describes one signal"):
         auto_fit(data, ["y", "z"], ["volts"])  # type: ignore[arg-type]
     with pytest.raises(IdentError, match="inputs is 'volts', expected a list of names"):
         auto_fit(data, "y", "volts")
-    with pytest.raises(IdentError, match="identify each by itself"):
+    with pytest.raises(IdentError, match="identify each signal separately"):
         fit(data, ("y", "z"), polynomial(["volts(k)"], 1))  # type: ignore[arg-type]

@@ -140,7 +140,7 @@ def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus |
     counts = counts if census is None else census.counts
     most = max(counts, key=lambda shape: counts[shape])
     if most.n_rays == 0:
-        raise LogError(f"{topic.name}: most scans have no rays")
+        raise LogError(f"{topic.name}: most scans have no rays; check the driver, or select another topic")
     main = groups.get(most) or next(iter(groups.values()))
     limits = main.limits
     notes: list[str] = []

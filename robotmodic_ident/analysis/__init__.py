@@ -1,4 +1,4 @@
-"""Questions to a model: slopes, shares of variance, frequency response, chaos; and the last from a series alone."""
+"""Analyse a model: derivatives, Sobol indices, frequency responses and chaos; the last also from a series alone."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Sums of terms as plain algebra: add, multiply, shift in time, differentiate, integrate, substitute.
+"""Algebra of sums of terms: add, multiply, shift in time, differentiate, integrate, substitute.
 
-A `Sum` maps a term, its factors in a fixed order, to a coefficient. Everything here is exact but for rounding.
+A `Sum` maps a term, with its factors in a fixed order, to a coefficient. All operations are exact except for rounding.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ANALYSED_FUNCTIONS = ("", "cos", "sin")
 
 
 def ordered(factors: Iterable[Factor]) -> Term:
-    """Multiply factors: equal ones add their powers, and the order is fixed."""
+    """Return the product of factors in a fixed order, with equal factors merged."""
     powers: dict[Factor, int] = {}
     for f in factors:
         base = replace(f, power=1)
@@ -33,43 +33,46 @@ def ordered(factors: Iterable[Factor]) -> Term:
 
 
 def sum_of(model: Narmax) -> Sum:
-    """Return the deterministic part of a model in the user's units."""
+    """Return the deterministic part of a model in the units of the user."""
     plain = deterministic(model)
     return collect((ordered(term), float(c)) for term, c in zip(plain.terms, plain.theta, strict=True))
 
 
 def deterministic(model: Narmax) -> Narmax:
-    """Return a polynomial model in the user's units without its noise terms: what it says of y, not of e."""
+    """Return a polynomial model in the units of the user without its noise terms."""
     if model.is_magnitude:
         raise IdentError(
-            f"the analysis is of polynomials; of {model.output} this model gives the magnitude alone. For the signed "
-            "output ask replace(model, is_magnitude=False)"
+            f"the analysis requires a polynomial; this model predicts only the magnitude of {model.output}. For the "
+            "signed output, use replace(model, is_magnitude=False)"
         )
     if model.limits != UNLIMITED:
         low, high = model.limits
         raise IdentError(
-            f"the analysis is of polynomials; this model holds {model.output} between {low:g} and {high:g}. Where the "
-            "limits are not reached, ask replace(model, limits=(-inf, inf))"
+            f"the analysis requires a polynomial; this model limits {model.output} to {low:g} ... {high:g}. If the "
+            "limits are not reached, use replace(model, limits=(-inf, inf))"
         )
     return polynomial_part(model if len(model.denominator) else model.in_user_units())
 
 
 def polynomial_part(plain: Narmax) -> Narmax:
-    """Return a polynomial model without its noise terms, in the form that it has."""
+    """Return a polynomial model without its noise terms, without conversion of units."""
     if len(plain.denominator):
-        raise IdentError("the analysis is of polynomial models; this one has a denominator")
+        raise IdentError(
+            "the analysis requires a polynomial; this model has a denominator. Fit a model without one"
+        )
     k = len(plain.terms)
     for term in plain.terms:
         for f in term:
             if f.function not in ANALYSED_FUNCTIONS:
                 raise IdentError(
-                    f"term {term_name(term)!r} has the function {f.function!r}; the analysis knows powers, cos and sin"
+                    f"term {term_name(term)!r} has the function {f.function!r}; "
+                    "the analysis supports powers, cos and sin"
                 )
     return replace(plain, covariance=plain.covariance[:k, :k], noise_terms=Terms(()), noise_theta=np.empty(0))
 
 
 def collect(parts: Iterable[tuple[Term, float]]) -> Sum:
-    """Add up equal terms; what cancels exactly is left out."""
+    """Add the coefficients of equal terms; terms that cancel exactly are removed."""
     total: Sum = {}
     for term, value in parts:
         total[term] = total.get(term, 0.0) + value
@@ -87,17 +90,17 @@ def times(a: Sum, b: Sum) -> Sum:
 
 
 def scaled(a: Sum, factor: float) -> Sum:
-    """Multiply by a number."""
+    """Multiply a sum by a number."""
     return collect((term, factor * value) for term, value in a.items())
 
 
 def shifted(term: Term, samples: int) -> Term:
-    """Look `samples` farther back; what has no lag stays."""
+    """Increase all lags by `samples`; factors without a lag are unchanged."""
     return ordered(f if f.lag is None else replace(f, lag=f.lag + samples) for f in term)
 
 
 def split(term: Term, signal: str) -> tuple[Term, Term]:
-    """Return the factors that read `signal`, and the others."""
+    """Return the factors of `signal`, and the other factors."""
     return tuple(f for f in term if f.signal == signal), tuple(f for f in term if f.signal != signal)
 
 
@@ -118,13 +121,15 @@ def partial(term: Term, signal: str) -> Sum:
 
 
 def antiderivative(term: Term, signal: str) -> Sum:
-    """Integrate a term over one signal, from 0 of the antiderivative: u^2 becomes u^3/3, cos(u) becomes sin(u)."""
+    """Integrate a term over one signal with an integration constant of 0: u^2 becomes u^3/3, cos(u) becomes sin(u)."""
     mine, rest = split(term, signal)
     if not mine:
         (like,) = Terms.parse(signal)
         return {ordered(rest + like): 1.0}
     if len(mine) > 1 or (mine[0].function and mine[0].power > 1):
-        raise IdentError(f"{term_name(term)!r} has no antiderivative over {signal} among sums of such terms")
+        raise IdentError(
+            f"{term_name(term)!r} has no antiderivative over {signal} as a sum of such terms; integrate numerically"
+        )
     (f,) = mine
     if not f.function:
         return {ordered((*rest, replace(f, power=f.power + 1))): 1.0 / (f.power + 1)}
@@ -133,7 +138,7 @@ def antiderivative(term: Term, signal: str) -> Sum:
 
 
 def substituted(term: Term, signals: Mapping[str, Sum]) -> Sum:
-    """Put a sum in the place of each signal named; only powers of it can be replaced."""
+    """Replace each given signal by a sum; only powers of a signal can be replaced."""
     result: Sum = {(): 1.0}
     for f in term:
         if f.signal not in signals:
@@ -149,9 +154,9 @@ def substituted(term: Term, signals: Mapping[str, Sum]) -> Sum:
 def transformed(
     model: Narmax, change: Callable[[Term], Sum], *, output: str, offset: Sum | None = None
 ) -> Narmax:
-    """Apply a linear change to every term of a model, and carry the covariance of its coefficients along.
+    """Apply a linear transformation to every term of a model, and propagate the covariance of its coefficients.
 
-    `offset` is added as it is: it has no uncertainty.
+    `offset` is added without uncertainty.
     """
     plain = deterministic(model)
     columns = [change(ordered(term)) for term in plain.terms]
@@ -176,7 +181,7 @@ def transformed(
 
 
 def evaluate(total: Sum, columns: Mapping[str, Floats]) -> Floats:
-    """Evaluate a sum on signals given by name; the columns broadcast."""
+    """Evaluate a sum for signals given by name; the columns are broadcast."""
     shape = np.broadcast_shapes(*(np.shape(values) for values in columns.values())) if columns else ()
     out = np.zeros(shape)
     for term, value in total.items():

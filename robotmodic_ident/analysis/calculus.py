@@ -1,4 +1,4 @@
-"""A model differentiated and integrated, over time or over a signal: the result is a model, or numbers on data."""
+"""Differentiate and integrate a model over time or over a signal; the result is a model, or values for data."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from robotmodic_ident.types import Floats
 
 
 def partial_model(model: Narmax, signal: str) -> Narmax:
-    """Return the model's derivative by one signal, such as `u(k-1)`, as a model `d_y`."""
+    """Return the derivative of the model by one signal, such as `u(k-1)`, as a model `d_y`."""
     _check_signal(model, signal)
     return transformed(model, lambda term: partial(term, signal), output=f"d_{model.output}")
 
 
 def antiderivative_model(model: Narmax, signal: str) -> Narmax:
-    """Return the model integrated over one signal; differentiating it by that signal gives the model back."""
+    """Return the integral of the model over one signal; its derivative by that signal is the model."""
     return transformed(model, lambda term: antiderivative(term, signal), output=f"int_{model.output}")
 
 
 def derivative(model: Narmax, period: float, output: str) -> Narmax:
-    """Turn a model of speed into one of acceleration: output(k) = (y(k) - y(k-1)) / period.
+    """Convert a model of speed to one of acceleration: output(k) = (y(k) - y(k-1)) / period.
 
-    A model without past outputs becomes one of its inputs alone, as (f(k) - f(k-1)) / period; one with past
-    outputs keeps reading them: (f - y(k-1)) / period. Both are exact.
+    A model f without past outputs becomes (f(k) - f(k-1)) / period, a model of its inputs only. A model with past
+    outputs becomes (f - y(k-1)) / period, with the same past outputs. Both are exact.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def derivative(model: Narmax, period: float, output: str) -> Narmax:
     _check_period(period, output, model.output)
     past: Term = (Factor(model.output, 1),)
     if model.output in model.terms.variables:
-        return _widened(
+        return _scaled_sigma(
             transformed(
                 model, lambda term: {term: 1.0 / period}, output=output, offset={past: -1.0 / period}
             ),
@@ -60,13 +60,13 @@ def derivative(model: Narmax, period: float, output: str) -> Narmax:
     def change(term: Term) -> Sum:
         return collect([(term, 1.0 / period), (shifted(term, 1), -1.0 / period)])
 
-    return _widened(transformed(model, change, output=output), period)
+    return _scaled_sigma(transformed(model, change, output=output), period)
 
 
 def integral(model: Narmax, period: float, output: str) -> Narmax:
-    """Turn a model of acceleration into one of speed: output(k) = output(k-1) + period * y(k).
+    """Convert a model of acceleration to one of speed: output(k) = output(k-1) + period * y(k).
 
-    Past values of the old output become differences of the new one; so `derivative` is undone exactly.
+    Past values of the old output become differences of the new one. This is the exact inverse of `derivative`.
     """
     _check_period(period, output, model.output)
     lags = {f.lag for term in model.terms for f in term if f.variable == model.output and f.lag}
@@ -85,7 +85,7 @@ def integral(model: Narmax, period: float, output: str) -> Narmax:
 
 
 def jacobian(model: Narmax, signals: Sequence[str] | None = None) -> dict[str, Sum]:
-    """Return the derivative by every signal that the model reads, as sums of terms."""
+    """Return the derivatives by all signals of the model, as sums of terms."""
     total = sum_of(model)
     return {
         s: collect(
@@ -96,14 +96,14 @@ def jacobian(model: Narmax, signals: Sequence[str] | None = None) -> dict[str, S
 
 
 def sensitivity(model: Narmax, columns: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Evaluate the Jacobian on data: signal -> (n,) change of the output per unit of the signal."""
+    """Evaluate the Jacobian for data: signal -> (n,) change of the output per unit of the signal."""
     return {s: evaluate(total, columns) for s, total in jacobian(model).items()}
 
 
 def surface(
     model: Narmax, across: tuple[str, Floats], along: tuple[str, Floats], at: Mapping[str, float]
 ) -> Floats:
-    """Evaluate the model over two of its signals, the others held: (n_along, n_across) for a figure."""
+    """Evaluate the model over two of its signals with the others fixed; return (n_along, n_across) for a figure."""
     (a, u), (b, v) = across, along
     columns: dict[str, Floats] = {name: np.asarray(value, dtype=np.float64) for name, value in at.items()}
     columns |= {a: np.asarray(u, dtype=np.float64)[None, :], b: np.asarray(v, dtype=np.float64)[:, None]}
@@ -112,7 +112,7 @@ def surface(
     return np.broadcast_to(evaluate(sum_of(model), columns), (len(v), len(u))).copy()
 
 
-def _widened(model: Narmax, period: float) -> Narmax:
+def _scaled_sigma(model: Narmax, period: float) -> Narmax:
     return replace(model, sigma=model.sigma / period)
 
 
@@ -120,9 +120,11 @@ def _check_period(period: float, output: str, old: str) -> None:
     if not (np.isfinite(period) and period > 0):
         raise ValueError(f"period is {period}, expected seconds above 0")
     if output == old:
-        raise ValueError(f"the new output is called {output!r} as the old one; give another name")
+        raise ValueError(f"the new output has the name {output!r} of the old one; use another name")
 
 
 def _check_signal(model: Narmax, signal: str) -> None:
     if signal not in model.terms.signals:
-        raise IdentError(f"the model does not read {signal}; it reads {', '.join(model.terms.signals)}")
+        raise IdentError(
+            f"the model has no signal {signal}; its signals are {', '.join(model.terms.signals)}"
+        )

@@ -1,7 +1,8 @@
-"""Correlation dimension of a series, with an interval and against surrogates.
+"""Correlation dimension D = d log C(r) / d log r of a series, with a confidence interval and a surrogate test.
 
-Grassberger and Procaccia, Physica D 9 (1983); pairs that are near in time do not count (Theiler, Phys. Rev. A 34,
-1986); what surrogates of linear noise give as well is no dimension of an attractor (Theiler et al., Physica D 58, 1992).
+C(r) is the share of pairs of embedded points that are closer than r (Grassberger and Procaccia, Physica D 9, 1983).
+Pairs close in time are excluded (Theiler, Phys. Rev. A 34, 1986). If surrogates of linear noise give the same value, it
+is not the dimension of an attractor (Theiler et al., Physica D 58, 1992).
 """
 
 from __future__ import annotations
@@ -16,32 +17,32 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
 
 N_RADII = 24
-"""Radii at which pairs are counted."""
+"""Number of radii at which pairs are counted."""
 SLOPE_REGION = (1e-4, 0.1)
-"""Shares of all pairs between which the slope is taken, where no other region is asked for."""
+"""Default range of C(r) in which the slope is fitted."""
 N_REFERENCE = 4000
-"""Reference points, where no other number is asked for."""
+"""Default number of reference points."""
 N_REFERENCE_BLOCKS = 20
-"""Contiguous blocks of reference points that the interval is resampled from."""
+"""Number of contiguous blocks of reference points for the bootstrap of the interval."""
 N_BOOTSTRAP = 200
-"""Resamplings behind the interval."""
+"""Number of bootstrap samples for the interval."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CorrelationDimension:
-    """A correlation dimension, how sure it is, and what linear noise of the same spectrum gives."""
+    """A correlation dimension with its interval, and the values for linear noise of the same spectrum."""
 
     value: float
     interval: tuple[float, float]
-    """95 %, over blocks of the series and over halves of the region in which the slope is taken."""
+    """95 % interval over blocks of the series, extended to the slopes of both halves of the region."""
     surrogates: Floats
-    """(n,) the same quantity of the surrogates."""
+    """(n,) dimensions of the surrogates."""
     p_value: float | None
-    """Of the hypothesis that the series is linear noise; None without surrogates."""
+    """p-value of the hypothesis that the series is linear noise; None without surrogates."""
     radii: Floats
-    """(n_radii,)"""
+    """(n_radii,) radii r."""
     correlation: Floats
-    """(n_radii,) share of the pairs nearer than that."""
+    """(n_radii,) C(r), the share of pairs closer than each radius."""
 
 
 def correlation_dimension(
@@ -59,11 +60,11 @@ def correlation_dimension(
 
     Parameters
     ----------
-    dimension, lag : of the embedding; lag in samples
-    theiler : [samples] pairs nearer in time do not count
-    n_surrogates : 0, or 19 and more for a test at 5 %
-    n_reference : points that are held against all others
-    region : shares of all pairs between which the slope is taken
+    dimension, lag : Dimension and lag [samples] of the embedding.
+    theiler : [samples] Pairs closer in time are excluded.
+    n_surrogates : 0, or at least 19 for a test at the 5 % level.
+    n_reference : Number of reference points, which are compared with all others.
+    region : Range of C(r) in which the slope is fitted.
     """
     points = embed(series, dimension, lag)
     radii, counts, pairs = _counts(points, theiler, n_reference)
@@ -96,11 +97,11 @@ def correlation_dimension(
 
 
 def _counts(points: Floats, theiler: int, most: int) -> tuple[Floats, Floats, Floats]:
-    """Return radii, pairs nearer than each (n_blocks, n_radii) and all pairs (n_blocks,), by block of reference points."""
+    """Return the radii, the pairs closer than each (n_blocks, n_radii), and all pairs (n_blocks,), per block."""
     n = len(points)
     if n < 10 * N_REFERENCE_BLOCKS or n <= 4 * theiler:
         raise IdentError(
-            f"{n} embedded samples are too few; a dimension needs {10 * N_REFERENCE_BLOCKS} and 4 * theiler"
+            f"{n} embedded samples are too few; expected at least {10 * N_REFERENCE_BLOCKS}, and above 4 * theiler"
         )
     reference = np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
     some = reference[:: max(1, len(reference) // 200)]
@@ -122,7 +123,7 @@ def _slope(radii: Floats, correlation: Floats, region: tuple[float, float]) -> t
     inside = np.flatnonzero((correlation >= region[0]) & (correlation <= region[1]))
     if len(inside) < 4:
         raise IdentError(
-            "fewer than 4 radii lie in the region of the slope; give a longer series or a wider region"
+            "fewer than 4 radii are in the region of the slope; use a longer series or a wider region"
         )
     used = slice(int(inside[0]), int(inside[-1]) + 1)
     return float(np.polyfit(np.log(radii[used]), np.log(correlation[used]), 1)[0]), used

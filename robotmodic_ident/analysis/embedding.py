@@ -1,4 +1,4 @@
-"""Delay embedding, neighbours of another visit, and surrogates of a series."""
+"""Delay embedding, nearest neighbours from another passage of the orbit, and surrogates of a series."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
 
 N_NEIGHBOUR_CANDIDATES = 64
-"""Neighbours looked through for one that is far enough in time."""
+"""Number of nearest neighbours searched for one that is far enough in time."""
 
 
 def embed(series: ArrayLike, dimension: int, lag: int = 1) -> Floats:
@@ -20,7 +20,7 @@ def embed(series: ArrayLike, dimension: int, lag: int = 1) -> Floats:
     if dimension < 1 or lag < 1:
         raise ValueError(f"dimension and lag are {dimension}, {lag}, expected 1 or more")
     if not np.isfinite(table).all():
-        raise IdentError("the series has samples that are not known; take a segment without")
+        raise IdentError("the series has unknown samples; use a segment without them")
     n = len(table) - (dimension - 1) * lag
     if n < 2:
         raise IdentError(f"{len(table)} samples are too few for {dimension} delays of {lag}")
@@ -28,23 +28,23 @@ def embed(series: ArrayLike, dimension: int, lag: int = 1) -> Floats:
 
 
 def neighbours(points: Floats, theiler: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return pairs (i, j): j is i's nearest neighbour more than `theiler` samples away and not the same point."""
+    """Return pairs (i, j), where j is the nearest distinct neighbour of i more than `theiler` samples away."""
     k = min(N_NEIGHBOUR_CANDIDATES + 2 * theiler, len(points))
     near, index = (np.asarray(part) for part in cKDTree(points).query(points, k=k))
     other = (np.abs(index - np.arange(len(points))[:, None]) > theiler) & (near > 0)
     found = other.any(axis=1)
     if not found.any():
-        raise IdentError(f"no sample has a neighbour more than {theiler} samples away; give a longer series")
+        raise IdentError(f"no sample has a neighbour more than {theiler} samples away; use a longer series")
     first = other.argmax(axis=1)
     mine = np.flatnonzero(found)
     return mine, index[mine, first[mine]].astype(np.intp)
 
 
 def surrogate(series: Floats, rng: np.random.Generator, *, rounds: int = 100) -> Floats:
-    """Return a series of the same values and (nearly) the same spectrum, with random phases: linear noise.
+    """Return linear noise with the same values and nearly the same spectrum: a surrogate with random phases.
 
-    Iterated amplitude adjustment, Schreiber and Schmitz, Phys. Rev. Lett. 77 (1996). Columns of (n, n_signals)
-    are turned by the same phases, so that what is linear between them is kept as well.
+    The method is iterated amplitude adjustment (Schreiber and Schmitz, Phys. Rev. Lett. 77, 1996). All columns of
+    (n, n_signals) get the same phase shifts, which preserves their linear dependence.
     """
     table = np.asarray(series, dtype=np.float64)
     flat = table[:, None] if table.ndim == 1 else table

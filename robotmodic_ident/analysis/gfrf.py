@@ -1,8 +1,12 @@
-"""Generalised frequency response functions of a model with one input: how sums of input frequencies appear in the output.
+"""Generalised frequency response functions H_n(omega_1, ..., omega_n) of a model with one input.
 
-Harmonic probing (Bedrosian and Rice 1971; Billings and Peyton Jones, Int. J. Control 52, 1990): a sum of n
-exponentials goes in, each to be used once. A signal is kept as one amplitude for each set of exponentials, a
-product of signals runs over all ways to share a set out, and the answer for a set follows from smaller sets.
+Harmonic probing (Bedrosian and Rice 1971; Billings and Peyton Jones, Int. J. Control 52, 1990) uses an input of n
+exponentials, `u(k) = Σ_i exp(j omega_i k)`. A signal is stored as one amplitude Y(S) per set S of exponentials.
+
+* For a product of signals, the amplitude is the sum over all partitions of S.
+* For the output, `Y(S) = driven(S) / (1 - Σ_lag c_lag exp(-j omega lag))` with `omega = Σ_S omega_i`. Here c_lag are
+  the coefficients of the linear terms y(k - lag), and driven(S) is the amplitude of all other terms.
+* The result is `H_n = Y({1, ..., n}) / n!`. Sets are evaluated from small to large.
 """
 
 from __future__ import annotations
@@ -24,15 +28,15 @@ Amplitudes = dict[frozenset[int], Complexes]
 
 
 def gfrf(model: Narmax, *omegas: ArrayLike, input: str, at: tuple[float, float] = (0.0, 0.0)) -> Complexes:
-    """Return H_n at n frequencies [rad/sample], n = the count of `omegas`; they broadcast.
+    """Return H_n at n frequencies [rad/sample], n = len(omegas); the frequencies are broadcast.
 
     Parameters
     ----------
-    input : the one input; the model may read no other
-    at : (input, output) of the rest point about which the model is expanded
+    input : the input; the model may have no other one
+    at : (input, output) of the equilibrium about which the model is expanded
     """
     if not omegas:
-        raise ValueError("no frequency given; give one for each order")
+        raise ValueError("there is no frequency; give one for each order")
     linear, rest = _about(model, input, at)
     w = [np.asarray(omega, dtype=np.float64) for omega in omegas]
     shape = np.broadcast_shapes(*(part.shape for part in w))
@@ -51,7 +55,7 @@ def gfrf(model: Narmax, *omegas: ArrayLike, input: str, at: tuple[float, float] 
 
 
 def rest_point(model: Narmax, input: str, level: float, guess: float = 0.0) -> tuple[float, float]:
-    """Return (input, output) at which the model stays for a constant input, by Newton's method from `guess`."""
+    """Return the equilibrium (input, output) for a constant input, by Newton's method from `guess`."""
     total = sum_of(model)
     y = guess
     for _ in range(100):
@@ -65,18 +69,18 @@ def rest_point(model: Narmax, input: str, level: float, guess: float = 0.0) -> t
         y += step
         if abs(step) < 1e-13 * max(1.0, abs(y)):
             return level, y
-    raise IdentError(f"the model has no rest point near {guess} at {input} = {level}; give another guess")
+    raise IdentError(f"no rest point found near {guess} at {input} = {level}; try another guess")
 
 
 def _about(model: Narmax, input: str, at: tuple[float, float]) -> tuple[dict[int, float], Sum]:
-    """Expand about a rest point: coefficients of y(k-i) by lag, and every other term."""
+    """Expand a model about an equilibrium: coefficients of y(k-i) by lag, and all other terms."""
     total = sum_of(model)
     level = {input: at[0], model.output: at[1]}
     for term in total:
         for f in term:
             if f.variable not in level or f.function:
                 raise IdentError(
-                    f"{f} is neither a power of {input} nor of {model.output}; a GFRF needs those alone"
+                    f"{f} is neither a power of {input} nor of {model.output}; a GFRF requires a model of these only"
                 )
     place: dict[str, Sum] = {
         f.signal: {(f1,): 1.0, (): level[f.variable]}
@@ -91,7 +95,7 @@ def _about(model: Narmax, input: str, at: tuple[float, float]) -> tuple[dict[int
     size = max((abs(v) for v in moved.values()), default=1.0)
     if abs(constant) > 1e-6 * max(size, 1.0):
         raise IdentError(
-            f"({at[0]:g}, {at[1]:g}) is no rest point, the model moves by {constant:.3g}; find one with rest_point"
+            f"({at[0]:g}, {at[1]:g}) is not a rest point, the model moves by {constant:.3g}; find one with rest_point"
         )
     linear = {t[0].lag or 0: v for t, v in moved.items() if _is_linear(t, model.output)}
     return linear, {t: v for t, v in moved.items() if not _is_linear(t, model.output)}
@@ -102,7 +106,7 @@ def _is_linear(term: Term, output: str) -> bool:
 
 
 def _signals(term: Term, input: str) -> list[tuple[bool, int]]:
-    """Return (is the input, lag) of each factor, powers written out."""
+    """Return (is the input, lag) of each factor, with powers as repeated factors."""
     return [(f.variable == input, f.lag or 0) for f in term for _ in range(f.power)]
 
 
@@ -113,7 +117,7 @@ def _amplitude(
     w: Sequence[NDArray[np.float64]],
     shape: tuple[int, ...],
 ) -> Complexes:
-    """Return the amplitude of a product for one set of exponentials: all ways to share the set out."""
+    """Return the amplitude of a product for one set of exponentials: the sum over all partitions of the set."""
     if not factors:
         return np.full(shape, 0.0 if key else 1.0, dtype=np.complex128)
     (is_input, lag), *rest = factors

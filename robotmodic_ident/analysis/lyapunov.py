@@ -1,7 +1,9 @@
-"""Lyapunov exponents, from a model by its tangent map and from a series by the divergence of neighbours.
+"""Lyapunov exponents of a model, from its tangent map, and of a series, from the divergence of neighbours.
 
-From a model: Benettin et al., Meccanica 15 (1980); Eckmann and Ruelle, Rev. Mod. Phys. 57 (1985). From a series:
-Rosenstein, Collins and De Luca, Physica D 65 (1993).
+* From a model: `tangent(k) frame(k-1) = frame(k) upper(k)` by QR, and exponent i is the mean of `log |upper_ii(k)|` per
+  second (Benettin et al., Meccanica 15, 1980; Eckmann and Ruelle, Rev. Mod. Phys. 57, 1985).
+* From a series: The slope of the mean log distance of neighbours over time (Rosenstein, Collins and De Luca, Physica D
+  65, 1993).
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.types import Floats
 
 N_ORBIT_PARTS = 10
-"""Of an orbit, between which an exponent's spread is taken."""
+"""Number of parts of an orbit for the standard error of an exponent."""
 LOST_SIZE = 1e6
-"""Times the size of the start at which a trajectory counts as lost."""
+"""Ratio to the magnitude of the start above which a trajectory counts as divergent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,15 +32,15 @@ class LyapunovExponents:
     """The spectrum of exponents, largest first."""
 
     values: Floats
-    """(n,) [1/s]"""
+    """(n,) [1/s] exponents."""
     stderr: Floats
-    """(n,) [1/s] of the mean over trajectories."""
+    """(n,) [1/s] standard error of the mean over trajectories."""
     lost: float
-    """Share of the trajectories that left for infinity and do not count."""
+    """Share of divergent trajectories, which are ignored."""
 
     @property
     def dimension(self) -> float:
-        """Kaplan and Yorke's dimension of the attractor."""
+        """Kaplan-Yorke dimension j + Σ_{i<=j} values_i / |values_j+1| of the attractor."""
         sums = np.cumsum(self.values)
         if sums[0] < 0:
             return 0.0
@@ -60,11 +62,11 @@ def lyapunov(
 
     Parameters
     ----------
-    models : one for each variable; together they may read only their own past outputs
-    starts : (n_trajectories, n_models * look back) first states: y(k-1), y(k-2), ... of the first output, then
-        those of the next; `states_of` takes them out of a series
-    n_steps, transient : [samples] that count, and that are run before
-    period : [s] between samples
+    models : One per variable; their only signals are past outputs of these models.
+    starts : (n_trajectories, n_models * look_back) Initial states: y(k-1), y(k-2), ... of the first output, then
+        those of the next. `states_of` draws them from a series.
+    n_steps, transient : [samples] Number of evaluated steps, and number of steps before these.
+    period : [s] Sampling period.
     """
     models = [models] if isinstance(models, Narmax) else list(models)
     step = TangentMap(models)
@@ -81,7 +83,7 @@ def lyapunov(
         alive &= np.isfinite(state).all(axis=1) & (np.abs(state) < size).all(axis=1)
         if not alive.any():
             raise IdentError(
-                f"every free run of the model left for infinity within {k + 1} steps; there is no attractor"
+                f"every free run of the model diverges to infinity within {k + 1} steps; the model has no attractor"
             )
         state[~alive], tangent[~alive] = 0.0, np.eye(d)
         frame, upper = np.linalg.qr(tangent @ frame)
@@ -96,7 +98,7 @@ def lyapunov(
 
 
 class TangentMap:
-    """One step of a free run and its derivative, for many states at once."""
+    """One step of a free run and its Jacobian, for many states at once."""
 
     def __init__(self, models: Sequence[Narmax]) -> None:
         self.outputs = [model.output for model in models]
@@ -104,7 +106,7 @@ class TangentMap:
         read = {f for total in self.sums for term in total for f in term}
         if strange := sorted({f.signal for f in read if f.variable not in self.outputs or not f.lag}):
             raise IdentError(
-                f"the model reads {', '.join(strange)}; exponents need models that read only their own past"
+                f"the model uses {', '.join(strange)}; Lyapunov exponents require models of past outputs only"
             )
         self.look_back = max((f.lag or 1 for f in read), default=1)
         self.signals = [
@@ -116,7 +118,7 @@ class TangentMap:
 
     @property
     def n_states(self) -> int:
-        """Count of past outputs that make up a state."""
+        """Number of past outputs in a state."""
         return len(self.signals)
 
     def __call__(self, state: Floats) -> tuple[Floats, Floats]:
@@ -148,20 +150,22 @@ def _slope(total: Sum, signal: str) -> Sum:
 def lyapunov_along(
     model: Narmax, record: Record | Mapping[str, Floats], *, period: float = 1.0
 ) -> LyapunovExponents:
-    """Return the exponents of one model along a recorded orbit instead of a free run; it may read inputs.
+    """Return the exponents of one model along a recorded orbit instead of a free run; the model may have inputs.
 
-    For a driven model these are the conditional exponents. Noise of the orbit counts: clean it by `without_noise`.
-    The stderr is that of ten segments.
+    For a driven model, these are the conditional exponents. Noise of the orbit biases them; remove it with
+    `without_noise`. The standard error is that of ten segments.
     """
     rows = lagged(record, model.terms, [model.output])
     total = sum_of(model)
     d = max((f.lag or 1 for t in total for f in t if f.variable == model.output), default=0)
     if d == 0:
-        raise IdentError("the model reads no past output; it has no exponents")
+        raise IdentError("the model has no past output, so it has no exponents; fit one with past outputs")
     slopes = [evaluate(_slope(total, f"{model.output}(k-{lag})"), rows.columns) for lag in range(1, d + 1)]
     n = len(rows.sample)
     if n < 10 * N_ORBIT_PARTS:
-        raise IdentError(f"{n} samples are too few; exponents along an orbit need {10 * N_ORBIT_PARTS}")
+        raise IdentError(
+            f"{n} samples are too few; exponents along an orbit require at least {10 * N_ORBIT_PARTS}"
+        )
     tangent = np.zeros((n, d, d))
     for j, slope in enumerate(slopes):
         tangent[:, 0, j] = slope
@@ -181,9 +185,9 @@ def lyapunov_along(
 def states_of(
     models: Narmax | Sequence[Narmax], series: ArrayLike, n: int, rng: np.random.Generator
 ) -> Floats:
-    """Draw n states for `lyapunov` from measured series (n_samples, n_models), or (n_samples,) of one model.
+    """Draw n initial states for `lyapunov` from measured series (n_samples, n_models), or (n_samples,) for one model.
 
-    Each is moved by 1e-6 of its spread: pieces of one noise-free orbit would else follow each other exactly.
+    Each is perturbed by 1e-6 of its standard deviation, so that pieces of one noise-free orbit do not coincide.
     """
     models = [models] if isinstance(models, Narmax) else list(models)
     step = TangentMap(models)
@@ -198,14 +202,14 @@ def states_of(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NeighbourDivergence:
-    """How fast neighbours diverge on average."""
+    """The mean divergence of neighbours over time."""
 
     exponent: float
-    """[1/s] slope of the mean log distance over the samples that were asked for."""
+    """[1/s] slope of the mean log distance in the fitted interval."""
     seconds: Floats
-    """(n,) [s] since they were neighbours."""
+    """(n,) [s] time since the neighbours were closest."""
     log_distance: Floats
-    """(n,) mean of the log distance."""
+    """(n,) mean log distance."""
     n_pairs: int
 
 
@@ -218,21 +222,23 @@ def lyapunov_of_series(
     fit: tuple[int, int],
     period: float = 1.0,
 ) -> NeighbourDivergence:
-    """Return the largest exponent of a measured series, after Rosenstein.
+    """Return the largest exponent of a measured series (Rosenstein et al. 1993).
 
     Parameters
     ----------
     series : (n,), or (n, n_signals)
-    dimension, lag : of the embedding; lag in samples
-    theiler : [samples] neighbours nearer in time do not count
-    fit : (first, last) [samples] after the start between which the slope is taken
+    dimension, lag : Dimension and lag [samples] of the embedding.
+    theiler : [samples] Neighbours closer in time are excluded.
+    fit : (first, last) [samples] Interval after the start in which the slope is fitted.
     """
     points = embed(series, dimension, lag)
     first, last = fit
     if not 0 <= first < last:
         raise ValueError(f"fit is {fit}, expected 0 <= first < last")
     if len(points) - last < 3 * max(theiler, 10):
-        raise IdentError(f"{len(points)} embedded samples are too few to follow neighbours for {last}")
+        raise IdentError(
+            f"{len(points)} embedded samples are too few to follow neighbours for {last} samples; use a longer series"
+        )
     mine, theirs = neighbours(points[: len(points) - last], theiler)
     steps = np.arange(last + 1)
     seconds = np.asarray(steps * period, dtype=np.float64)

@@ -1,9 +1,10 @@
-"""Measurement noise on a chaotic series: the clean orbit and the coefficients together, by least squares.
+"""Remove measurement noise from a chaotic series: estimate orbit x and coefficients theta by joint least squares.
 
-A regression on noisy past outputs is biased (errors in variables), and chaos forbids the free run that would avoid
-it. Here the orbit x itself is unknown: (measured - x) / sigma and (x(k) - f(x(k-1), ...)) / tau are made small
-together by Gauss-Newton, with tau going down until the orbit obeys the model (weak-constraint smoothing; Davies,
-Phys. Lett. A 1994; maximum likelihood of Schreiber and Kantz for Gaussian noise).
+Minimised is `Σ_k ((measured(k) - x(k)) / sigma)² + Σ_k ((x(k) - f(x(k-1), ...; theta)) / tau)²`.
+
+Regression on noisy past outputs is biased (errors in variables), and chaos rules out the free run that would avoid the
+bias. Gauss-Newton solves the problem for decreasing tau, until the orbit obeys the model. This is weak-constraint
+smoothing (Davies, Phys. Lett. A 1994), and the maximum likelihood of Schreiber and Kantz for Gaussian noise.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitDescent:
-    """How the orbit is tied to the model step by step; numerical, none is fitted to data."""
+    """Numerical settings of the descent, not fitted to data."""
 
     taus: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.01)
-    """tau over sigma, from a first guess to nearly exact dynamics."""
+    """Ratios tau / sigma, from a first guess to nearly exact dynamics."""
     max_steps: int = 12
-    """Gauss-Newton steps at each tau."""
+    """Maximum number of Gauss-Newton steps for each tau."""
     converged: float = 1e-9
-    """Largest move of the orbit over its span below which the steps end."""
+    """Largest change of the orbit over its span below which the steps end."""
 
 
 ORBIT_DESCENT = OrbitDescent()
@@ -39,24 +40,24 @@ ORBIT_DESCENT = OrbitDescent()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DenoisedOrbit:
-    """A model freed of the bias of measurement noise, and the orbit that it fits."""
+    """A model without the bias of measurement noise, and its orbit."""
 
     model: Narmax
     series: Floats
-    """(n,) the output without noise."""
+    """(n,) output without noise."""
     sigma: float
-    """Standard deviation of the noise that was taken away."""
+    """[units of the output] standard deviation of the removed noise."""
 
 
 def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> DenoisedOrbit:
-    """Estimate the orbit and the coefficients of a model together; its terms stay as they are.
+    """Estimate the orbit and the coefficients of a model jointly; its terms are unchanged.
 
-    For a series whose own dynamics are (nearly) free of noise and whose measurement is not. One record without
-    gaps; inputs are taken as exact.
+    The method is for a series with measurement noise and (nearly) noise-free dynamics. The record must have no gaps.
+    Inputs are assumed to be exact.
     """
     (record,) = as_records(record)
     if len(record.segments()) > 1:
-        raise IdentError("the record has gaps; take a segment without")
+        raise IdentError("the record has gaps; use a segment without gaps")
     plain = deterministic(model)
     problem = _OrbitProblem(plain, record)
     x, theta = problem.measured.copy(), plain.theta.copy()
@@ -75,7 +76,7 @@ def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Denoi
 
 
 class _OrbitProblem:
-    """The normal equations of orbit and coefficients: banded in the orbit, bordered by the coefficients."""
+    """The normal equations of orbit and coefficients: a band for the orbit, with a border for the coefficients."""
 
     def __init__(self, model: Narmax, record: Record) -> None:
         self.terms, self.output = model.terms, model.output
@@ -90,10 +91,10 @@ class _OrbitProblem:
         }
         self.own = sorted({f.lag or 0 for t in model.terms for f in t if f.variable == model.output})
         if not self.own:
-            raise IdentError("the model reads no past output, so noise on the output does not bias it")
+            raise IdentError("the model has no past output, so noise on the output does not bias it; use fit")
         known = [self.measured, *self.inputs.values()]
         if not all(np.isfinite(values).all() for values in known) or self.n < 3 * (len(model.terms) + 1):
-            raise IdentError("the record has unknown samples, or too few; take a whole segment")
+            raise IdentError("the record has unknown samples, or too few; use a complete segment")
         self.slopes = {
             lag: [partial(term, f"{self.output}(k-{lag})") for term in model.terms] for lag in self.own
         }
@@ -102,7 +103,7 @@ class _OrbitProblem:
         return values[self.look_back - lag : len(values) - lag]
 
     def step(self, x: Floats, theta: Floats, tau: float) -> tuple[Floats, Floats, Floats, float]:
-        """Return orbit, coefficients, their covariance in units of the noise, and how far the step went."""
+        """Return orbit, coefficients, their covariance in units of the noise variance, and the largest relative change."""
         p, d = self.look_back, len(theta)
         columns = {f"{self.output}(k-{lag})": self._lagged(x, lag) for lag in self.own} | self.inputs
         phi = self._matrix(columns)  # (n - p, d)
@@ -123,7 +124,7 @@ class _OrbitProblem:
             right[rows - a] += ja * miss
             border[rows - a] -= ja[:, None] * phi / tau
             for b, jb in jacobian.items():
-                if a >= b:  # element (k-a, k-b) lies on or above the diagonal
+                if a >= b:  # element (k-a, k-b) is on or above the diagonal
                     band[p - (a - b), rows - b] += ja * jb
         solved = solveh_banded(band, np.column_stack([right, border]))
         corner = phi.T @ phi / tau**2 - border.T @ solved[:, 1:]

@@ -1,7 +1,11 @@
-"""Sobol indices of anything that can be run: which factor, alone and with others, makes a quantity vary.
+"""Sobol indices of any simulation, from samples: the shares of the variance of a quantity that are due to each factor.
 
-First-order shares by the estimator of Saltelli et al., Computer Physics Communications 181 (2010), table 2 (b); total ones
-by that of Jansen (1999), (f) there. Both need n (d + 2) runs for d factors. Intervals by bootstrap of the n rows.
+With quantities a of points A, b of points B, and c_i of points A with factor i from B:
+
+* `first_i = mean(b (c_i - a)) / variance` (Saltelli et al., Comput. Phys. Commun. 181, 2010, table 2 (b)).
+* `total_i = mean((a - c_i)²) / (2 variance)` (Jansen 1999; (f) in the same table).
+
+Both need n (d + 2) runs for d factors. The intervals are from a bootstrap of the n rows.
 """
 
 from __future__ import annotations
@@ -16,45 +20,47 @@ from robotmodic_ident.types import Floats
 
 N_BOOTSTRAP = 1000
 MIN_ROWS = 8
-"""Rows with a value in every run that shares need."""
+"""Minimum number of rows with a value in every run."""
 LEVELS = (0.025, 0.975)
 NO_VARIANCE = 1e-12
-"""Standard deviation over mean size below which a quantity does not vary: rounding."""
+"""Standard deviation over magnitude of the mean up to which a quantity is constant except for rounding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledSobol:
-    """Shares of the variance of quantities by factors."""
+    """Shares of the variance of quantities due to factors."""
 
     first: Floats
-    """(n_factors, n_quantities) share that a factor explains alone; nan where the quantity does not vary."""
+    """(n_factors, n_quantities) share due to a factor alone; nan for a constant quantity."""
     first_interval: Floats
-    """(n_factors, n_quantities, 2) 95 %."""
+    """(n_factors, n_quantities, 2) limits of the 95 % interval."""
     total: Floats
-    """(n_factors, n_quantities) share that it has any part in."""
+    """(n_factors, n_quantities) share due to a factor, including its interactions."""
     total_interval: Floats
-    """(n_factors, n_quantities, 2) 95 %."""
+    """(n_factors, n_quantities, 2) limits of the 95 % interval."""
     mean: Floats
     """(n_quantities,)"""
     sigma: Floats
-    """(n_quantities,) standard deviation that all factors cause."""
+    """(n_quantities,) standard deviation due to all factors."""
     known: Floats
-    """(n_quantities,) share of the rows that have a value in every run."""
+    """(n_quantities,) share of the rows with a value in every run."""
 
 
 def saltelli_points(n: int, n_factors: int, rng: np.random.Generator) -> Floats:
-    """Return points (n, n_factors + 2, n_factors) of the unit cube: A, B, and A with each factor as in B.
+    """Return points (n, n_factors + 2, n_factors) of the unit cube: A, B, and A with each factor from B.
 
-    n : rows, a power of 2 (a scrambled Sobol sequence)
+    Parameters
+    ----------
+    n : number of rows of a scrambled Sobol sequence, a power of 2
 
     Raises
     ------
     IdentError
-        if n is no power of 2, or there is no factor
+        If n is not a power of 2, or there is no factor.
     """
     if n < MIN_ROWS or n & (n - 1) or n_factors < 1:
         raise IdentError(
-            f"n is {n}, with {n_factors} factors; expected a power of 2 from {MIN_ROWS} on, and 1 or more"
+            f"n is {n}, with {n_factors} factors; expected a power of 2 of at least {MIN_ROWS}, and at least 1 factor"
         )
     both = qmc.Sobol(2 * n_factors, scramble=True, rng=rng).random(n)
     A, B = both[:, :n_factors], both[:, n_factors:]
@@ -66,11 +72,12 @@ def saltelli_points(n: int, n_factors: int, rng: np.random.Generator) -> Floats:
 
 
 def sampled_sobol(values: Floats, rng: np.random.Generator) -> SampledSobol:
-    """Return the shares from what was found at `saltelli_points`.
+    """Return the shares from the quantities at `saltelli_points`.
 
     Parameters
     ----------
-    values : (n, n_factors + 2, n_quantities); nan where a run has no value: its row is left out for that quantity
+    values : (n, n_factors + 2, n_quantities) Results of the runs.
+        nan: The run has no value, and its row is left out for that quantity.
     """
     n, width, n_quantities = values.shape
     shape = (width - 2, n_quantities)
@@ -100,5 +107,5 @@ def _shares(rows: Floats) -> tuple[Floats, Floats]:
     variance = rows[:, :2].var()
     if variance == 0:
         return np.full(mixed.shape[1], np.nan), np.full(mixed.shape[1], np.nan)
-    centred = b - rows[:, :2].mean()  # the same expectation, less variance
+    centred = b - rows[:, :2].mean()  # centring keeps the expectation and lowers the variance of the estimate
     return (centred * (mixed - a)).mean(axis=0) / variance, ((a - mixed) ** 2).mean(axis=0) / (2 * variance)

@@ -1,9 +1,9 @@
-"""Sobol indices of a model in closed form: which signal, alone and with others, makes the output vary.
+"""Sobol indices of a model in closed form: the shares of the output variance that are due to each signal.
 
-For independent signals, a sum of products is a finite expansion in an orthonormal product basis, and the
-indices are sums of squared coefficients (Sudret, Reliability Engineering & System Safety 93, 2008). LaggedData
-signals of a robot are not independent: the indices then answer the question "if they were", and `dependence`
-says how far from it the data are.
+For independent signals, a sum of products is a finite expansion `Σ c_α Ψ_α` in an orthonormal product basis (Sudret,
+Reliability Engineering & System Safety 93, 2008). The share of a set of signals is `Σ c_α²` over the basis functions of
+exactly these signals, divided by `Σ c_α²` over all non-constant ones. Lagged signals of a robot are dependent. The
+indices then describe the model under independent signals, and `dependence` measures the correlation in the data.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from robotmodic_ident.terms import Term
 from robotmodic_ident.types import Floats
 
 N_GAUSS_NODES = 64
-"""Of the Gauss rule: exact for polynomials up to degree 127, so for powers up to 63."""
+"""Number of nodes of the Gauss rule, which is exact for polynomials up to degree 127, that is for powers up to 63."""
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """How one signal is spread: `uniform` between a and b, or `normal` with mean a and deviation b."""
+    """The distribution of one signal: `uniform` from a to b, or `normal` with mean a and standard deviation b."""
 
     kind: Literal["uniform", "normal"]
     a: float
     b: float
 
     def nodes(self) -> tuple[Floats, Floats]:
-        """Return nodes and weights (n,) whose sum is an expectation."""
+        """Return the nodes and weights (n,) of the quadrature for expectations."""
         if self.kind == "uniform":
             x, w = np.polynomial.legendre.leggauss(N_GAUSS_NODES)
             return self.a + (self.b - self.a) * (x + 1) / 2, w / w.sum()
@@ -45,23 +45,25 @@ class Distribution:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SobolIndices:
-    """Shares of the output's variance."""
+    """Shares of the variance of the output."""
 
     variance: float
-    """Of the output, under independent signals."""
+    """[units of the output, squared] variance of the output for independent signals."""
     first: Mapping[str, float]
-    """Signal -> share that it explains alone."""
+    """Signal -> share due to this signal alone."""
     total: Mapping[str, float]
-    """Signal -> share that it has any part in."""
+    """Signal -> share due to this signal, including its interactions."""
     pairs: Mapping[tuple[str, str], float]
-    """Two signals -> share of their interaction alone."""
+    """Two signals -> share due to their interaction."""
     dependence: float | None
-    """Largest |correlation| between two signals in the data; None where distributions were given."""
+    """Largest absolute correlation of two signals in the data; None if distributions were given."""
 
     def __str__(self) -> str:
-        lines = [f"{s}: {self.first[s]:.1%} alone, {self.total[s]:.1%} in all" for s in self.first]
+        lines = [f"{s}: {self.first[s]:.1%} alone, {self.total[s]:.1%} in total" for s in self.first]
         if self.dependence is not None and self.dependence > 0.3:
-            lines.append(f"signals are correlated up to {self.dependence:.2f}: this is for independent ones")
+            lines.append(
+                f"signals have correlations up to {self.dependence:.2f}, but the indices assume independent signals"
+            )
         return "; ".join(lines)
 
 
@@ -70,7 +72,7 @@ def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floa
 
     Parameters
     ----------
-    signals : `u(k-1)` -> its distribution, or data (n,), taken as uniform from its least to its largest value
+    signals : signal such as `u(k-1)` -> its distribution, or data (n,) for a uniform distribution over their range
     """
     total = sum_of(model)
     names = model.terms.signals
@@ -80,7 +82,7 @@ def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floa
     coefficients = _expanded(total, names, spread)
     unit = size_of(list(coefficients.values()))
     if not np.isfinite(unit):
-        raise IdentError("the model is larger than any number over these distributions; give smaller ones")
+        raise IdentError("the values of the model overflow over these distributions; use narrower ones")
     shares: dict[frozenset[str], float] = {}
     for place, value in coefficients.items():
         key = frozenset(s for s, i in zip(names, place, strict=True) if i)
@@ -123,7 +125,7 @@ def _spread(
 def _expanded(
     total: Sum, names: tuple[str, ...], spread: Mapping[str, Distribution]
 ) -> dict[tuple[int, ...], float]:
-    """Return the coefficients in the orthonormal product basis: one index for each signal, 0 its constant."""
+    """Return the coefficients c_α in the orthonormal product basis: one index per signal, 0 for its constant."""
     functions: dict[str, list[Term]] = {s: [()] for s in names}
     for term in total:
         for s in names:
@@ -147,7 +149,7 @@ def _expanded(
 
 
 def _orthonormal(functions: list[Term], spread: Distribution) -> Floats:
-    """Return R (n, n): column j holds function j in an orthonormal basis whose first member is 1."""
+    """Return R (n, n), whose column j represents function j in an orthonormal basis with the first member 1."""
     x, weight = spread.nodes()
     table = np.ones((len(x), len(functions)))
     for j, term in enumerate(functions):

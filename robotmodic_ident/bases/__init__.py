@@ -1,4 +1,4 @@
-"""Families of terms; registry BASES. Products of families: `polynomial(...) * fourier(...)`."""
+"""Families of candidate terms; registry BASES. Families can be multiplied: `polynomial(...) * fourier(...)`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,6 @@ BASES: dict[str, Callable[[Sequence[str], int], Terms]] = {
     "bspline": bspline,
     "wavelet": wavelet,
 }
-"""Name -> (signals, degree) -> Terms; degree counts intervals of splines and levels of wavelets."""
+"""Name -> function (signals, degree) -> Terms; degree is the number of spline intervals or wavelet levels."""
 
 __all__ = ["BASES", "bspline", "chebyshev", "fourier", "legendre", "polynomial", "wavelet"]

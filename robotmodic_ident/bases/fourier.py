@@ -1,4 +1,4 @@
-"""Harmonics of angles: 1, cos(phi), sin(phi), cos(2*phi), ...; free of the dependence cos² + sin² = 1."""
+"""Harmonics of angles: 1, cos(phi), sin(phi), cos(2*phi), ..., which avoid the dependence cos² + sin² = 1."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from robotmodic_ident.terms import Terms
 
 
 def fourier(signals: Sequence[str], degree: int) -> Terms:
-    """List the constant and both harmonics of every signal [rad] up to `degree`, lower ones first."""
+    """Return the constant and both harmonics of every signal [rad] up to `degree`, lower ones first."""
     if degree < 0:
         raise ValueError(f"degree is {degree}, expected 0 or more")
     names = ["1"]

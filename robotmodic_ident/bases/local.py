@@ -1,6 +1,6 @@
 """Local functions of each scaled signal: cubic B-splines, and wavelets of several resolutions.
 
-Both are sums over signals; `bspline(["x"], 6) * bspline(["y"], 6)` gives the products.
+Both give functions of single signals; `bspline(["x"], 6) * bspline(["y"], 6)` gives their products.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ SPLINE_DEGREE = 3
 
 
 def bspline(signals: Sequence[str], degree: int) -> Terms:
-    """List the constant and, of every signal, cubic B-splines on `degree` equal intervals of [-1, 1].
+    """Return the constant and cubic B-splines of every signal on `degree` equal intervals of [-1, 1].
 
-    The splines of a signal sum to 1, so the last one of each is left out.
+    The splines of a signal sum to 1, so the last one of each signal is left out.
     """
     if degree < 0:
         raise ValueError(f"number of intervals is {degree}, expected 0 or more")
@@ -25,9 +25,9 @@ def bspline(signals: Sequence[str], degree: int) -> Terms:
 
 
 def wavelet(signals: Sequence[str], degree: int) -> Terms:
-    """List the constant and, of every signal, Mexican-hat wavelets of levels 0 to degree - 1, wide ones first.
+    """Return the constant and Mexican-hat wavelets of every signal of levels 0 to degree - 1, wide ones first.
 
-    Level j has 2^j + 1 places over [-1, 1] (multiresolution NARX: Billings and Wei 2005).
+    Level j has 2^j + 1 shifts over [-1, 1] (multiresolution NARX: Billings and Wei 2005).
     """
     if degree < 0:
         raise ValueError(f"number of levels is {degree}, expected 0 or more")

@@ -1,4 +1,4 @@
-"""Products of Legendre or Chebyshev polynomials of scaled signals: the span of `polynomial`, better conditioned."""
+"""Products of Legendre or Chebyshev polynomials of scaled signals, with the span of `polynomial` but better conditioned."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from robotmodic_ident.terms import Terms
 
 
 def legendre(signals: Sequence[str], degree: int) -> Terms:
-    """List 1, P1(x), P1(y), P2(x), P1(x)*P1(y), ... up to a total degree; variables are to be scaled to [-1, 1]."""
+    """Return 1, P1(x), P1(y), P2(x), P1(x)*P1(y), ... up to a total degree; variables must be scaled to [-1, 1]."""
     return _products("P", signals, degree)
 
 
 def chebyshev(signals: Sequence[str], degree: int) -> Terms:
-    """List 1, T1(x), T1(y), T2(x), T1(x)*T1(y), ... up to a total degree; variables are to be scaled to [-1, 1]."""
+    """Return 1, T1(x), T1(y), T2(x), T1(x)*T1(y), ... up to a total degree; variables must be scaled to [-1, 1]."""
     return _products("T", signals, degree)
 
 

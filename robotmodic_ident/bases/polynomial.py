@@ -9,9 +9,9 @@ from robotmodic_ident.terms import Terms
 
 
 def polynomial(signals: Sequence[str], degree: int) -> Terms:
-    """List the constant and all monomials up to `degree`, lower degrees first.
+    """Return the constant and all monomials up to `degree`, lower degrees first.
 
-    `polynomial(["x", "y"], 2)` is 1, x, y, x^2, x*y, y^2; lagged signals are written `y(k-1)`.
+    `polynomial(["x", "y"], 2)` is 1, x, y, x^2, x*y, y^2. Lagged signals are written as `y(k-1)`.
     """
     if degree < 0:
         raise ValueError(f"degree is {degree}, expected 0 or more")

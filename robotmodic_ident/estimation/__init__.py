@@ -1,1 +1,1 @@
-"""Coefficients beyond least squares: prediction error, noise models, rational models, free-run error."""
+"""Estimation of coefficients beyond least squares: prediction error, noise models, rational models, simulation error."""

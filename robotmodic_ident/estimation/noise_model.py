@@ -1,4 +1,9 @@
-"""Noise models: terms e(k-1), e(k-2), ... estimated together with the process terms, and how many are needed."""
+"""Noise models: y = Φ theta + Ψ(e) noise_theta + e, with noise terms Ψ of past residuals e(k-1), e(k-2), ...
+
+Extended least squares (Billings 2013, ch. 3) alternates two steps. The residuals e = y - ŷ of the last round give the
+columns Ψ(e), and least squares on [Φ, Ψ(e)] gives new coefficients. The number of noise lags is selected by EBIC and by
+correlation tests of the residual.
+"""
 
 from __future__ import annotations
 
@@ -21,74 +26,79 @@ from robotmodic_ident.validation.residual_tests import validate
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSearch:
-    """How often terms and noise are fitted in turn, and how many noise lags are tried."""
+    """Limits of the search for a noise model."""
 
     max_rounds: int = 8
-    """Times that terms are chosen anew with the noise found so far; 2 or 3 are usual."""
+    """Maximum number of alternations between selecting process terms and estimating the noise; 2 or 3 are usual."""
     max_els_steps: int = 30
-    """Of extended least squares; it ends where it gains nothing."""
+    """Maximum number of steps of extended least squares, which ends when a step brings no gain."""
     els_converged: float = 1e-10
-    """Relative gain of such a step below which it ends."""
+    """Relative gain of a step below which extended least squares ends."""
     max_lags: int = 8
-    """[samples] noise lags that `auto` looks at."""
+    """[samples] maximum noise lag for `auto`."""
     patience: int = 2
-    """Noise lags in a row that may fail to lower EBIC: of e(k-2) alone, the first one does not."""
+    """Maximum number of consecutive lags that do not lower EBIC; for noise with e(k-2) alone, the first does not."""
     max_products: int = 3
+    """Maximum number of products of noise and signals."""
     max_product_lag: int = 2
-    """[samples] of the noise in products."""
+    """[samples] maximum lag of the noise in products."""
     alarm: float = 0.05
-    """p-value of the residual's test below which another lag is tried; the convention."""
+    """p-value of the residual test below which another lag is tried; the usual convention."""
     tested_lags: tuple[int, ...] = (10, 5, 2)
-    """[samples] of that test; the largest that the data allow is taken."""
+    """[samples] maximum lags of that test; the first that the number of samples permits is used."""
 
 
 NOISE_SEARCH = NoiseSearch()
 
 
 def noise_terms_of(noise: int | Terms) -> Terms:
-    """Return e(k-1), ..., e(k-noise), or the terms given, each of which must hold a past e."""
+    """Return e(k-1), ..., e(k-noise), or the given terms, each of which must contain a past e."""
     if isinstance(noise, int):
         return Terms.parse(*(f"{NOISE_NAME}(k-{lag})" for lag in range(1, noise + 1)))
     for term, name in zip(noise, noise.names, strict=True):
         if not any(f.variable == NOISE_NAME and f.lag for f in term):
-            raise IdentError(f"noise term {name} holds no past {NOISE_NAME}, as {NOISE_NAME}(k-1) would be")
+            raise IdentError(
+                f"noise term {name} holds no past {NOISE_NAME}; expected a factor like {NOISE_NAME}(k-1)"
+            )
     return noise
 
 
 def with_noise(selection: ProcessTermSelection, noise: Terms) -> Narmax:
-    """Choose terms and noise coefficients in turn until the terms stay the same.
+    """Alternate between selecting process terms and estimating the noise coefficients until the terms are constant.
 
-    Coloured noise makes terms of past outputs look needed. Once its coefficients are known, the prediction error is
-    linear in the others, so terms are chosen anew among all candidates, each passed through the inverse of the noise
-    filter. Returns the extended least squares of the last selection.
+    Coloured noise makes unnecessary terms of past outputs appear significant. With known noise coefficients, the
+    prediction error is linear in the process coefficients. All candidate terms, filtered by the inverse noise model,
+    then enter a new selection. The result is the extended least squares estimate of the last selection.
     """
     model = selection.select()
     for _ in range(NOISE_SEARCH.max_rounds):
         model = _extended_least_squares(model, selection.records, noise)
-        chosen = selection.select_beside(_with_least_prediction_error(model, selection.records))
+        chosen = selection.select_with_noise(_with_least_prediction_error(model, selection.records))
         if set(chosen.terms.names) == set(model.terms.names):
             return model
         model = chosen
     return replace(
         _extended_least_squares(model, selection.records, noise),
-        notes=("terms and noise did not settle on each other; the last choice was kept",),
+        notes=(
+            "the alternation of term selection and noise estimation did not converge; the last result was kept",
+        ),
     )
 
 
 def _with_least_prediction_error(model: Narmax, records: Sequence[Record]) -> Narmax:
-    """Return the coefficients of least prediction error."""
+    """Return the model with the coefficients of least prediction error."""
     theta = NonlinearLeastSquares(model.recursion(), records).minimise(model.parameters).theta
     n = len(model.terms)
     return replace(model, theta=theta[:n], noise_theta=theta[n:])
 
 
 def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
-    """Return what the one-step prediction leaves of every record; 0 where it is not known."""
+    """Return the one-step residuals of every record; 0 if unknown."""
     return [np.nan_to_num(model.residuals(record), nan=0.0) for record in records]
 
 
 def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
-    """Iterate least squares with the residuals of the last round as regressors; keep the best round."""
+    """Iterate least squares with the residuals of the last step as regressors; return the best step."""
     n, size = len(model.terms), len(model.terms) + len(noise)
     terms = model.terms + noise
     best = replace(
@@ -108,14 +118,14 @@ def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Ter
         cost, *_ = problem.evaluate(theta)
         if not cost < least * (
             1.0 - NOISE_SEARCH.els_converged
-        ):  # no better, or the noise model is not invertible
+        ):  # no gain, or the noise model is not invertible
             break
         best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
     return best
 
 
 def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
-    """Add the noise found so far to the signals of every record."""
+    """Add the estimated noise to the signals of every record."""
     return [
         Record(signals={**r.signals, NOISE_NAME: e}, stamps=r.stamps, max_gap=r.max_gap)
         for r, e in zip(records, noise, strict=True)
@@ -123,14 +133,14 @@ def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Rec
 
 
 def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_candidates: int) -> Narmax:
-    """Return the model with as many noise lags as are needed: EBIC decides, as long as the residual is not white.
+    """Return the model with the number of noise lags of least EBIC; lags are tried while the residual is not white.
 
-    What was tried stands in the notes of the model.
+    The notes of the model list the trials.
 
     Parameters
     ----------
-    fitted : number of noise lags -> model
-    n_candidates : process terms that were looked at
+    fitted : function from the number of noise lags to the model
+    n_candidates : number of candidate process terms
     """
     best = model = fitted(0)
     order, tried, count = 0, 0, model.n_samples
@@ -140,28 +150,28 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
             break
         try:
             model = fitted(lag)
-        except IdentError:  # records too short for one lag more
+        except IdentError:  # records too short for another lag
             break
         tried = lag
         if (cost := _cost(model, count, n_candidates)) < least:
             best, order, least = model, lag, cost
     note = f"noise lags: 0 to {tried} tried, {order} kept" if tried else "noise lags: none needed"
     if not _is_white(best, records):
-        note += "; what is left is still correlated, and the next lags do not help"
+        note += "; the residual is still correlated, and further lags do not help"
     return replace(best, notes=(*best.notes, note))
 
 
 def with_products(
     model: Narmax, fitted: Callable[[Terms], Narmax], records: Sequence[Record], n_candidates: int
 ) -> Narmax:
-    """Add products of past noise and signals, `e(k-1)*u(k-1)`, while the tests ask for them and EBIC agrees.
+    """Add products of past noise and signals, such as `e(k-1)*u(k-1)`, while tests require and EBIC accepts them.
 
-    The variance of such noise changes with the signals, which no number of lags says.
+    The variance of such noise depends on the signals, which lags of e alone cannot describe.
 
     Parameters
     ----------
-    fitted : noise terms -> model
-    n_candidates : process terms that were looked at
+    fitted : function from noise terms to the model
+    n_candidates : number of candidate process terms
     """
     least = _cost(model, model.n_samples, n_candidates)
     added: list[str] = []
@@ -169,20 +179,20 @@ def with_products(
         candidates = _noise_products(model)
         if not len(candidates):
             break
-        price = 2.0 * (len(added) + 1) * np.log(len(candidates) + len(added))
+        penalty = 2.0 * (len(added) + 1) * np.log(len(candidates) + len(added))
         name = _most_promising(model, candidates, records)
         try:
             larger = fitted(model.noise_terms + Terms.parse(name))
         except IdentError:
             break
-        if not _cost(larger, model.n_samples, n_candidates) + price < least:
+        if not _cost(larger, model.n_samples, n_candidates) + penalty < least:
             break
-        model, added, least = larger, [*added, name], _cost(larger, model.n_samples, n_candidates) + price
+        model, added, least = larger, [*added, name], _cost(larger, model.n_samples, n_candidates) + penalty
     return replace(model, notes=(*model.notes, f"noise products: {', '.join(added)}")) if added else model
 
 
 def _noise_products(model: Narmax) -> Terms:
-    """Return products of a past e with a past signal that the model reads, or with a past e, that it has not yet."""
+    """Return new products of a past e with a past signal of the model or with another past e."""
     groups = (model.terms, model.denominator)
     read = [
         f.signal
@@ -201,7 +211,7 @@ def _noise_products(model: Narmax) -> Terms:
 
 
 def _most_promising(model: Narmax, candidates: Terms, records: Sequence[Record]) -> str:
-    """Return the candidate that a Gauss-Newton step would take most off the residual with."""
+    """Return the candidate whose Gauss-Newton step lowers the sum of squares most."""
     noise = model.noise_terms + candidates
     theta = np.r_[model.noise_theta, np.zeros(len(candidates))]
     n = len(model.terms) + len(model.denominator) + len(noise)
@@ -213,18 +223,21 @@ def _most_promising(model: Narmax, candidates: Terms, records: Sequence[Record])
 
 
 def _cost(model: Narmax, count: int, n_candidates: int) -> float:
-    """Return EBIC over `count` rows, the same for all numbers of lags; a noise lag costs log(count)."""
+    """Return EBIC over `count` rows, the same for all numbers of lags; the penalty of a noise term is log(count)."""
     k = len(model.terms)
-    price = penalties("ebic", k, n_candidates, np.array([count]))[0, k] + len(model.noise_terms) * np.log(
+    penalty = penalties("ebic", k, n_candidates, np.array([count]))[0, k] + len(model.noise_terms) * np.log(
         count
     )
     free = max(model.n_samples - len(model.parameters), 1)
     variance = model.sigma**2 * free / max(model.n_samples, 1)
-    return float(count * np.log(max(variance, np.finfo(np.float64).tiny)) + price)
+    return float(count * np.log(max(variance, np.finfo(np.float64).tiny)) + penalty)
 
 
 def _is_white(model: Narmax, records: Sequence[Record], *, with_inputs: bool = False) -> bool:
-    """Tell whether the correlation test finds nothing in the residual; also none in it times past inputs or outputs."""
+    """Return whether a correlation test finds no structure in the residual.
+
+    `with_inputs` also tests the residual against products of past residuals and past inputs or outputs.
+    """
     inputs: tuple[str, ...] = ()
     if with_inputs:
         groups = (model.terms, model.denominator)
@@ -234,6 +247,6 @@ def _is_white(model: Narmax, records: Sequence[Record], *, with_inputs: bool = F
             checks = validate(model, records, max_lag=max_lag, inputs=inputs)
         except IdentError:
             continue
-        asked = [c.p_value for c in checks if c.test.startswith("e-e")]
-        return min(asked) >= NOISE_SEARCH.alarm / len(asked)
+        p_values = [c.p_value for c in checks if c.test.startswith("e-e")]
+        return min(p_values) >= NOISE_SEARCH.alarm / len(p_values)
     return True

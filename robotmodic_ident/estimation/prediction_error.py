@@ -1,7 +1,8 @@
-"""Estimation with noise terms and ratios: extended least squares, then Gauss-Newton on exact gradients.
+"""Prediction-error estimation: minimise Σ r(k)², r = measured - ŷ(theta), with exact gradients J = dŷ/dtheta.
 
-Least squares is biased where the noise is coloured. Extended least squares (Billings 2013, ch. 3) removes most of it;
-minimising the prediction error itself (Ljung 1999, ch. 7) also gives honest standard errors.
+Levenberg-Marquardt solves (J'J + damping I) step = J'r for columns of J of unit norm. Least squares is biased for
+coloured noise. Extended least squares (Billings 2013, ch. 3) removes most of the bias. Minimising the prediction error
+(Ljung 1999, ch. 7) also gives valid standard errors.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from robotmodic_ident.types import Floats, Ints
 
 Covariance = Literal["classical", "sandwich", "hac"]
 MIN_NEW_SHARE = 1e-10
-"""Of a gradient's squared norm that the others do not explain; below it depends on them."""
+"""Minimum share of the squared norm of a gradient that is independent of the others."""
 
 
 class Evaluate(Protocol):
-    """What a descent asks for: the sum of squares, and residuals and gradients of every segment."""
+    """The function to minimise: sum of squares, and residuals and gradients of every segment."""
 
     def __call__(
         self, theta: Floats, /, *, gradient: bool = False
@@ -32,19 +33,20 @@ class Evaluate(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardt:
-    """When a descent ends and how far its steps are damped; numerical, none is fitted to data."""
+    """Numerical settings of a descent, not fitted to data."""
 
     max_steps: int = 200
+    """Maximum number of steps."""
     converged: float = 1e-11
-    """Relative gain of a step below which nothing more is to be had: rounding of the sum of squares."""
+    """Relative gain of a step below which the descent ends; smaller gains are rounding of the sum of squares."""
     damping: float = 1e-6
-    """Of the first step, for columns of unit norm."""
+    """Damping of the first step, for columns of unit norm."""
     min_damping: float = 1e-9
-    """Before it is raised after a step that failed."""
+    """Minimum damping from which it is increased after a failed step."""
     max_damping: float = 1e10
-    """Above this no step downhill is left."""
+    """Damping above which the descent ends, because no step lowers the sum of squares."""
     factor: float = 10.0
-    """By which the damping falls after a step that helped, and rises after one that did not."""
+    """Factor by which the damping decreases after a successful step and increases after a failed one."""
 
 
 DESCENT = LevenbergMarquardt()
@@ -52,30 +54,37 @@ DESCENT = LevenbergMarquardt()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Where a minimisation ended."""
+    """The result of a minimisation."""
 
     theta: Floats
-    """(n_parameters,)"""
+    """(n_parameters,) estimated parameters."""
     rss: float
+    """Residual sum of squares."""
     count: int
-    """Rows."""
+    """Number of rows."""
     residuals: list[Floats]
-    """(n,) of every segment; 0 where there is none."""
+    """(n,) residuals of every segment; 0 for samples without a residual."""
     gradients: list[Floats]
-    """(n, n_parameters) of every segment: dŷ/dθ; 0 where there is none."""
+    """(n, n_parameters) gradients dŷ/dtheta of every segment; 0 for samples without a residual."""
     converged: bool
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the residual, corrected for the parameters; nan if no row is left for it."""
+        """Standard deviation of the residual, corrected for the parameters; nan without degrees of freedom."""
         free = self.count - len(self.theta)
         return float(np.sqrt(self.rss / free)) if free > 0 else float("nan")
 
     def covariance(self, kind: Covariance) -> Floats:
         """Return the covariance of theta (n_parameters, n_parameters).
 
-        `classical` holds for white residuals of one variance; `sandwich` for any variance (White 1980);
-        `hac` also for correlated ones (Newey and West 1987, width by Andrews 1991).
+        With bread B = (J'J)⁻¹ and scores s(k) = J(k) r(k):
+
+        * `classical`: sigma² B, for white residuals of constant variance.
+        * `sandwich`: B Σ s(k) s(k)' B, for any variance (White 1980).
+        * `hac`: also sums s(k) s(k-lag)' with Bartlett weights 1 - lag / (width + 1), for correlated residuals
+          (Newey and West 1987, width by Andrews 1991).
+
+        The last two are scaled by n / (n - n_parameters).
         """
         whole = np.concatenate(self.gradients)
         size = np.sqrt((whole**2).sum(axis=0))
@@ -95,7 +104,7 @@ class Estimate:
 
 
 def _width(scores: Sequence[Floats], count: int) -> int:
-    """Choose the Bartlett width for first-order correlated scores (Andrews 1991, eq. 6.4)."""
+    """Return the Bartlett width for scores with first-order correlation (Andrews 1991, eq. 6.4)."""
     now = np.concatenate([s[1:] for s in scores])
     before = np.concatenate([s[:-1] for s in scores])
     power = (before**2).sum(axis=0)
@@ -108,16 +117,16 @@ def _width(scores: Sequence[Floats], count: int) -> int:
 
 
 class NonlinearLeastSquares:
-    """Least squares of what a model leaves in one-step prediction, over all segments."""
+    """Least squares of the one-step prediction error of a model over all segments."""
 
     def __init__(self, recursion: Recursion, records: Sequence[Record], first: int = 0) -> None:
-        """Take records, of whose segments samples before `first` do not count."""
+        """Prepare the records; samples before `first` in each segment are ignored."""
         self.recursion, self.first = recursion, first
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
         self.rows = [self._rows(segment) for segment in self.segments]
         self.count = int(sum(rows.sum() for rows in self.rows))
         if self.count == 0:
-            raise IdentError("the model predicts no sample of these records; give longer ones")
+            raise IdentError("the model predicts no sample of these records; use longer records")
 
     def _rows(self, segment: Segment) -> np.ndarray:
         out, _, _ = self.recursion.run(segment, free=False)
@@ -125,7 +134,7 @@ class NonlinearLeastSquares:
         return known & (np.arange(len(known)) >= self.first)
 
     def evaluate(self, theta: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
-        """Return the residual sum of squares, residuals and gradients; inf where the run diverges."""
+        """Return the residual sum of squares, residuals and gradients; inf if the run diverges."""
         total, residuals, gradients = 0.0, [], []
         for segment, rows in zip(self.segments, self.rows, strict=True):
             out, _, slopes = self.recursion.run(segment, free=False, theta=theta, gradient=gradient)
@@ -137,10 +146,10 @@ class NonlinearLeastSquares:
         return (total if np.isfinite(total) else np.inf), residuals, gradients
 
     def linearised(self, theta: Floats) -> Iterator[tuple[Floats, Floats]]:
-        """Yield columns (n, n_parameters) and a target (n,), a block of rows at a time.
+        """Yield columns J (n, n_parameters) and a target r + J theta (n,), a block of rows at a time.
 
-        Least squares of all of them is one Gauss-Newton step. Without a denominator, and with noise terms of the first
-        degree in e, the prediction error is linear in the process coefficients: there the step is exact for them.
+        Least squares of all blocks is one Gauss-Newton step. Without a denominator, and with noise terms of degree 1
+        in e, the prediction error is linear in the process coefficients, for which the step is then exact.
         """
         for segment, rows in zip(self.segments, self.rows, strict=True):
             for part, out, slopes in self.recursion.gradient_blocks(segment, free=False, theta=theta):
@@ -149,9 +158,10 @@ class NonlinearLeastSquares:
                 yield J, segment.measured[part][use] - out[use] + J @ theta
 
     def gains(self, theta: Floats, new: Ints) -> Floats:
-        """Return by how much each `new` parameter (n_new,), beside all others, would lower the sum of squares (n_new,).
+        """Return the decrease of the sum of squares (n_new,) when each `new` parameter is added to all others.
 
-        To first order: one Gauss-Newton step from `theta`. It is 0 for one that the others nearly say already.
+        It is the first-order gain (J_new' M r)² / (J_new' M J_new) of one Gauss-Newton step from `theta`. M projects
+        onto the complement of the gradients of the other parameters. The gain is 0 for nearly dependent parameters.
         """
         gram, cross = self._normal_equations(theta)
         others = np.setdiff1d(np.arange(len(gram)), new)
@@ -163,10 +173,7 @@ class NonlinearLeastSquares:
         return np.where(is_new, rest**2 / np.where(is_new, power, 1.0), 0.0)
 
     def _normal_equations(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return Gram (n_parameters, n_parameters) and cross products with the residual, for gradients of unit norm.
-
-        They are summed up a block of rows at a time.
-        """
+        """Return J'J (n_parameters, n_parameters) and J'r for gradients of unit norm, summed block by block."""
         m = len(theta)
         whole = np.zeros((m, m + 1))
         for J, target in self.linearised(theta):
@@ -181,28 +188,33 @@ class NonlinearLeastSquares:
         Raises
         ------
         IdentError
-            if the starting model diverges
+            If the initial model diverges.
         """
         found = levenberg_marquardt(self.evaluate, start, DESCENT)
         return replace(found, count=self.count)
 
 
 def levenberg_marquardt(evaluate: Evaluate, start: Floats, settings: LevenbergMarquardt) -> Estimate:
-    """Descend from `start` (n_parameters,); the count of rows is that of the residuals.
+    """Minimise a sum of squares from `start` (n_parameters,): solve (J'J + damping I) step = J'r, columns of unit norm.
+
+    The damping decreases after a successful step and increases after a failed one (Levenberg 1944; Marquardt 1963).
+    The `count` of the result is the number of residuals.
 
     Parameters
     ----------
-    evaluate : parameters, whether gradients are wanted -> sum of squares, residuals and gradients of every segment
+    evaluate : function of the parameters that returns sum of squares, residuals and gradients of every segment
 
     Raises
     ------
     IdentError
-        if the starting model diverges
+        If the initial model diverges.
     """
     theta, damping, converged = np.array(start, dtype=np.float64), settings.damping, False
     cost, residuals, gradients = evaluate(theta, gradient=True)
     if not np.isfinite(cost):
-        raise IdentError("the starting model diverges on these records, so it cannot be refined")
+        raise IdentError(
+            "the initial model diverges on these records, so it cannot be refined; use fewer terms"
+        )
     for _ in range(settings.max_steps):
         step, expected = _step(residuals, gradients, damping)
         trial = theta + step
@@ -217,7 +229,7 @@ def levenberg_marquardt(evaluate: Evaluate, start: Floats, settings: LevenbergMa
         else:
             damping = max(damping, settings.min_damping) * settings.factor
             if damping > settings.max_damping or expected <= settings.converged * cost:
-                converged = True  # no step downhill is left
+                converged = True  # no step lowers the sum of squares
                 break
     return Estimate(
         theta=theta,
@@ -230,11 +242,13 @@ def levenberg_marquardt(evaluate: Evaluate, start: Floats, settings: LevenbergMa
 
 
 def _step(residuals: Sequence[Floats], gradients: Sequence[Floats], damping: float) -> tuple[Floats, float]:
-    """Solve the damped normal equations with columns of unit norm; also return the gain that is expected."""
+    """Solve the damped normal equations with columns of unit norm; also return the expected gain."""
     J, r = np.concatenate(gradients), np.concatenate(residuals)
     size = np.abs(J).max(axis=0, initial=0.0)
     if not np.isfinite(size).all():
-        raise IdentError("the gradients of the model diverge on these records, so it cannot be refined")
+        raise IdentError(
+            "the gradients of the model diverge on these records, so it cannot be refined; use fewer terms"
+        )
     size[size == 0] = 1.0
     size *= np.maximum(np.sqrt(((J / size) ** 2).sum(axis=0)), 1.0)
     p = J.shape[1]

@@ -1,9 +1,9 @@
-"""Rational models y = N / D + e: structure and start from the linear form, whose bias is then removed.
+"""Rational models y = N / D + e: initialise structure and coefficients from the linear form, then remove its bias.
 
-Multiplied out, y = N - y (D - 1) + D e: linear in all coefficients, but y (D - 1) holds the noise of y, which biases
-least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) removes most of
-it, and Gauss-Newton on e itself (`prediction_error`) removes the rest. Terms are then added and dropped by their
-effect on e. Noise terms stand beside the ratio and stay while its structure is searched: y = N / D + C + e.
+Multiplied out, y = N - y (D - 1) + D e is linear in all coefficients. However, y (D - 1) contains the noise of y, which
+biases least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) removes most
+of the bias, and Gauss-Newton on e (`prediction_error`) removes the rest. Terms are then added and dropped by their
+effect on e. With noise terms C, the model is y = N / D + C + e; C is kept during the search of the structure.
 """
 
 from __future__ import annotations
@@ -24,52 +24,54 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class RationalSearch:
-    """How long a rational model is searched; numerical limits that the examples of the tests do not reach."""
+    """Limits of the search for a rational model; numerical, not reached by the examples in the tests."""
 
     max_reweightings: int = 20
-    """Solutions of the linear form with rows divided by the last denominator."""
+    """Maximum number of solutions of the linear form with rows divided by the last denominator."""
     reweighting_converged: float = 1e-10
-    """Relative gain of such a solution below which they end."""
+    """Relative gain of such a solution below which the iteration ends."""
     max_additions: int = 30
-    """Terms added at most on the way to the structure."""
+    """Maximum number of terms added during the search."""
     start_up: int = 10
-    """[samples] after the longest lag, in which noise that is not known before the start dies out; what they leave says
-    nothing of a structure, nor does that one of shorter lags has more samples."""
+    """[samples] after the largest lag that are not scored, because the noise before the start is unknown.
+    All structures are compared on the same samples, also those with smaller lags."""
     min_gain: float = 1e-9
-    """Relative fall of the criterion that a larger structure must bring."""
+    """Minimum relative decrease of the criterion for a change of the structure."""
 
 
 RATIONAL_SEARCH = RationalSearch()
 
 
 def times_output(denominator: Terms, output: str) -> Terms:
-    """Return the columns y(k) * term that stand for terms below the line in the linear form."""
+    """Return the columns y(k) * term that represent denominator terms in the linear form."""
     if CONSTANT in denominator.names:
-        raise IdentError("the denominator has the constant 1 already; leave it out of its candidates")
+        raise IdentError("the denominator has the constant 1 already; remove it from the candidates")
     return Terms.parse(*(f"{output}(k)*{name}" for name in denominator.names))
 
 
 def with_noise_terms(model: Narmax, noise: Terms) -> Narmax:
-    """Put noise terms beside a ratio, with coefficients of 0 to start from."""
+    """Add noise terms with initial coefficients of 0 to a rational model."""
     n = len(model.parameters) + len(noise)
     return replace(model, noise_terms=noise, noise_theta=np.zeros(len(noise)), covariance=np.zeros((n, n)))
 
 
 def as_ratio(model: Narmax, records: Sequence[Record], denominator: Terms) -> Narmax:
-    """Turn a model of the linear form into a ratio, with coefficients to start from."""
+    """Convert a model of the linear form to a rational model with initial coefficients."""
     if any(model.scale.centres):
-        raise IdentError("a rational model cannot be centred; move the origin of the far variables first")
+        raise IdentError(
+            "a rational model cannot be centred; subtract an offset from variables that are far from 0"
+        )
     linear = times_output(denominator, model.output).names
     below = dict(zip(linear, denominator.names, strict=True))
     upper = [name for name in model.terms.names if name not in below]
     lower = [below[name] for name in model.terms.names if name in below]
     if not upper:
-        raise IdentError("no term above the line was chosen; keep one, as keep=['1']")
+        raise IdentError("no numerator term was selected; keep one, for example keep=['1']")
     return _reweighted(model, records, Terms.parse(*upper), Terms.parse(*lower))
 
 
 def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: Terms) -> Narmax:
-    """Solve the linear form with rows divided by the denominator of the last solution; keep the best."""
+    """Solve the linear form with rows divided by the denominator of the last solution; return the best solution."""
     rows = lagged(records, upper + lower, [model.output])
     known = np.isfinite(rows.targets[:, 0])
     y = rows.targets[known, 0]
@@ -99,7 +101,7 @@ def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: T
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A structure with its least prediction error and what the criterion says of it."""
+    """A structure with its estimate and the value of the criterion."""
 
     model: Narmax
     result: Estimate
@@ -108,7 +110,7 @@ class _Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RationalStructureSearch:
-    """Search for the terms of numerator and denominator by the prediction error itself."""
+    """Search for the terms of numerator and denominator by the prediction error."""
 
     records: Sequence[Record]
     upper: Terms
@@ -116,10 +118,10 @@ class RationalStructureSearch:
     criterion: str
 
     def search(self, model: Narmax) -> Narmax:
-        """Add the most promising term and drop the least significant ones until the criterion no longer falls.
+        """Add the most promising term and drop the least significant ones until the criterion stops decreasing.
 
-        In the end terms are dropped to the last, past structures that are worse: several that stand for one another
-        have to go together.
+        Afterwards, terms are dropped one by one down to the last, even through worse structures. Terms that substitute
+        for one another must be removed together.
         """
         best = self._grown(self._trial(model, model.parameters))
         while (fewer := self._least_of_fewer(best)) is not best:
@@ -142,7 +144,7 @@ class RationalStructureSearch:
         return best
 
     def _least_of_fewer(self, best: _Candidate) -> _Candidate:
-        """Return the best of what is left as one term goes after another, or the one given."""
+        """Return the best structure found while dropping terms one by one, or the given one."""
         least, now = best, self._without_least(best)
         while now is not None:
             if now.value < least.value - RATIONAL_SEARCH.min_gain * abs(least.value):
@@ -151,7 +153,7 @@ class RationalStructureSearch:
         return least
 
     def _problem(self, model: Narmax) -> NonlinearLeastSquares:
-        """Return the least squares of a structure over the samples that all structures predict, if there are enough."""
+        """Return the least squares of a structure on the samples that all structures predict, if there are enough."""
         longest = (self.upper + self.lower + model.noise_terms).max_lag
         first = longest + (RATIONAL_SEARCH.start_up if len(model.noise_terms) else 0)
         longest_part = max(s.stop - s.start for record in self.records for s in record.segments())
@@ -174,7 +176,7 @@ class RationalStructureSearch:
         return _Candidate(model, result, result.count * np.log(max(result.rss, 1e-300)) + float(cost))
 
     def _most_promising(self, trial: _Candidate) -> tuple[str, Narmax | None]:
-        """Return the absent term whose gradient explains most of the residual, and a model that has it."""
+        """Return the absent term whose gradient explains most of the residual, and the model with this term."""
         model = trial.model
         above, below = model.terms + self.upper, model.denominator + self.lower
         full = _with_zeros(model, above, below)
@@ -191,14 +193,14 @@ class RationalStructureSearch:
         return f"/{new.names[0]}", _with_zeros(model, model.terms, model.denominator + new)
 
     def _without_least(self, trial: _Candidate, keep: str = "") -> _Candidate | None:
-        """Drop the least significant term but `keep`; None if nothing can go."""
+        """Drop the least significant term except `keep`; return None if no term can be dropped."""
         model = trial.model
         names = (*model.terms.names, *(f"/{name}" for name in model.denominator.names))
         k = len(names)
         spread = np.sqrt(np.maximum(np.diagonal(trial.result.covariance("classical")), 1e-300))
         score = np.abs(model.parameters) / spread
         score[[i for i, name in enumerate(names) if name == keep]] = np.inf
-        score[k:] = np.inf  # the noise terms stay
+        score[k:] = np.inf  # noise terms are kept
         if len(model.terms) == 1:
             score[0] = np.inf
         i = int(score.argmin())
@@ -220,7 +222,7 @@ class RationalStructureSearch:
 
 
 def _with_zeros(model: Narmax, above: Terms, below: Terms) -> Narmax:
-    """Return the model with more terms, whose coefficients are 0."""
+    """Return the model with additional terms, whose coefficients are 0."""
     n, m = len(above), len(below)
     return replace(
         model,

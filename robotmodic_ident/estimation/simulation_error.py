@@ -1,9 +1,9 @@
-"""Least squares of the simulation error: free runs from initial outputs that are estimated, too.
+"""Simulation error: minimise Σ (measured(k) - ŷ(k))² over free runs ŷ, with coefficients and initial outputs unknown.
 
-With noise on the output alone (output error) regression on measured past outputs is biased; a free run never reads
-them. But it has to start somewhere: the first `look_back` outputs of every segment are states that are not known, only
-measured, and a slow system feels them for long. They are estimated beside the coefficients, and weigh as measurements
-(Ljung 1999, sec. 7.2). Gradients by both come from one recursion.
+With noise on the output only (output error), regression on measured past outputs is biased. A free run does not use
+them, but it needs initial conditions. The first `look_back` outputs of every segment are noisy states, whose effect
+lasts long in a slow system. They are estimated together with the coefficients, and their residuals count like those of
+other samples (Ljung 1999, sec. 7.2). One recursion gives the gradients for both.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from robotmodic_ident.records import Record
 from robotmodic_ident.types import Floats
 
 MAX_INITIAL_OUTPUTS = 100
-"""Of all segments together that are estimated; where there are more, every segment starts from what was measured."""
+"""Maximum number of estimated initial outputs of all segments; above it, every segment starts from measurements."""
 
 
 class FreeRunLeastSquares:
-    """What a model leaves in free run, over all segments, as a function of coefficients and initial outputs."""
+    """Free-run residuals of a model over all segments, as a function of coefficients and initial outputs."""
 
     def __init__(self, recursion: Recursion, records: Sequence[Record], *, look_back: int = 0) -> None:
-        """Prepare the runs; `look_back` [samples] lets smaller models start where larger ones do."""
+        """Prepare the runs; `look_back` [samples] gives models with different lags the same start."""
         recursion.look_back = max(recursion.look_back, look_back)
         self.recursion = recursion
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
         back = recursion.look_back
-        zero = np.zeros_like(recursion.theta)  # tells where there are predictions; none of them diverges
+        zero = np.zeros_like(recursion.theta)  # shows which samples are predicted, without divergence
         runs = [recursion.run(s, free=True, theta=zero)[0] for s in self.segments]
         starts = [
             back > 0
@@ -48,23 +48,23 @@ class FreeRunLeastSquares:
         """(n_segments,) whether the initial outputs of a segment are estimated."""
         self.back = back
         self.rows = []
-        """(n,) of every segment: the samples whose residual counts."""
+        """(n,) whether the residual of each sample counts, for every segment."""
         for s, out, is_estimated in zip(self.segments, runs, self.estimated, strict=True):
             use = np.isfinite(out) & np.isfinite(s.measured)
             use[:back] = is_estimated
             self.rows.append(use)
         self.count = int(sum(rows.sum() for rows in self.rows)) - back * sum(self.estimated)
         if self.count <= 0:
-            raise IdentError("the model predicts no sample of these records; give longer ones")
+            raise IdentError("the model predicts no sample of these records; use longer records")
 
     @property
     def measured_start(self) -> Floats:
-        """(n_initial,) what was measured at the initial samples of all segments whose start is estimated."""
+        """(n_initial,) measured initial outputs of all segments whose start is estimated."""
         parts = [s.measured[: self.back] for s, use in zip(self.segments, self.estimated, strict=True) if use]
         return np.concatenate(parts) if parts else np.empty(0)
 
     def evaluate(self, both: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
-        """Return the sum of squares, residuals and gradients of every segment; inf where a run diverges.
+        """Return the sum of squares, residuals and gradients of every segment; inf if a run diverges.
 
         Parameters
         ----------
@@ -94,14 +94,14 @@ class FreeRunLeastSquares:
     def minimise(
         self, theta: Floats, settings: LevenbergMarquardt = DESCENT, initial: Floats | None = None
     ) -> tuple[Estimate, Floats]:
-        """Descend from coefficients (n_parameters,); also return the initial outputs (n_initial,).
+        """Minimise from coefficients (n_parameters,); also return the initial outputs (n_initial,).
 
-        The gradients of the estimate are those that the initial outputs cannot imitate.
+        The gradients of the estimate are orthogonal to those of the initial outputs.
 
         Raises
         ------
         IdentError
-            if the starting model diverges
+            If the initial model diverges.
         """
         m = len(theta)
         start = np.concatenate([theta, self.measured_start if initial is None else initial])
@@ -117,14 +117,15 @@ class FreeRunLeastSquares:
         return estimate, found.theta[m:]
 
     def normal_equations(self, theta: Floats, initial: Floats) -> tuple[Floats, Floats]:
-        """Return Gram (n_parameters, n_parameters) and cross products with the residual (n_parameters,).
+        """Return J'J (n_parameters, n_parameters) and J'r (n_parameters,) with the initial outputs eliminated.
 
-        They give one Gauss-Newton step from theta. The initial outputs are eliminated. Gradients are held a block of samples at a time.
+        They give one Gauss-Newton step from theta. The initial outputs are eliminated by the Schur complement. Gradients
+        are held in memory for one block of samples at a time.
 
         Raises
         ------
         IdentError
-            if the gradients diverge
+            If the gradients diverge.
         """
         m, back, place = len(theta), self.back, 0
         gram, cross = np.zeros((m, m)), np.zeros(m)
@@ -160,10 +161,9 @@ class FreeRunLeastSquares:
 
 
 def initial_outputs(recursion: Recursion, segment: Segment, n: int) -> Floats | None:
-    """Return the initial outputs (look_back,) from which a free run meets the first n measured samples best.
+    """Return the initial outputs (look_back,) for which a free run fits the first n measured samples best.
 
-    None where they cannot be estimated: a sample among them is not known, n is no more than look_back, or no past
-    output comes in.
+    None if they cannot be estimated: one of them is unknown, n is at most look_back, or the model has no past output.
     """
     m, back = len(recursion.theta), recursion.look_back
     head = Segment(piece=slice(0, n), base=segment.base[:n], measured=segment.measured[:n])
@@ -184,5 +184,5 @@ def initial_outputs(recursion: Recursion, segment: Segment, n: int) -> Floats | 
 
     try:
         return levenberg_marquardt(evaluate, start, DESCENT).theta
-    except IdentError:  # it diverges within the first samples
+    except IdentError:  # the run diverges within the first samples
         return None

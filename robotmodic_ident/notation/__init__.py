@@ -1,1 +1,1 @@
-"""Models as text and as plain data: equations, files, and the form in the user's own units."""
+"""Models as text and as plain data: equations, files, and conversion to the units of the user."""

@@ -1,4 +1,4 @@
-"""From a polynomial of scaled variables to one of the user's variables, in exact arithmetic."""
+"""Convert a polynomial of scaled variables to one of the variables of the user, in exact arithmetic."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Polynomial = dict[Term, Fraction]
 def expand(terms: Terms, theta: Sequence[float] | Floats, scale: Scale) -> tuple[Terms, Floats, Floats]:
     """Multiply out ((v - centre) / width)^power in every term and collect equal terms.
 
-    The arithmetic is rational, so each coefficient is right to the last bit; far from the origin
-    the expanded form still cancels when it is evaluated, which the scaled form does not.
+    The arithmetic is rational, so each coefficient is exact to the last bit. Far from the origin, the evaluation of the
+    expanded form suffers from cancellation, unlike the scaled form.
 
     Returns
     -------
-    terms in the user's variables; theta (n,); map (n, len(terms)) from scaled to expanded coefficients.
-    Where every variable is only divided by its width, terms keep their places and the map is diagonal.
-    A spline, wavelet or orthogonal polynomial stays one function, with its domain in its name.
+    Terms in the variables of the user; theta (n,); map (n, len(terms)) from scaled to expanded coefficients.
+    If variables are only divided by a width, the terms keep their order and the map is diagonal.
+    A spline, wavelet or orthogonal polynomial remains one function, with its domain in its name.
     """
     total: Polynomial = {}
     names: dict[frozenset[Factor], Term] = {}
@@ -50,7 +50,7 @@ def _to_float(value: Fraction) -> float:
         return float(value)
     except OverflowError:
         raise IdentError(
-            "a coefficient is too large for a number in the user's units; give the data in units in which they are near 1"
+            "a coefficient in the units of the user is too large; use units in which the data are near 1"
         ) from None
 
 
@@ -81,7 +81,10 @@ def _expand_term(term: Term, scale: Scale) -> Polynomial:
 
 
 def unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
-    """Return terms whose shapes hold their own domain, and what the widths of the others divide (n_terms,)."""
+    """Return the terms without widths, and the factor (n_terms,) on each coefficient.
+
+    Basis functions keep their scale as a domain in their name. Powers of the width are moved to the factor.
+    """
     table, factors = [], []
     for term in terms:
         moved, factor = [], 1.0

@@ -1,4 +1,4 @@
-"""The fields of a model as plain data, as its JSON file holds them; knows no model, only the fields."""
+"""Convert the fields of a model to and from the plain data of its JSON file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MODEL_FORMAT = "robotmodic-narmax-1"
 
 
 def to_plain(fields: Mapping[str, Any], stderr: Floats) -> dict[str, Any]:
-    """Return the fields of a model as plain data; `from_plain` undoes it.
+    """Convert the fields of a model to plain data; `from_plain` is the inverse.
 
     Parameters
     ----------
     fields : field of `Narmax` -> its value
-    stderr : (n_parameters,) standard errors of theta, denominator_theta and noise_theta; for the reader of the file
+    stderr : (n_parameters,) standard errors of theta, denominator_theta and noise_theta, only for information
     """
     n, m = len(fields["terms"]), len(fields["denominator"])
     rows = _rows(fields["terms"], fields["theta"], stderr[:n])
@@ -46,19 +46,17 @@ def to_plain(fields: Mapping[str, Any], stderr: Floats) -> dict[str, Any]:
 
 
 def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of the model whose plain data these are.
+    """Restore the fields of a model from plain data.
 
     Raises
     ------
     IdentError
-        if the data are in another format
+        If the data have another format.
     KeyError, TypeError, ValueError
-        if something is missing or of another kind
+        If a field is missing or has a wrong type.
     """
     if data["format"] != MODEL_FORMAT:
-        raise IdentError(
-            f"format {data['format']!r}, expected {MODEL_FORMAT!r}; a model is written with Narmax.save"
-        )
+        raise IdentError(f"format {data['format']!r}, expected {MODEL_FORMAT!r}; use a file of Narmax.save")
     for name, default in (("output", None), ("stop", None), ("estimator", "ls")):
         if not isinstance(data.get(name, default), str):
             raise TypeError(f"{name} is {data.get(name)!r}, expected a text")
@@ -99,7 +97,7 @@ def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
 
 
 def _plain(value: float) -> float | None:
-    """Return None for what JSON cannot hold: as many terms as samples leave no standard error."""
+    """Return None for values that JSON cannot represent, such as the standard errors of as many terms as samples."""
     return value if math.isfinite(value) else None
 
 

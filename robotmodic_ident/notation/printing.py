@@ -1,4 +1,4 @@
-"""Sums of terms as text, with as many digits as the sum needs; knows no model."""
+"""Format sums of terms as text, with as many digits as the sum requires."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ ONE = Terms.parse(CONSTANT)
 
 
 def max_cancellation(digits: int) -> float:
-    """Return how many times larger than the model its terms may be so that `digits` digits hold it to 1 %."""
+    """Return the maximum ratio of cancelling terms to the model for which `digits` digits give an accuracy of 1 %."""
     return 2 * 10.0 ** (digits - 3)
 
 
 def total_size(
     terms: Terms, theta: Floats, scale: Scale, spans: Mapping[str, float], *, around_zero: bool
 ) -> float:
-    """Return the sum of the largest sizes that the terms had in the fit; of those that vary.
+    """Return the sum of the maximum magnitudes of the terms in the fit, without the constant.
 
     Parameters
     ----------
-    scale : of the fit: where each variable was centred, and how far it reached from there
-    spans : variable -> half its span in the fit, where the scale does not say
-    around_zero : whether the terms are powers of x; else they are powers of (x - centre)
+    scale : Centre and width of each variable in the fit.
+    spans : Variable -> half its span in the fit, if this is not the width.
+    around_zero : Whether the terms are powers of x; otherwise, they are powers of (x - centre).
     """
     total = 0.0
     for term, size in zip(terms, theta.tolist(), strict=True):
@@ -43,7 +43,7 @@ def total_size(
 
 
 def ratio_text(numerator: str, denominator: Terms, theta: Floats, *, digits: int, scale: Scale) -> str:
-    """Print (numerator) / (1 + denominator); the numerator alone where the denominator is only the 1."""
+    """Return (numerator) / (1 + denominator) as text; only the numerator if the denominator is 1."""
     if not len(denominator):
         return numerator
     below = sum_text(ONE + denominator, np.r_[1.0, theta], digits=digits, scale=scale)
@@ -51,7 +51,7 @@ def ratio_text(numerator: str, denominator: Terms, theta: Floats, *, digits: int
 
 
 def limited_text(text: str, limits: tuple[float, float]) -> str:
-    """Print max(low, min(high, text)) as far as there are limits."""
+    """Return max(low, min(high, text)), without infinite limits."""
     low, high = limits
     text = text if math.isinf(high) else f"min({high:.15g}, {text})"
     return text if math.isinf(low) else f"max({low:.15g}, {text})"
@@ -65,9 +65,9 @@ def sum_text(
     scale: Scale = UNSCALED,
     spans: Mapping[str, float] | None = None,
 ) -> str:
-    """Print a sum of terms with signs between them: `0.5*y(k-1) + u(k-2) - 0.1*(u(k-1) - 1000)^2`.
+    """Return a sum of terms as text: `0.5*y(k-1) + u(k-2) - 0.1*(u(k-1) - 1000)^2`.
 
-    A constant beside which the rest is small has so many more digits (`spans`: variable -> half its span).
+    A constant that is much larger than the other terms has more digits (`spans`: variable -> half its span).
     """
     parts: list[str] = []
     names = ["*".join(_factor(f, scale) for f in term) or CONSTANT for term in terms]
@@ -84,7 +84,7 @@ def sum_text(
 def significant_digits(
     terms: Terms, theta: Sequence[float], digits: int, spans: Mapping[str, float]
 ) -> list[int]:
-    """Return how many digits each coefficient needs: a constant beside which the rest is small needs more."""
+    """Return the number of digits of each coefficient; a constant much larger than the other terms needs more."""
     rest = sum(
         abs(value) * math.prod(spans.get(f.variable, 1.0) ** f.power for f in term)
         for term, value in zip(terms, theta, strict=True)
@@ -98,7 +98,7 @@ def significant_digits(
 
 
 def _factor(f: Factor, scale: Scale) -> str:
-    """Print a factor, a power of a centred variable as `(x - centre)^2`."""
+    """Return a factor as text; a power of a centred variable is `(x - centre)^2`."""
     centre = scale.pair(f.variable)[0]
     if f.function or not centre:
         return str(f)

@@ -1,1 +1,1 @@
-"""Models run sample by sample: one step ahead, several steps ahead, and in free run."""
+"""Run models sample by sample: one step ahead, several steps ahead, and in free run."""

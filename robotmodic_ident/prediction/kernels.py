@@ -1,7 +1,8 @@
-"""The compiled loops that run a model sample by sample.
+"""Compiled loops that run a model sample by sample: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise.
 
-A model with feedback cannot be evaluated column by column: each sample needs the ones before it. Everything that
-does not feed back is evaluated beforehand with numpy (`base`); what is left is a table of factors.
+Each term is theta_j * base_j(k) * Π factor(past or noise at k - lag). A model with feedback cannot be evaluated column
+by column, because each sample depends on earlier ones. The factors of inputs are evaluated beforehand with numpy
+(`base`); a table lists the factors of past outputs and of noise.
 """
 
 from __future__ import annotations
@@ -20,13 +21,16 @@ COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONE
 """Columns of the integer table of factors."""
 N_COLUMNS = 8
 GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
-"""Where a term stands: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
+"""Part of the model that contains a term: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
 DIVERGED = 1e150
 
 
 @inner_kernel
 def spline(degree: int, index: int, count: int, t: float) -> float:
-    """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside (de Boor 1978)."""
+    """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside.
+
+    With knots at integers i, B_i,p(x) = ((x - i) B_i,p-1(x) + (i + p + 1 - x) B_i+1,p-1(x)) / p (de Boor 1978).
+    """
     x = (t + 1.0) / 2.0 * (count - degree) - index + degree  # knots at 0, 1, ..., degree + 1
     if t < -1.0 or t > 1.0 or x < 0.0 or x > degree + 1:
         return 0.0
@@ -103,7 +107,7 @@ def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
 
 @inner_kernel
 def argument(row: Ints, source: Floats, k: int) -> float:
-    """Return what a factor reads at sample k: a value, or the difference of two."""
+    """Return the argument of a factor at sample k: a value, or the difference of two values."""
     if row[COL_MINUS]:
         return float(source[k - row[COL_LAG]] - source[k - row[COL_MINUS]])
     return float(source[k - row[COL_LAG]])
@@ -182,25 +186,26 @@ def run(
     noise: Floats,
     gradient: Floats,
 ) -> bool:
-    """Run a model over one segment, or over a block of it that begins with the last `look_back` samples before.
+    """Run a model over one segment, or over a block of it that starts `look_back` samples earlier.
 
-    Returns whether it came to the end; False: it diverged.
+    Returns False if the run diverges, otherwise True.
 
     Parameters
     ----------
-    base : (n, n_terms) what each term owes to inputs
-    theta : (n_terms,)
-    group : (n_terms,) numerator, denominator or noise
-    starts : (n_terms + 1,) rows of `table` of each term
-    table : (n_factors, N_COLUMNS) integers of each factor that feeds back
-    scales : (n_factors, 2) centre and width
-    measured : (n,) outputs; nan: not known
-    limits : (2,) the output is held between them
-    free : past outputs are predictions and noise is zero; else past outputs are measured, noise is what was left
-    out : (n,) filled with the prediction from `look_back` on; stays as it is where it is not known
-    past : (n,) past outputs; in free run filled with the prediction
-    noise : (n,) filled with what the prediction leaves; stays as it is where that is not known
-    gradient : (n, n_terms or more) filled with dŷ/dθ, and by what further columns begin with; (0, 0): not wanted
+    base : (n, n_terms) Product of the input factors of each term.
+    theta : (n_terms,) Coefficients.
+    group : (n_terms,) Numerator, denominator or noise.
+    starts : (n_terms + 1,) First row of each term in `table`.
+    table : (n_factors, N_COLUMNS) Integers that describe each factor of past outputs or noise.
+    scales : (n_factors, 2) Centre and width.
+    measured : (n,) Measured outputs; nan: unknown.
+    limits : (2,) Saturation limits of the output.
+    free : Whether past outputs are predictions and noise is zero; otherwise, past outputs are measured.
+    out : (n,) Filled with the prediction from sample `look_back`; unchanged where it is unknown.
+    past : (n,) Past outputs; filled with the prediction in free run.
+    noise : (n,) Filled with the residual unless in free run; unchanged where it is unknown.
+    gradient : (n, n_terms or more) Filled with dŷ/dtheta; (0, 0): not computed.
+        Further columns are initial conditions, whose given first rows are propagated.
     """
     n, m = base.shape
     phi, by_lag = np.zeros(m), np.zeros(look_back + 1)
@@ -227,7 +232,7 @@ def run(
 
 @inner_kernel
 def add_earlier(k: int, by_lag: Floats, gradient: Floats) -> None:
-    """Add to gradient[k] what comes by way of earlier samples, and set by_lag to zeros again."""
+    """Add Σ_lag by_lag[lag] * gradient[k - lag] to gradient[k], and reset by_lag to zeros."""
     for lag in range(1, len(by_lag)):
         weight = by_lag[lag]
         if weight != 0.0:
@@ -253,9 +258,13 @@ def fill_gradient(
     by_lag: Floats,
     gradient: Floats,
 ) -> None:
-    """Fill gradient[k] by the chain rule: what a term says now, and what it changed before.
+    """Fill gradient[k] by the chain rule: dŷ(k)/dθ = ∂ŷ(k)/∂θ + Σ_lag ∂ŷ(k)/∂y(k - lag) * dy(k - lag)/dθ.
 
-    by_lag : (look_back + 1,) zeros, and again when this returns; dŷ(k) by the output (or noise) so many samples before
+    In one-step prediction, the second sum is over the noise e(k - lag) = measured - ŷ, whose gradient is -dŷ/dθ.
+
+    Parameters
+    ----------
+    by_lag : (look_back + 1,) buffer for the derivatives by the output or noise at each lag; zeros before and after
     """
     m = len(theta)
     ratio = 0.0
@@ -270,14 +279,14 @@ def fill_gradient(
             outer = -ratio / bottom
         gradient[k, j] += outer * phi[j]
         if theta[j] == 0.0:
-            continue  # a candidate that is not in the model yet
+            continue  # a candidate term that is not in the model
         for i in range(starts[j], starts[j + 1]):
             of_noise = table[i, COL_OF_NOISE] == 1
             if of_noise == free:
                 continue  # measured outputs do not depend on theta, and free runs have no noise
             before = k - table[i, COL_LAG]
             if of_noise and not math.isfinite(past[before]):
-                continue  # noise that is not known counts as 0 whatever theta is
+                continue  # unknown noise is 0 for every theta
             source = noise if of_noise else past
             inner = base[k, j] * factor_slope(
                 table[i], scales[i, 0], scales[i, 1], argument(table[i], source, k)
@@ -308,7 +317,7 @@ def run_ahead(
     limits: Floats,
     steps: int,
 ) -> Floats:
-    """Predict each sample (n,) from what was measured up to `steps` samples before it."""
+    """Predict each sample (n,) `steps` ahead, from measurements up to `steps` samples before it."""
     n, m = base.shape
     out = np.full(n, np.nan)
     past, quiet = measured.copy(), noise.copy()
@@ -320,7 +329,7 @@ def run_ahead(
             value, _ = value_at(k, base, theta, group, starts, table, scales, past, quiet, phi)
             if value < limits[0] or value > limits[1]:
                 value = min(max(value, limits[0]), limits[1])
-            if not abs(value) <= DIVERGED:  # not known: only what reads it is not known either
+            if not abs(value) <= DIVERGED:  # unknown, as are the predictions that depend on it
                 value = np.nan
             past[k], quiet[k] = value, 0.0
         out[last] = value

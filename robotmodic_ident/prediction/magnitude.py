@@ -1,6 +1,6 @@
-"""Outputs that are measured without their sign: a counter of pulses tells how fast a wheel turns, not which way.
+"""Outputs measured without their sign, such as a pulse counter that measures the speed of a wheel but not its direction.
 
-The model is of the signed output; what was measured gets the signs of its free run.
+The model describes the signed output. The measured magnitudes take the signs of the free run.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from robotmodic_ident.prediction.recursion import Recursion, Segment
 from robotmodic_ident.types import Floats
 
 MAX_START = 20
-"""[samples] at the start of a segment that tell its first signs."""
+"""[samples] maximum length of the start of a segment from which its first signs are estimated."""
 MAX_ROUNDS = 5
-"""Times that the signs of a start are taken from the free run that they led to."""
+"""Maximum number of updates of the first signs from the resulting free run."""
 
 
 def with_signs(recursion: Recursion, segment: Segment) -> Segment:
-    """Return a segment whose measured magnitudes have the signs of the free run that meets its start best."""
+    """Return a segment whose measured magnitudes have the signs of the free run that fits its start best."""
     measured = segment.measured
     known = np.isfinite(measured)
     n = min(int(known.argmin()) if not known.all() else len(known), MAX_START)
     if n <= recursion.look_back:
         return segment
     best, least = measured, np.inf
-    for first in range(n):  # both signs at first, and one change later
+    for first in range(n):  # try both signs, with one change of sign at sample `first`
         for side in (1.0, -1.0):
             start = measured.copy()
             start[:n] *= np.where(np.arange(n) < first, -side, side)
@@ -38,7 +38,7 @@ def with_signs(recursion: Recursion, segment: Segment) -> Segment:
 
 
 def _settled(recursion: Recursion, segment: Segment, start: Floats, n: int) -> tuple[Floats, float]:
-    """Return the free run from signs that it agrees with, and what it leaves of the first n magnitudes."""
+    """Return the free run with self-consistent signs, and its sum of squares over the first n magnitudes."""
     run, error = np.full(len(start), np.nan), np.inf
     for _ in range(MAX_ROUNDS):
         signed = replace(segment, measured=start)

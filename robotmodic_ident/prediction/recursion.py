@@ -1,4 +1,4 @@
-"""Recursion: a model prepared to run sample by sample; what comes from inputs is evaluated beforehand."""
+"""Recursion: a model prepared to run sample by sample, with the factors of its inputs evaluated beforehand."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from robotmodic_ident.terms import Factor, Term, Terms
 from robotmodic_ident.types import Floats
 
 NOISE_NAME = "e"
-"""The variable of noise terms: what the model left unexplained at past samples."""
+"""The variable of noise terms: the residual at past samples."""
 UNLIMITED = (-np.inf, np.inf)
 ROWS_PER_BLOCK = 4096
-"""Rows whose gradients are held at a time where all of them would not fit."""
+"""Rows per block of gradients, if all of them would not fit into memory."""
 MAX_KEPT = 4_000_000
-"""Values of the input part of all terms that are kept; more are evaluated again in every run, a block at a time."""
+"""Maximum number of stored values of the input part; larger ones are evaluated again in every run, block by block."""
 KIND_OF_FUNCTION = {
     "": kernels.KIND_POWER,
     "cos": kernels.KIND_COS,
@@ -35,7 +35,7 @@ KIND_OF_FUNCTION = {
 
 
 class InputPart:
-    """What each term owes to inputs, evaluated when it is asked for, and kept where that is not much."""
+    """The product of the input factors of each term, evaluated on demand and stored if it is small."""
 
     def __init__(self, terms: list[Term], columns: dict[str, Floats], scale: Scale, n: int) -> None:
         distinct = list(dict.fromkeys(terms))
@@ -47,7 +47,7 @@ class InputPart:
         self._kept: Floats | None = None
 
     def __getitem__(self, rows: slice) -> Floats:
-        """Return (n_rows, n_terms); nan where a term is not known."""
+        """Return (n_rows, n_terms); nan where a term is unknown."""
         if not self.is_kept:
             return self._evaluated(rows)
         if self._kept is None:
@@ -71,13 +71,13 @@ class Segment:
     piece: slice
     """Samples of the record."""
     base: InputPart | Floats
-    """(n, n_parameters) what each term owes to inputs; nan where they are not known; taken a slice at a time."""
+    """(n, n_parameters) product of the input factors of each term; nan where unknown; read in slices."""
     measured: Floats
-    """(n,) outputs; nan where not known."""
+    """(n,) measured outputs; nan where unknown."""
 
 
 class Recursion:
-    """ŷ = Σ numerator / (1 + Σ denominator) + Σ noise, with the tables that the compiled loops read."""
+    """ŷ = Σ numerator / (1 + Σ denominator) + Σ noise, with the tables for the compiled loops."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class Recursion:
     ) -> None:
         self.output, self.scale = output, scale
         self.limits = np.array(limits, dtype=np.float64)
-        """(2,) between which the output is held."""
+        """(2,) saturation limits of the output."""
         self.groups = (terms, denominator, noise)
         self.table_of_terms: tuple[Term, ...] = terms.table + denominator.table + noise.table
         self.theta: Floats = np.asarray(theta, dtype=np.float64)
@@ -105,14 +105,14 @@ class Recursion:
         self.table = np.array([row for row, _ in rows], dtype=np.int64).reshape(-1, kernels.N_COLUMNS)
         self.scales = np.array([pair for _, pair in rows], dtype=np.float64).reshape(-1, 2)
         self.feeds_back = bool((self.table[:, kernels.COL_OF_NOISE] == 0).any())
-        """Whether past outputs come in."""
+        """Whether the model has past outputs."""
 
     def _check(self, feeds: list[list[Factor]]) -> None:
         for term, some in zip(self.table_of_terms, feeds, strict=True):
             if any(not f.lag for f in some):
                 name = Terms((term,)).names[0]
                 raise IdentError(
-                    f"term {name} explains {self.output} by itself; use its past, {self.output}(k-1)"
+                    f"term {name} contains the current {self.output}; use past values, such as {self.output}(k-1)"
                 )
 
     def _row(self, f: Factor) -> tuple[list[int], tuple[float, float]]:
@@ -156,10 +156,14 @@ class Recursion:
         gradient: bool = False,
         initial: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
-        """Return prediction (n,), noise (n,) and dŷ/dθ (n, n_parameters), which is empty unless asked for.
+        """Return the prediction (n,), the noise (n,) and the gradient dŷ/dtheta (n, n_parameters).
 
-        initial : (look_back,) outputs that a free run starts from instead of the measured ones; the gradients by them
-            are further columns then
+        Without `gradient`, the last is empty.
+
+        Parameters
+        ----------
+        initial : (look_back,) Initial outputs of a free run in place of the measured ones.
+            The gradients by these outputs are additional columns.
         """
         n = len(segment.measured)
         out, past, noise = self._start(segment, initial)
@@ -176,10 +180,10 @@ class Recursion:
     def gradient_blocks(
         self, segment: Segment, *, free: bool, theta: Floats | None = None, initial: Floats | None = None
     ) -> Iterator[tuple[slice, Floats, Floats]]:
-        """Yield (samples, prediction (n,), dŷ/dθ (n, n_parameters)) a block at a time, as `run` gives them.
+        """Yield (samples, prediction (n,), dŷ/dtheta (n, n_parameters)) of `run`, block by block.
 
-        What is held does not grow with the segment. The first look_back samples are left out. It ends early where the
-        run diverges.
+        The memory does not grow with the segment. The first look_back samples are left out. The iteration ends early
+        if the run diverges.
         """
         n, back = len(segment.measured), self.look_back
         out, past, noise = self._start(segment, initial)
@@ -203,7 +207,7 @@ class Recursion:
         return out, past, noise
 
     def _first_slopes(self, n: int, initial: Floats | None) -> Floats:
-        """Return zeros (n, n_parameters), with a unit column more for each initial output."""
+        """Return initial gradients (n, n_parameters): zeros, and one unit column for each initial output."""
         m = len(self.table_of_terms)
         if initial is None:
             return np.zeros((n, m))
@@ -222,14 +226,14 @@ class Recursion:
         noise: Floats,
         slopes: Floats,
     ) -> bool:
-        """Run over some samples, the first `look_back` of which are known; False: it diverged."""
+        """Run over some samples, the first `look_back` of which are known; return False if the run diverges."""
         return kernels.run(
             segment.base[rows], theta, self.group, self.starts, self.table, self.scales, segment.measured[rows],
             self.look_back, self.limits, free, out[rows], past[rows], noise[rows], slopes,
         )  # fmt: skip
 
     def run_ahead(self, segment: Segment, steps: int) -> Floats:
-        """Predict every sample (n,) from measurements up to `steps` samples before it."""
+        """Predict every sample (n,) `steps` ahead, from measurements up to `steps` samples before it."""
         _, noise, _ = self.run(segment, free=False)
         return kernels.run_ahead(
             segment.base[:],

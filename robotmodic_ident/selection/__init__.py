@@ -1,1 +1,1 @@
-"""Which terms a model has: forward selection by error reduction ratio, exchange of terms, and how many to keep."""
+"""Selection of terms: forward selection by error reduction ratio, exchange of terms, and the model size."""

@@ -1,4 +1,4 @@
-"""What a free-run model of one output may be made of: its candidate terms, and the limits that hold the output."""
+"""Candidate terms of a free-run model of one output, and the saturation limits of the output."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
 MIN_AT_LIMIT = 5
-"""Samples that lie exactly at a limit at least."""
+"""Minimum number of samples exactly at a limit."""
 NEAR_VALUES = 10
-"""Distinct values next to a limit that it is compared with."""
+"""Number of distinct values next to a limit with which it is compared."""
 LIMIT_RATIO = 5
-"""Times that a limit comes more often than any value near it: levels of a quantised output come about equally often."""
+"""Minimum ratio of the count of a limit to that of any near value; neighbouring quantised levels have similar counts."""
 
 
 def dictionary(output: str, inputs: Sequence[str], order: int, degree: int, max_product_lag: int) -> Terms:
@@ -37,10 +37,10 @@ def linear_part(terms: Terms) -> Terms:
 
 
 def output_limits(records: Records, output: str) -> tuple[float, float]:
-    """Return the values between which an output seems to be held; infinite where there is no such limit.
+    """Return the apparent saturation limits of an output; infinite if there is no limit.
 
-    A limit shows as one value, the largest or least of all, that comes far more often than any near it: a full tank,
-    the end of a travel, the range of a converter.
+    A limit is the largest or smallest value if it is far more frequent than the values near it. Examples are a full
+    tank, an end stop, or the range of a converter.
     """
     parts = [np.asarray(record.signals[output], dtype=np.float64) for record in as_records(records)]
     known = np.concatenate([part[np.isfinite(part)] for part in parts])

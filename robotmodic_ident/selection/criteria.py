@@ -1,4 +1,11 @@
-"""How many terms to keep: information criteria, and cross-validation over folds of moments."""
+"""Criteria for the number of terms: minimise N log(rss) + penalty, or the error on folds of moments.
+
+Penalties for k of m candidate terms and N rows:
+
+* AIC: `2 k` (Akaike 1974).
+* BIC: `k log N` (Schwarz 1978).
+* EBIC with gamma = 1: `k log N + 2 log C(m, k)` (Chen and Chen 2008).
+"""
 
 from __future__ import annotations
 
@@ -12,15 +19,14 @@ from robotmodic_ident.types import Floats
 
 Criterion = Literal["aic", "bic", "ebic", "cv", "n_terms", "err_tol"]
 Stop = Criterion | Literal["exhausted"]
-"""Why a selection ended: its criterion, or `exhausted` where no term was left before it."""
+"""Reason why a selection ended: its criterion, or `exhausted` if no candidate term remained."""
 INFORMATION = ("aic", "bic", "ebic")
 
 
 def penalties(criterion: str, n_max: int, n_candidates: int, count: NDArray[np.int64]) -> Floats:
-    """Return what 0, 1, ..., n_max terms cost (n_outputs, n_max + 1), beside N log(rss).
+    """Return the penalties of 0, 1, ..., n_max terms (n_outputs, n_max + 1), in addition to N log(rss).
 
-    AIC: Akaike 1974; BIC: Schwarz 1978; EBIC (gamma = 1): Chen and Chen 2008, which also counts how many
-    models of that size the dictionary holds.
+    EBIC also counts the models of each size in the dictionary.
     """
     k = np.arange(n_max + 1, dtype=np.float64)
     N = np.asarray(count, dtype=np.float64)[:, None]
@@ -34,6 +40,6 @@ def penalties(criterion: str, n_max: int, n_candidates: int, count: NDArray[np.i
 
 
 def information(rest: Floats, cost: Floats, count: NDArray[np.int64]) -> Floats:
-    """Return N log(rest) + cost (n_outputs, n_sizes) for unexplained shares `rest`; rounding counts as 0."""
+    """Return N log(rest) + cost (n_outputs, n_sizes) for unexplained shares `rest`, bounded below by rounding."""
     floor = 64 * rest.shape[1] * np.finfo(np.float64).eps  # below this the residual is rounding
     return np.asarray(count[:, None] * np.log(np.maximum(rest, floor)) + cost, dtype=np.float64)

@@ -1,6 +1,6 @@
-"""Exact dependences between candidate terms: cos² + sin² = 1, inputs of two levels, constant or doubled columns.
+"""Exact dependences of candidate terms: cos² + sin² = 1, inputs with two levels, constant or duplicate columns.
 
-Such terms cannot be told apart by any data of this kind. The first in canonical order stands for all of them.
+Data of this kind cannot distinguish such terms. The first terms in canonical order are kept.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from robotmodic_ident.terms import Factor
 from robotmodic_ident.types import Floats
 
 EXACT_TOLERANCE = 1e-13
-"""Remaining share of a squared norm that is rounding of sums of products."""
+"""Remaining share of a squared norm up to which it is rounding of sums of products."""
 MIN_RELATION_SHARE = 1e-6
-"""Share of a term in a relation below which it is rounding."""
+"""Minimum coefficient of a term in a dependence; smaller ones are rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """One term that others give exactly."""
+    """A term that is an exact linear combination of others."""
 
     term: str
     on: tuple[str, ...]
-    """Terms that give it; empty: it is zero in all rows."""
+    """Terms of the linear combination; empty: the term is zero in all rows."""
 
     def __str__(self) -> str:
         if not self.on:
             return f"{self.term} is zero in every row and was left out"
         names = ", ".join(self.on) if len(self.on) <= 4 else f"{len(self.on)} others ({self.on[0]}, ...)"
-        return f"{self.term} is given exactly by {names} and was left out"
+        return f"{self.term} is an exact combination of {names} and was left out"
 
 
 def independent(
     moments: Moments, output: str | None = None, gram: Floats | None = None
 ) -> tuple[NDArray[np.intp], list[Dependence]]:
-    """Return the terms that do not depend on earlier ones in canonical order, and the dependences of the others.
+    """Return the terms that are independent of earlier ones in canonical order, and the dependences of the others.
 
-    Terms with different powers of the past `output` are never held against each other: without noise the model
-    itself ties them, and that is what is to be found. `gram` (n_terms, n_terms) replaces the shared Gram.
+    Terms with different powers of the past `output` are never compared. Without noise, the model to identify is itself
+    a dependence between them. `gram` (n_terms, n_terms) replaces the shared Gram matrix.
     """
     gram = moments.gram if gram is None else gram
     norm = np.sqrt(np.maximum(np.diagonal(gram), 0.0))
@@ -62,7 +62,7 @@ def independent(
 def _independent(
     unit: Floats, alive: NDArray[np.bool_], family: list[int], names: tuple[str, ...], found: list[Dependence]
 ) -> list[int]:
-    """Factorise term by term; what leaves nothing new goes to `found`."""
+    """Extend a Cholesky factorisation term by term; dependent terms are appended to `found`."""
     factor = np.zeros((len(family), len(family)))  # rows of the Cholesky factor of the kept terms
     kept: list[int] = []
     for j in family:

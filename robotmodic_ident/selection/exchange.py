@@ -1,8 +1,14 @@
-"""Search for the best terms of every size by exchange, in Gram space.
+"""Search for the best terms of every size by exchange, on the Gram matrix a = [[Φ'Φ, Φ'y], [y'Φ, y'y]] of unit columns.
 
-A sweep (Goodnight 1979) brings one term into the model or takes it out at the cost of m² operations, and the swept
-matrix gives in closed form what every exchange of one term in for one term out would change. So greedy mistakes,
-which slow inputs provoke, are repaired without looking at the data again.
+A sweep on variable k (Goodnight 1979) adds a term to the model or removes it in m² operations. In this order, it sets
+`a_kj = a_kj / a_kk`, `a_ij = a_ij - a_ik a_kj`, `a_ik = -a_ik / a_kk` and `a_kk = 1 / a_kk`, for i, j other than k. In
+the swept matrix, with m the index of y, a_mm is the unexplained share of y. Its changes have a closed form:
+
+* Adding term j lowers it by `a_jm² / a_jj`.
+* Removing term i raises it by `a_im² / a_ii`.
+* Exchanging i for j changes it by `a_im² / a_ii - (a_jm + a_ij a_im / a_ii)² / (a_jj + a_ij² / a_ii)`.
+
+Exchanges correct wrong greedy choices, which are common with slow inputs, without another pass over the data.
 """
 
 from __future__ import annotations
@@ -14,16 +20,16 @@ from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, TIE_TOLERAN
 from robotmodic_ident.types import Bools, Floats, Ints
 
 MIN_EXCHANGE_GAIN = 1e-10
-"""An exchange must lower the residual sum by this share."""
+"""Minimum relative decrease of the residual sum of squares for an exchange."""
 MAX_PASSES = 6
-"""Passes up and down over all sizes at most; most outputs need 2."""
+"""Maximum number of passes up and down over all sizes; most outputs need 2."""
 EXCHANGES_PER_SIZE = 4
-"""Exchanges at one size at most, times the number of sizes: rounding must not exchange for ever."""
+"""Maximum number of exchanges at one size, times the number of sizes; prevents endless exchanges due to rounding."""
 
 
 @inner_kernel
 def sweep(a: Floats, k: int) -> None:
-    """Bring variable k in, or take it out again: the two undo each other but for the sign of a row, kept here."""
+    """Sweep on variable k, in place: add it to the model, or remove it; a second sweep restores the matrix."""
     n = len(a)
     pivot = a[k, k]
     for j in range(n):
@@ -40,7 +46,7 @@ def sweep(a: Floats, k: int) -> None:
 
 @inner_kernel
 def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
-    """Return the term that explains most of what is left; -1: all depend on those inside."""
+    """Return the term that lowers the residual sum of squares most; -1 if all depend on those inside."""
     m = len(a) - 1
     best, choice = -1.0, -1
     for j in range(m):
@@ -53,7 +59,7 @@ def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
 
 @inner_kernel
 def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
-    """Return the term inside whose loss costs least; -1: all are locked."""
+    """Return the term inside whose removal raises the residual sum of squares least; -1 if all are locked."""
     m = len(a) - 1
     least, choice = np.inf, -1
     for i in range(m):
@@ -66,7 +72,7 @@ def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
 
 @inner_kernel
 def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
-    """Make the best exchange of one term for another; False: none lowers the residual sum."""
+    """Make the best exchange of one term for another; return False if none lowers the residual sum of squares."""
     m = len(a) - 1
     least = -MIN_EXCHANGE_GAIN * max(a[m, m], 1e-15)
     out, into = -1, -1
@@ -79,7 +85,7 @@ def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
             if inside[j] or not usable[j]:
                 continue
             shared = a[i, j]
-            norm = a[j, j] + shared * shared / h  # as if i were out
+            norm = a[j, j] + shared * shared / h  # without term i
             if norm > DEPENDENCE_TOLERANCE:
                 rest = a[j, m] + shared * theta / h
                 change = loss - rest * rest / norm
@@ -94,8 +100,8 @@ def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
 
 
 @inner_kernel
-def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) -> None:
-    """Exchange terms until no exchange helps, `most` times at most."""
+def exchange_all(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) -> None:
+    """Exchange terms until no exchange helps, at most `most` times."""
     for _ in range(most):
         if not exchange(a, inside, locked, usable):
             break
@@ -103,14 +109,14 @@ def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) ->
 
 @inner_kernel
 def copy_mask(source: Bools, target: Bools) -> None:
-    """Copy a mask; numba compiles a slice that is written to with all its error texts."""
+    """Copy a mask; an explicit loop compiles faster than the assignment of a slice."""
     for j in range(len(source)):
         target[j] = source[j]
 
 
 @inner_kernel
 def size_of(mask: Bools) -> int:
-    """Return how many entries are set."""
+    """Return the number of entries that are set."""
     size = 0
     for j in range(len(mask)):
         size += mask[j]
@@ -118,8 +124,8 @@ def size_of(mask: Bools) -> int:
 
 
 @inner_kernel
-def refresh(a: Floats, original: Floats, inside: Bools) -> None:
-    """Sweep anew from the original: rounding does not pile up."""
+def sweep_from(a: Floats, original: Floats, inside: Bools) -> None:
+    """Fill `a` with the original matrix swept on the terms inside; this limits the accumulation of rounding."""
     for j in range(len(a)):
         for k in range(len(a)):
             a[j, k] = original[j, k]
@@ -129,8 +135,8 @@ def refresh(a: Floats, original: Floats, inside: Bools) -> None:
 
 
 @inner_kernel
-def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
-    """Keep the set if it is the best of its size so far."""
+def keep_best(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
+    """Store the set if it is the best of its size so far; return whether it is."""
     value = max(a[len(a) - 1, len(a) - 1], 0.0)
     if value < rss[size] * (1.0 - MIN_EXCHANGE_GAIN) - 1e-16:
         rss[size] = value
@@ -140,10 +146,10 @@ def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> b
 
 
 @inner_kernel
-def climb(
+def grow(
     a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
-    """Add terms one by one up to the largest size, with exchanges after each; tell whether any size got better."""
+    """Add terms one by one up to the largest size, with exchanges after each; return whether any size improved."""
     better = False
     size = size_of(inside)
     while size < len(rss) - 1:
@@ -154,16 +160,16 @@ def climb(
         inside[j] = True
         size += 1
         if swap:
-            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
-        better = remember(a, inside, size, rss, sets) or better
+            exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
+        better = keep_best(a, inside, size, rss, sets) or better
     return better
 
 
 @inner_kernel
-def descend(
+def shrink(
     a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
-    """Take terms out one by one, with exchanges after each; tell whether any size got better."""
+    """Remove terms one by one, with exchanges after each; return whether any size improved."""
     better = False
     size = size_of(inside)
     while size > 1:
@@ -174,31 +180,33 @@ def descend(
         inside[i] = False
         size -= 1
         if swap:
-            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
-        better = remember(a, inside, size, rss, sets) or better
+            exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
+        better = keep_best(a, inside, size, rss, sets) or better
     return better
 
 
 @inner_kernel
-def thin(
+def shrink_best(
     a: Floats, original: Floats, inside: Bools, locked: Bools, usable: Bools, rss: Floats, sets: Bools
 ) -> bool:
-    """Take one term out of the best set of every size, largest first; tell whether any size got better.
+    """Remove one term from the best set of every size, largest first; return whether any size improved.
 
-    inside : (m,) what is written here on the way means nothing
+    Parameters
+    ----------
+    inside : (m,) working memory
     """
     better = False
     for size in range(len(rss) - 1, 1, -1):
         if not np.isfinite(rss[size]):
             continue
         copy_mask(sets[size], inside)
-        refresh(a, original, inside)
+        sweep_from(a, original, inside)
         i = best_removal(a, inside, locked)
         if i >= 0:
             sweep(a, i)
             inside[i] = False
-            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
-            better = remember(a, inside, size - 1, rss, sets) or better
+            exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
+            better = keep_best(a, inside, size - 1, rss, sets) or better
     return better
 
 
@@ -214,32 +222,32 @@ def search_one(
     rss: Floats,
     sets: Bools,
 ) -> None:
-    """Search the best set of every size for one output.
+    """Search for the best set of every size for one output.
 
     Parameters
     ----------
-    original : (m + 1, m + 1) Gram of the terms and the output, all of unit norm
-    locked, usable : (m,) terms that stay; terms that may be used
-    cost : (n_max + 1,) of each size, to find the model whose terms are tried as the first one
-    count : rows behind the Gram
-    swap : exchange terms
-    restart : forward selection from every term of the best model (iOFR: Guo et al. 2015)
-    rss : (n_max + 1,) all inf; filled with the unexplained share of the best set of each size
-    sets : (n_max + 1, m) filled with these sets
+    original : (m + 1, m + 1) Gram matrix of the terms and the output, all of unit norm.
+    locked, usable : (m,) Terms that are always kept, and terms that may be used.
+    cost : (n_max + 1,) Penalty of each size, which determines the best model for restarts.
+    count : Number of rows in the Gram matrix.
+    swap : Whether to exchange terms.
+    restart : Whether to restart forward selection from every term of the best model (iOFR: Guo et al. 2015).
+    rss : (n_max + 1,) All inf; filled with the unexplained share of the best set of each size.
+    sets : (n_max + 1, m) Filled with these sets.
     """
     m, n_max = len(original) - 1, len(cost) - 1
     a, inside, spare = np.empty((m + 1, m + 1)), np.empty(m, np.bool_), np.empty(m, np.bool_)
     copy_mask(locked, inside)
-    refresh(a, original, inside)
-    remember(a, inside, size_of(inside), rss, sets)
-    climb(a, inside, locked, usable, swap, rss, sets)
+    sweep_from(a, original, inside)
+    keep_best(a, inside, size_of(inside), rss, sets)
+    grow(a, inside, locked, usable, swap, rss, sets)
     if swap:
         for _ in range(MAX_PASSES):
-            refresh(a, original, inside)
-            better = descend(a, inside, locked, usable, swap, rss, sets)
-            refresh(a, original, inside)
-            better = climb(a, inside, locked, usable, swap, rss, sets) or better
-            better = thin(a, original, spare, locked, usable, rss, sets) or better
+            sweep_from(a, original, inside)
+            better = shrink(a, inside, locked, usable, swap, rss, sets)
+            sweep_from(a, original, inside)
+            better = grow(a, inside, locked, usable, swap, rss, sets) or better
+            better = shrink_best(a, original, spare, locked, usable, rss, sets) or better
             if not better:
                 break
     if restart:
@@ -255,11 +263,11 @@ def search_one(
                 break
             tried[first] = True
             copy_mask(locked, inside)
-            refresh(a, original, inside)
+            sweep_from(a, original, inside)
             if a[first, first] > DEPENDENCE_TOLERANCE and size_of(inside) < n_max:
                 inside[first] = True
                 sweep(a, first)
-                climb(a, inside, locked, usable, swap, rss, sets)
+                grow(a, inside, locked, usable, swap, rss, sets)
 
 
 @inner_kernel
@@ -287,19 +295,19 @@ def search(
     swap: bool,
     restart: bool,
 ) -> tuple[Floats, Bools]:
-    """Search the best sets of every size for many outputs.
+    """Search for the best sets of every size for many outputs.
 
     Parameters
     ----------
-    grams : (n_grams, m, m)
-    cross : (m, n)
-    power, own, count : (n,) Y'Y; which Gram; rows
-    locked, usable : (m,)
-    cost : (n, n_max + 1)
+    grams : (n_grams, m, m) Φ'Φ
+    cross : (m, n) Φ'Y
+    power, own, count : (n,) Y'Y, index of the Gram matrix, and number of rows of each output
+    locked, usable : (m,) terms that are always kept, and terms that may be used
+    cost : (n, n_max + 1) penalty of each size
 
     Returns
     -------
-    rest (n, n_max + 1) unexplained share of the best set of each size; sets (n, n_max + 1, m)
+    Unexplained share of the best set of each size (n, n_max + 1), and these sets (n, n_max + 1, m)
     """
     m, n = cross.shape
     rss = np.full((n, cost.shape[1]), np.inf)

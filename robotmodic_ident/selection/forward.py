@@ -1,7 +1,13 @@
-"""Forward selection as a pivoted Cholesky factorisation of Φ'Φ, for many outputs at once.
+"""Forward orthogonal least squares on moments: a pivoted Cholesky factorisation Φ'Φ = R'R, for many outputs at once.
 
-Orthogonal least squares (Billings 2013, ch. 3) on moments: the pivot is the term that explains most of y, and row k
-of the factor is what the k-th chosen term shares with every candidate.
+With columns φ of unit norm, left = 1 and b = Φ'y at first, step k is (Billings 2013, ch. 3):
+
+1. Select the candidate c with the largest gain `b_c² / left_c`.
+2. Row of the factor: `R_kj = (φ_c'φ_j - Σ_{s<k} R_sc R_sj) / sqrt(left_c)`, and gain `z_k = b_c / sqrt(left_c)`.
+3. Update: `b_j = b_j - z_k R_kj`, and `left_j = left_j - R_kj²`.
+
+The projection of the residual of y on candidate j is b_j. The squared norm of the part of candidate j that is
+orthogonal to the selected terms is left_j. The error reduction ratio is `ERR_k = z_k² / y'y`, and theta solves `R theta = z`.
 """
 
 from __future__ import annotations
@@ -19,20 +25,20 @@ from robotmodic_ident.types import Floats
 TIE_TOLERANCE = 1e-9
 """Relative difference of gains below which the canonical order of the terms decides."""
 DEPENDENCE_TOLERANCE = 1e-12
-"""Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
+"""Remaining share of the squared norm of a candidate below which it depends on the selected terms."""
 EPSILON = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SelectionPath:
-    """Every step of a selection, before a stop rule cuts it."""
+    """All steps of a selection, before a stop rule is applied."""
 
     order: NDArray[np.intp]
-    """(n, n_max) chosen term; -1 once no candidate is left."""
+    """(n, n_max) index of the selected term; -1 if no candidate remains."""
     factor: Floats
-    """(n, n_max, n_max) upper triangular R with R'R = Φ'Φ of the chosen terms (unit diagonal where unused)."""
+    """(n, n_max, n_max) upper triangular R with R'R = Φ'Φ of the selected terms; unit diagonal where unused."""
     gain: Floats
-    """(n, n_max) coordinate z of y along each orthonormal direction: z² is what a step explains."""
+    """(n, n_max) coordinate z of y along each orthonormal direction; z² is the explained sum of squares of a step."""
 
 
 def forward(
@@ -45,17 +51,17 @@ def forward(
     own: NDArray[np.intp] | None = None,
     allowed: NDArray[np.bool_] | None = None,
 ) -> SelectionPath:
-    """Choose up to `n_max` terms for each output by what they explain.
+    """Select up to `n_max` terms for each output by their error reduction ratio.
 
     Parameters
     ----------
-    grams : (n_grams, m, m)
-    cross : (m, n)
-    power : (n,)
-    order : (m,) canonical order, which decides ties
-    keep : terms chosen first, in this order, whatever they explain
-    own : (n,) which Gram is whose; None: one for each, or one for all
-    allowed : (n, m) terms that each output may choose; None: all
+    grams : (n_grams, m, m) Φ'Φ
+    cross : (m, n) Φ'Y
+    power : (n,) Y'Y
+    order : (m,) canonical order, which resolves ties
+    keep : terms selected first, in this order, regardless of their gain
+    own : (n,) index of the Gram matrix of each output; None: one for each, or one for all
+    allowed : (n, m) terms that each output may use; None: all
     """
     m, n = cross.shape
     if own is None:
@@ -64,7 +70,7 @@ def forward(
     factor, gain = np.zeros((n, n_max, n_max)), np.zeros((n, n_max))
     _choose(
         grams,
-        np.ascontiguousarray(cross),  # one compiled version serves all
+        np.ascontiguousarray(cross),  # one memory layout needs only one compiled version
         np.ascontiguousarray(power),
         np.asarray(own, dtype=np.intp),
         np.asarray(order, dtype=np.intp),
@@ -90,9 +96,9 @@ def _choose(
     factor: Floats,
     gain: Floats,
 ) -> None:
-    """Fill chosen (n, n_max), factor (n, n_max, n_max) and gain (n, n_max), one output after the other.
+    """Fill chosen (n, n_max), factor R (n, n_max, n_max) and gain z (n, n_max), one output after the other.
 
-    Candidates are divided by their norms and stand in canonical order: of equals, the first wins.
+    The equations are those of the module. Candidates have unit norm and canonical order; the first of equals is used.
     """
     m, n_max = len(order), gain.shape[1]
     norm, left, b, basis = np.empty(m), np.empty(m), np.empty(m), np.empty((n_max, m))
@@ -103,7 +109,7 @@ def _choose(
             square = gram[p, p]
             norm[j] = math.sqrt(square) if square > 0.0 else 1.0
             left[j] = 1.0 if square > 0.0 and allowed[i, p] else 0.0  # remaining squared norm
-            b[j] = cross[p, i] / norm[j]  # what is left of the output along it
+            b[j] = cross[p, i] / norm[j]  # projection of the residual of the output
         for k in range(n_max):
             if k < len(keep):
                 c = 0
@@ -120,7 +126,7 @@ def _choose(
             root = math.sqrt(left[c])
             for j in range(m):
                 basis[k, j] = gram[order[c], order[j]] / (norm[j] * norm[c])
-            _free(basis, k, c)
+            _orthogonalise(basis, k, c)
             z = b[c] / root
             for j in range(m):
                 basis[k, j] /= root
@@ -134,8 +140,8 @@ def _choose(
 
 
 @inner_kernel
-def _free(basis: Floats, k: int, c: int) -> None:
-    """Take out of row k what candidate c shares with the rows before it."""
+def _orthogonalise(basis: Floats, k: int, c: int) -> None:
+    """Subtract Σ_{s<k} R_sc R_sj from row k, for the selected candidate c."""
     for step in range(k):
         share = basis[step, c]
         for j in range(basis.shape[1]):
@@ -144,7 +150,7 @@ def _free(basis: Floats, k: int, c: int) -> None:
 
 @inner_kernel
 def _best(b: Floats, left: Floats, floor: float) -> int:
-    """Return the first candidate that explains as much as any, up to rounding; -1: all depend on the chosen."""
+    """Return the first candidate with the largest gain b² / left, up to rounding; -1 if all are dependent."""
     best = -1.0
     for j in range(len(b)):
         if left[j] > DEPENDENCE_TOLERANCE:

@@ -1,9 +1,10 @@
-"""Which terms a model needs in free run: added, and taken out again, by what they do to the simulation error.
+"""Select terms by the simulation error: terms are added and removed by their effect on the free run.
 
-One step ahead nearly every model of a slow output looks right; what it is worth shows in free run. The gradient of the
-simulation error by the coefficient of a term that is not there yet tells how promising it is (a Gauss-Newton step in
-Gram space, for all candidates in one run); the most promising ones are tried by a short descent. So terms are ranked as
-by forward selection (Billings 2013, ch. 3), but by the simulation error (Piroddi and Spinelli 2003).
+For a slow output, nearly every model predicts well one step ahead; its quality appears only in free run. Candidates are
+ranked by the first-order gain of a Gauss-Newton step (J_j' M r)² / (J_j' M J_j). J_j is the gradient of the free run by
+the coefficient of candidate j, r the residual, and M projects onto the complement of the gradients of the model. One run
+gives the gains of all candidates, and the best ones are tried by a short descent. This is forward selection (Billings
+2013, ch. 3) with the simulation error (Piroddi and Spinelli 2003).
 """
 
 from __future__ import annotations
@@ -22,28 +23,28 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
 TRIAL = LevenbergMarquardt(max_steps=5, converged=1e-2)
-"""The descent that tells which of the promising terms is best."""
+"""Descent that compares the most promising terms."""
 SHORT_DESCENT = LevenbergMarquardt(max_steps=20, converged=1e-3)
-"""The descent of a model on the way; the one that is kept is brought to rest."""
+"""Descent of an intermediate model; the final model is refined to convergence."""
 
 SHOOTING_LENGTHS = (3, 10, 30, 100, 300, 1000)
-"""[samples] of the stretches that are run free where the whole diverges."""
+"""[samples] lengths of the sections for multiple shooting, if a free run over the whole record diverges."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreeRunSearch:
-    """How far terms are looked for by the simulation error."""
+    """Limits of the search by the simulation error."""
 
     max_terms: int = 30
-    """Largest model."""
+    """Maximum number of terms."""
     trials: int = 3
-    """Most promising terms that a descent tries at each size."""
+    """Number of most promising terms that are tried by a descent at each size."""
     min_gain: float = 1e-2
-    """Relative fall of the simulation error's sum of squares that a larger model must bring ..."""
+    """Minimum relative decrease of the sum of squares for a larger model."""
     max_loss: float = 0.02
-    """Relative rise of it at which a term of the first model is taken out all the same."""
+    """Maximum relative increase of the sum of squares for removing a term of the initial model."""
     patience: int = 2
-    """... so many sizes in a row, else the search ends."""
+    """Number of consecutive sizes without that decrease after which the search ends."""
 
 
 FREE_RUN_SEARCH = FreeRunSearch()
@@ -55,14 +56,14 @@ class Simulated:
 
     model: Narmax
     rss: float
-    """[units of the output, squared] sum of squares of the free run's residual."""
+    """[units of the output, squared] sum of squares of the free-run residual."""
     initial: Floats
     """(n_initial,) [units of the output] estimated initial outputs."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRunTerms:
-    """The search among candidate terms, on records, for the least simulation error of every size."""
+    """The search for the candidate terms with the least simulation error of every size."""
 
     records: Sequence[Record]
     terms: Terms
@@ -70,14 +71,14 @@ class FreeRunTerms:
     settings: FreeRunSearch = FREE_RUN_SEARCH
 
     def path(self, start: Narmax) -> dict[int, Simulated]:
-        """Return size -> the best model of that size.
+        """Return size -> best model of that size.
 
-        What `start` has too much is taken out first, then the model grows.
+        Unnecessary terms of `start` are removed first, then terms are added.
 
         Raises
         ------
         IdentError
-            if `start` diverges in free run
+            If `start` diverges in free run.
         """
         now = self.started(start)
         best: dict[int, Simulated] = {}
@@ -92,9 +93,9 @@ class FreeRunTerms:
         return best
 
     def started(self, start: Narmax) -> Simulated:
-        """Descend from `start`; where it diverges, first over short stretches, then over longer ones.
+        """Descend from `start`; if it diverges, descend over short sections first, then over longer ones.
 
-        That is multiple shooting (Bock 1983) with measured states at every start, lengthened until one is enough.
+        This is multiple shooting (Bock 1983) with measured initial states, up to one section per record.
         """
         try:
             return self.minimised(start, start.parameters, SHORT_DESCENT)
@@ -109,14 +110,14 @@ class FreeRunTerms:
             try:
                 short = FreeRunLeastSquares(start.recursion(), pieces)
                 theta = short.minimise(theta, SHORT_DESCENT)[0].theta
-            except IdentError:  # too long already; the whole is tried from where this came
+            except IdentError:  # the sections are too long; the whole records are tried from the last result
                 break
         return self.minimised(start, theta, SHORT_DESCENT)
 
     def minimised(
         self, model: Narmax, theta: Floats, settings: LevenbergMarquardt, initial: Floats | None = None
     ) -> Simulated:
-        """Descend from coefficients theta (n_terms,), and from initial outputs (n_initial,) or the measured ones."""
+        """Descend from coefficients theta (n_terms,) and initial outputs (n_initial,), or the measured ones."""
         result, initial = self._error(model).minimise(theta, settings, initial)
         return Simulated(replace(model, theta=result.theta), result.rss, initial)
 
@@ -124,7 +125,7 @@ class FreeRunTerms:
         return FreeRunLeastSquares(model.recursion(), self.records, look_back=self.terms.max_lag)
 
     def _grown(self, now: Simulated) -> Simulated | None:
-        """Return the model with the term more that lowers its simulation error most; None: there is none."""
+        """Return the model with the additional term that lowers the simulation error most; None if none does."""
         try:
             gain = self._gains(now)
         except IdentError:
@@ -136,7 +137,7 @@ class FreeRunTerms:
             larger = among(now.model, now.model.terms + self.terms[[j]])
             try:
                 tried.append(self.minimised(larger, larger.theta, TRIAL, now.initial))
-            except IdentError:  # it diverges on the way
+            except IdentError:  # it diverges during the descent
                 continue
         if not tried:
             return None
@@ -144,7 +145,7 @@ class FreeRunTerms:
         return self.minimised(best.model, best.model.theta, SHORT_DESCENT, best.initial)
 
     def _thinned(self, now: Simulated, best: dict[int, Simulated]) -> Simulated:
-        """Take terms out as long as that beats the best model of the smaller size; return where this ends."""
+        """Remove terms while the result beats the best model of the smaller size; return the last such model."""
         self._remember(now, best)
         while len(now.model.terms) - 1 in best and (trial := self._shrunk(now)) is not None:
             if not self._remember(trial, best):
@@ -153,7 +154,7 @@ class FreeRunTerms:
         return now
 
     def _pruned(self, now: Simulated, best: dict[int, Simulated]) -> Simulated:
-        """Take terms out as long as that costs little; return where this ends."""
+        """Remove terms while the loss is below `max_loss`; return the last such model."""
         self._remember(now, best)
         while len(now.model.terms) > 1 and (trial := self._shrunk(now)) is not None:
             if trial.rss > now.rss * (1.0 + self.settings.max_loss):
@@ -179,7 +180,7 @@ class FreeRunTerms:
         return False
 
     def _gains(self, now: Simulated) -> Floats:
-        """Return what a Gauss-Newton step with each candidate more would take off the sum of squares (n_candidates,)."""
+        """Return the decrease of the sum of squares (n_candidates,) by a Gauss-Newton step with each new candidate."""
         full = among(now.model, now.model.terms + self.terms)
         gram, cross, _ = self._normalised(now, full)
         n = len(now.model.terms)
@@ -193,16 +194,16 @@ class FreeRunTerms:
         return np.where(where >= n, gain[where], 0.0)
 
     def _least_useful(self, now: Simulated) -> int:
-        """Return the term whose loss costs least to first order."""
+        """Return the term whose removal costs least to first order."""
         gram, cross, theta = self._normalised(now, now.model)
         inverse = np.linalg.pinv(gram, hermitian=True)
         theta = theta + inverse @ cross
         return int(np.argmin(theta**2 / np.maximum(np.diagonal(inverse), 1e-100)))
 
     def _normalised(self, now: Simulated, model: Narmax) -> tuple[Floats, Floats, Floats]:
-        """Return the normal equations of a model, and its coefficients, for columns of unit norm."""
+        """Return the normal equations J'J and J'r of a model, and its coefficients, for columns of unit norm."""
         gram, cross = self._error(model).normal_equations(model.theta, now.initial)
-        size = np.sqrt(np.maximum(np.diagonal(gram), 0.0))  # below 0 by rounding
+        size = np.sqrt(np.maximum(np.diagonal(gram), 0.0))  # may be slightly negative by rounding
         size = np.where(size > 0, size, 1.0)
         gram, cross = gram / size / size[:, None], cross / size
         if not (np.isfinite(gram).all() and np.isfinite(cross).all()):

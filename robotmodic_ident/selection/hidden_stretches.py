@@ -1,6 +1,6 @@
-"""Records of which one stretch after another has its output hidden: what a model does there in free run.
+"""Cross-validation in free run: each fold holds out the output of one block of every record.
 
-A free run needs the inputs alone, so what is hidden splits no record, and no state is lost.
+A free run requires only the inputs, so a held-out block does not split a record, and no initial state is lost.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUp:
-    """The start of every record, whose outputs a free run may use."""
+    """The start of every record, whose measured outputs a free run may use."""
 
     samples: int = 50
     max_share: float = 0.25
-    """Of a record, where it is short."""
+    """Maximum share of a short record."""
 
     def of(self, n: int) -> int:
-        """Return how many of a record's n samples it takes."""
+        """Return the number of warm-up samples of a record with n samples."""
         return min(self.samples, int(self.max_share * n))
 
 
@@ -34,7 +34,7 @@ WARM_UP = WarmUp()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenStretches:
-    """The folds of a cross-validation in free run."""
+    """The folds of a cross-validation in free run; hidden stretches are the held-out blocks."""
 
     records: Sequence[Record]
     output: str
@@ -43,25 +43,25 @@ class HiddenStretches:
 
     @cached_property
     def shown(self) -> list[list[Record]]:
-        """The records of every fold, nan where the output is hidden."""
+        """The records of every fold; the held-out outputs are nan."""
         return [
             [_hidden(record, self.output, self._stretch(len(record), fold)) for record in self.records]
             for fold in range(self.n_folds)
         ]
 
     def mean_square(self, model: Narmax, fold: int) -> float:
-        """Return the mean square of the free run's residual over what a fold hides; inf where it ends early."""
+        """Return the mean square of the free-run residual over the held-out samples of a fold; inf if it diverges."""
         hidden = [self._stretch(len(record), fold) for record in self.records]
         return free_run_mean_square(model, self.records, self.shown[fold], hidden, self.warm_up)
 
     def _stretch(self, n: int, fold: int) -> slice:
-        """Return the samples of a record of n that one fold hides."""
+        """Return the held-out samples of one fold in a record of n samples."""
         edges = np.linspace(self.warm_up.of(n), n, self.n_folds + 1).round().astype(int)
         return slice(int(edges[fold]), int(edges[fold + 1]))
 
 
 def whole_mean_square(model: Narmax, records: Sequence[Record], warm_up: WarmUp) -> float:
-    """Return the mean square of the free run's residual over whole records; inf where it ends early."""
+    """Return the mean square of the free-run residual over whole records; inf if it diverges."""
     rows = [slice(warm_up.of(len(record)), None) for record in records]
     return free_run_mean_square(model, records, records, rows, warm_up)
 
@@ -73,7 +73,7 @@ def free_run_mean_square(
     rows: Sequence[slice],
     warm_up: WarmUp,
 ) -> float:
-    """Return the mean square over some rows of each record of what a free run through `shown` leaves."""
+    """Return the mean square of the residual of a free run through `shown`, over some rows of each record."""
     squares: list[Floats] = []
     for record, part, some in zip(records, shown, rows, strict=True):
         measured = np.asarray(record.signals[model.output], dtype=np.float64)[some]

@@ -1,4 +1,4 @@
-"""Which terms of each size, and which size: forward, restart or exchange; information criteria or folds."""
+"""Select the terms of each size by forward selection, restart or exchange, and the size by a criterion or by folds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from robotmodic_ident.types import Floats
 
 Search = Literal["forward", "restart", "exchange"]
 EXTRA_SIZES = 8
-"""Exchange looks at sizes this much larger than asked for: taking terms out leads where adding does not."""
+"""Number of larger sizes that exchange also searches; removing terms reaches sets that adding terms does not."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SizeSearch:
 
     @property
     def first(self) -> list[int]:
-        """Indices of the terms chosen first."""
+        """Indices of the terms selected first."""
         return [self.terms.names.index(name) for name in self.keep]
 
     def path(
@@ -47,7 +47,7 @@ class SizeSearch:
         count: NDArray[np.int64],
         sizes: NDArray[np.intp] | None = None,
     ) -> tuple[SelectionPath, NDArray[np.intp], list[Stop]]:
-        """Return the order of choice, how much of it to keep, and why it ends there."""
+        """Return the order of selection, the number of terms to keep, and the reason for that number."""
         order = self.terms.canonical_order
         if self.search == "forward":
             path = forward(grams, cross, power, self.n_max, order, self.first)
@@ -63,7 +63,7 @@ class SizeSearch:
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the least unexplained share (n, n_max + 1) and the terms (n, n_max + 1, m) of every size."""
         n, m = len(power), len(self.terms)
-        order = self.terms.canonical_order  # of equals, the search takes the first
+        order = self.terms.canonical_order  # the search uses the first of equal terms
         locked = np.zeros(m, dtype=np.bool_)
         locked[self.first] = True
         criterion = self.criterion if self.criterion in INFORMATION else "bic"
@@ -87,7 +87,7 @@ class SizeSearch:
     def _cut(
         self, rest: Floats, count: NDArray[np.int64], sizes: NDArray[np.intp] | None
     ) -> tuple[NDArray[np.intp], list[Stop]]:
-        """Return how many terms to keep (n,) given the unexplained share of each size, and why."""
+        """Return the number of terms to keep (n,) from the unexplained share of each size, and the reason."""
         k = np.arange(self.n_max + 1)
         exists = np.isfinite(rest) & (k >= len(self.keep)) & (k >= 1)
         steps = np.where(exists, k, 0).max(axis=1)  # (n,)
@@ -109,7 +109,7 @@ class SizeSearch:
 
 
 def _unexplained(path: SelectionPath, power: Floats) -> Floats:
-    """Return the share of Y'Y left after 0, 1, ... steps (n, n_max + 1); inf where there is no such step."""
+    """Return the unexplained share of Y'Y after 0, 1, ... steps (n, n_max + 1); inf for missing steps."""
     safe = np.where(power > 0, power, 1.0)[:, None]
     rest = 1.0 - np.cumsum(path.gain**2, axis=1) / safe
     rest = np.where(path.order >= 0, rest, np.inf)
@@ -117,12 +117,12 @@ def _unexplained(path: SelectionPath, power: Floats) -> Floats:
 
 
 def cross_validated(size_search: SizeSearch, moments: Moments, folds: Sequence[Moments]) -> NDArray[np.intp]:
-    """Return the size (n_outputs,) with the least squared error on folds that the fit left out."""
+    """Return the size (n_outputs,) with the least squared error on held-out folds."""
     total = np.zeros((moments.n_outputs, size_search.n_max + 1))
     for fold in folds:
         train = moments - fold
         if not train.count.all():
-            raise IdentError("an output is known only within one fold; give fewer or other folds")
+            raise IdentError("an output is known only within one fold; use fewer or other folds")
         for i in range(moments.n_outputs):
             gram, cross = train.gram_of(i), train.cross[:, [i]]
             part, value = fold.gram_of(i), fold.cross[:, i]
@@ -135,14 +135,16 @@ def cross_validated(size_search: SizeSearch, moments: Moments, folds: Sequence[M
                 miss = theta @ part[np.ix_(chosen, chosen)] @ theta - 2.0 * theta @ value[chosen]
                 total[i, k] += miss + fold.power[i]
     total = np.maximum(total, 64 * total.shape[1] * np.finfo(np.float64).eps * moments.power[:, None])
-    total[:, : max(1, len(size_search.keep))] = np.inf  # of errors that are rounding, the fewest terms win
+    total[:, : max(1, len(size_search.keep))] = (
+        np.inf
+    )  # among errors that are rounding, the smallest model wins
     return np.asarray(total.argmin(axis=1), dtype=np.intp)
 
 
 def _prefixes(
     size_search: SizeSearch, gram: Floats, cross: Floats, power: Floats, count: NDArray[np.int64]
 ) -> list[NDArray[np.intp] | None]:
-    """Return the terms of every size from 0 up for one output; None where there is no such size."""
+    """Return the terms of every size from 0 for one output; None for missing sizes."""
     if size_search.search == "forward":
         path = forward(
             gram[None], cross, power, size_search.n_max, size_search.terms.canonical_order, size_search.first

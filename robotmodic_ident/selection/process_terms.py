@@ -1,4 +1,4 @@
-"""The process terms of one output: chosen by least squares or, beside noise terms, by the prediction error."""
+"""Select the process terms of one output by least squares, or by the prediction error if there are noise terms."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from robotmodic_ident.terms import CONSTANT, Terms
 
 Rows: TypeAlias = slice | NDArray[np.intp]
 MIN_OUTPUT = 1e-150
-"""Of an output that is not 0: squares of smaller values vanish."""
+"""Minimum magnitude of an output other than 0; squares of smaller values underflow."""
 
 
 @dataclass(kw_only=True)
 class ProcessTermSelection:
-    """The selection of process terms; it is repeated when a noise model has been found."""
+    """The selection of process terms, which can be repeated with a noise model."""
 
     records: list[Record]
     output: str
     terms: Terms
-    """Candidates; without those that depend on others once this is made."""
+    """Candidate terms; exactly dependent ones are removed at construction."""
     n_terms: int | None
     criterion: Criterion
     err_tol: float
@@ -47,9 +47,9 @@ class ProcessTermSelection:
     n_folds: int
     scale: Scale | None
     is_ratio: bool
-    """Whether the candidates are those of a rational model, multiplied out."""
+    """Whether the candidates are those of the linear form of a rational model."""
     limits: tuple[float, float] = UNLIMITED
-    """[units of the output] outputs there tell least squares only that they would be beyond: they are left out."""
+    """[units of the output] saturation limits; samples at a limit are excluded from least squares."""
 
     def __post_init__(self) -> None:
         self.rows = lagged(self.records, self.terms, [self.output])
@@ -58,34 +58,38 @@ class ProcessTermSelection:
             inside = (self.rows.targets > low) & (self.rows.targets < high)
             self.rows = replace(self.rows, targets=np.where(inside, self.rows.targets, np.nan))
         if not np.isfinite(self.rows.targets).any():
-            raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
+            raise IdentError(
+                f"output {self.output} is unknown at all samples with known regressors; check the records"
+            )
         self._shift_output()
         self.scale = self.scale or scale_for(self.terms, self.rows)
         moments = self._moments(slice(None))
         kept, found = independent(moments, self.output, moments.gram_of(0))
         names = {moments.terms.names[i] for i in kept.tolist()}
         if lost := set(self.keep) - names - (set(self.keep) - set(moments.terms.names)):
-            raise IdentError(f"term {', '.join(sorted(lost))} is to be kept but is given exactly by others")
+            raise IdentError(
+                f"term {', '.join(sorted(lost))} cannot be kept, because it is an exact combination of other terms"
+            )
         self.terms = self.terms[kept.tolist()]
         self.summed = moments.pick(terms=kept)
         self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
         if self.shift:
-            self.notes.append(f"{self.output} lies far from 0: err is of {self.output} - {self.shift:.15g}")
+            self.notes.append(
+                f"{self.output} is far from 0, so err refers to {self.output} - {self.shift:.15g}"
+            )
         for name, centre in zip(self.scale.variables, self.scale.centres, strict=True):
             if centre:
-                self.notes.append(
-                    f"{name} lies far from 0: in the terms it stands for {name} - {centre:.15g}"
-                )
+                self.notes.append(f"{name} is far from 0, so {name} in the terms is {name} - {centre:.15g}")
 
     def _shift_output(self) -> None:
-        """Take the output from its middle where it lies far from 0, and refuse one whose squares vanish."""
+        """Subtract the middle of an output far from 0; reject an output whose squares underflow."""
         known = self.rows.targets[np.isfinite(self.rows.targets)]
         if 0.0 < (largest := float(np.abs(known).max())) < MIN_OUTPUT:
             raise IdentError(
-                f"{self.output} is at most {largest:.3g}, whose square cannot be held; use smaller units"
+                f"{self.output} is at most {largest:.3g}, whose square underflows; use smaller units"
             )
         self.shift = 0.0 if self.is_ratio or CONSTANT not in self.terms.names else middle_of(known)
-        """What is subtracted from the output, and given back by the constant, which then stays."""
+        """Offset subtracted from the output; the constant term, which is then always kept, restores it."""
         if self.shift:
             self.rows = replace(self.rows, targets=self.rows.targets - self.shift)
             self.keep = tuple(dict.fromkeys((CONSTANT, *self.keep)))
@@ -94,7 +98,7 @@ class ProcessTermSelection:
     def _remarks(self, count: int) -> list[str]:
         out = []
         if count < 2 * len(self.terms):
-            out.append(f"{count} samples for {len(self.terms)} candidate terms: the choice is weakly founded")
+            out.append(f"{count} samples for {len(self.terms)} candidate terms: the selection is unreliable")
         for i, record in enumerate(self.records):
             if not (self.rows.record == i).any():
                 out.append(
@@ -103,41 +107,41 @@ class ProcessTermSelection:
         return out
 
     def select(self) -> Narmax:
-        """Choose process terms by least squares."""
+        """Select process terms by least squares."""
         blocks = np.array_split(np.arange(len(self.rows.sample)), self.n_folds)
         folds = [self._moments(block) for block in blocks] if self.criterion == "cv" else []
         selection = self._selection(self.summed, folds)
         self._judge(selection)
         return self._model(selection)
 
-    def select_beside(self, model: Narmax) -> Narmax:
-        """Choose process terms by the prediction error, with the noise terms of a model beside them."""
+    def select_with_noise(self, model: Narmax) -> Narmax:
+        """Select process terms by the prediction error, with the noise terms of a model included."""
         noise, n = model.noise_terms, len(self.terms)
         full = among(model, self.terms)
         parts = self._linearised(full)
         moments = reduce(add, parts)
         selection = self._selection(moments, parts if self.criterion == "cv" else [], noise.names)
         chosen = [i for i in selection.chosen(0).tolist() if i < n]
-        if not chosen:  # the noise alone is the better model, but a model has a term
+        if not chosen:  # noise terms alone are better, but a model requires a process term
             chosen = select(moments.pick(terms=range(n)), 1).chosen(0).tolist()
         alone = select(self.summed.pick(terms=chosen), len(chosen))
         return replace(self._model(alone), stop=selection.stop[0])
 
     def _model(self, selection: Selection) -> Narmax:
-        """Return the model of a selection, with what was subtracted from the output given back."""
+        """Return the model of a selection, with the offset of the output restored."""
         model = replace(Narmax.of(selection, 0, self.output), limits=self.limits)
         shift = np.where(np.array(model.terms.names) == CONSTANT, self.shift, 0.0)
         return replace(model, theta=model.theta + shift)
 
     def _moments(self, rows: Rows) -> Moments:
-        """Sum up some rows of the data."""
+        """Return the moments of some rows of the data."""
         columns = {name: values[rows] for name, values in self.rows.columns.items()}
         return Moments(self.terms, 1, scale=self.scale).add(columns, self.rows.targets[rows])
 
     def _linearised(self, model: Narmax) -> list[Moments]:
-        """Sum up the linearised prediction error of a model in contiguous parts: the folds of cv, else one.
+        """Return the moments of the linearised prediction error in contiguous parts: the folds of cv, otherwise one.
 
-        Gradients are held a block at a time, never for all samples.
+        Gradients are held in memory for one block of samples at a time.
         """
         problem = NonlinearLeastSquares(model.recursion(), self.records)
         n_parts = self.n_folds if self.criterion == "cv" else 1
@@ -155,7 +159,7 @@ class ProcessTermSelection:
         return parts
 
     def _selection(self, moments: Moments, folds: Sequence[Moments], noise: Sequence[str] = ()) -> Selection:
-        """Select from moments; `folds` are those of their parts, `noise` names terms that are there anyway."""
+        """Select terms from moments; `folds` are moments of their parts, and `noise` names terms that are kept."""
         return select(
             moments,
             None if self.n_terms is None else self.n_terms + len(noise),
@@ -167,13 +171,13 @@ class ProcessTermSelection:
         )
 
     def _judge(self, selection: Selection) -> None:
-        """Note where the one term that a model has explains less than it costs."""
+        """Add a note if the single term of a model explains less than its complexity penalty."""
         if self.criterion in INFORMATION and selection.n_terms[0] == 1 and self.keep in ((), (CONSTANT,)):
             share, count = float(selection.err[0, 0]), selection.count[:1]
             cost = penalties(self.criterion, 1, len(self.terms), count)
             none, one = information(np.array([[1.0, 1.0 - share]]), cost, count)[0]
             if none < one:
                 self.notes.append(
-                    f"by {self.criterion} no term is worth its cost; the one kept explains {share:.1%} of "
-                    f"{self.output}, as chance may"
+                    f"according to {self.criterion}, no term is significant; the term kept explains {share:.1%} of "
+                    f"{self.output}, which may be chance"
                 )

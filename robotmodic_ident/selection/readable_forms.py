@@ -1,6 +1,6 @@
-"""What no polynomial says: dry friction, and an output measured without its sign; linear models otherwise.
+"""Linear models with nonlinearities that are not polynomial: dry friction, and an output measured without its sign.
 
-Both are estimated in free run, where they are worth most: friction decides how far a motor coasts.
+Both are estimated in free run, where their effect is largest: friction determines the coasting distance of a motor.
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionSearch:
-    """Differences of the output whose sign is tried."""
+    """Output differences that are tried as the sign of the speed."""
 
     spans: tuple[int, ...] = (1, 3, 10)
-    """[samples] between the two values: a longer one stands out of noise, a shorter one is quicker."""
+    """[samples] between the two values; a longer span is less sensitive to noise, a shorter one has less delay."""
     shares: tuple[float, ...] = (0.003, 0.03)
-    """Of the largest difference: the width of tanh, which takes the place of the sign, whose slope says nothing."""
+    """Widths of tanh as shares of the largest difference; tanh replaces the sign, whose derivative is 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignSearch:
-    """How the signs of a magnitude are guessed, and then corrected by the model that they lead to."""
+    """Settings for detecting a magnitude, guessing its signs and updating them with the resulting model."""
 
     max_least_share: float = 0.1
-    """Of the largest value: a magnitude comes as near to 0 as its 5 % quantile ..."""
+    """Maximum 5 % quantile of a magnitude, as a share of its largest value."""
     max_negative_share: float = 0.05
-    """... and is never farther below it."""
+    """Maximum size of negative values of a magnitude, as a share of its largest value."""
     time_constants: tuple[float, ...] = (1.0, 4.0, 16.0)
-    """[samples] of the smoothed input whose sign is the first guess."""
+    """[samples] time constants of the smoothed input whose sign is the initial guess."""
     delays: tuple[int, ...] = (0, 2, 5)
-    """[samples] of it."""
+    """[samples] delays of the smoothed input."""
     max_rounds: int = 12
+    """Maximum number of updates of the signs."""
 
 
 FRICTION_SEARCH = FrictionSearch()
@@ -58,9 +59,9 @@ def friction_models(
     limits: tuple[float, float],
     search: FrictionSearch = FRICTION_SEARCH,
 ) -> list[Narmax]:
-    """Return linear models with the sign of the output's own speed, tanh((y(k-1)-y(k-2))/width).
+    """Return linear models with a friction term tanh((y(k-1) - y(k-1-span)) / width) of the speed of the output.
 
-    Of what resists every motion alike (Coulomb) no polynomial gives more than a slope.
+    Coulomb friction resists every motion equally; a polynomial approximates it only by a slope.
     """
     linear = dictionary(output, inputs, order, 1, order)
     out = []
@@ -102,10 +103,11 @@ def magnitude_models(
     order: int,
     search: SignSearch = SIGN_SEARCH,
 ) -> list[Narmax]:
-    """Return a linear model of the signed output behind a magnitude; none where the output is no magnitude.
+    """Return a linear model of the signed output of a magnitude; an empty list if the output is not a magnitude.
 
-    The signs are those of a smoothed and delayed input at first, then those of the free run of the model that they
-    lead to, until they stay (as the phase is retrieved by Gerchberg and Saxton 1972). The best of all starts is kept.
+    The initial signs are those of a smoothed and delayed input. They are replaced by the signs of the free run of the
+    resulting model until the error stops decreasing, similar to phase retrieval (Gerchberg and Saxton 1972). The best
+    of all initial guesses is returned.
     """
     values = np.concatenate([np.asarray(r.signals[output], dtype=np.float64) for r in records])
     values = values[np.isfinite(values)]
@@ -128,7 +130,7 @@ def magnitude_models(
 def _first_signs(
     records: Sequence[Record], inputs: Sequence[str], search: SignSearch
 ) -> Iterator[list[Floats]]:
-    """Yield guesses: for every record (n,) 1 or -1."""
+    """Yield initial guesses of the signs: (n,) 1 or -1 for every record."""
     for name in inputs:
         for constant in search.time_constants:
             for delay in search.delays:
@@ -145,7 +147,7 @@ def _first_signs(
 def _with_settled_signs(
     records: Sequence[Record], output: str, terms: Terms, signs: list[Floats], search: SignSearch
 ) -> tuple[Narmax, float]:
-    """Fit and take the signs of the free run in turn; return the model and the mean square of its magnitude."""
+    """Alternate between fitting and updating the signs; return the model and its mean squared error of magnitude."""
     model, error = None, np.inf
     for _ in range(search.max_rounds):
         signed = [

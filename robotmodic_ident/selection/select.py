@@ -1,4 +1,7 @@
-"""Selection of terms by error reduction ratio, for all outputs at once, on moments alone."""
+"""Select terms by error reduction ratio, for all outputs at once, from moments only.
+
+For the selected terms, Φ'Φ = R'R, R theta = z and ERR_k = z_k² / y'y (Billings 2013, ch. 3; see `forward`).
+"""
 
 from __future__ import annotations
 
@@ -19,46 +22,46 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
 MAX_SEARCHED_SIZE = 50
-"""Largest model that exchange and restart look at unless n_terms says otherwise."""
+"""Maximum model size for exchange and restart if n_terms is not given."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Selection:
-    """The chosen terms of every output, in order of choice."""
+    """The selected terms of every output, in order of selection."""
 
     terms: Terms
     scale: Scale
     order: NDArray[np.intp]
-    """(n_outputs, n_max) index of the term chosen at each step; -1 where there is none."""
+    """(n_outputs, n_max) index of the term selected at each step; -1 for no term."""
     n_terms: NDArray[np.intp]
-    """(n_outputs,) terms kept."""
+    """(n_outputs,) number of terms kept."""
     err: Floats
     """(n_outputs, n_max) error reduction ratio of each step."""
     theta: Floats
-    """(n_outputs, len(terms)) coefficients of the scaled terms; 0 where not chosen."""
+    """(n_outputs, len(terms)) coefficients of the scaled terms; 0 if not selected."""
     inverse: Floats
-    """(n_outputs, n_max, n_max) upper triangular T with T T' = (Φ'Φ)⁻¹ of the chosen terms; 0 beyond them."""
+    """(n_outputs, n_max, n_max) upper triangular T = R⁻¹ with T T' = (Φ'Φ)⁻¹ of the selected terms; 0 beyond them."""
     rss: Floats
     """(n_outputs,) residual sum of squares."""
     count: NDArray[np.int64]
-    """(n_outputs,) rows it rests on."""
+    """(n_outputs,) number of rows."""
     rcond: Floats
-    """(n_outputs,) least over largest pivot of the scaled factor: below 1e-7, doubt the coefficients."""
+    """(n_outputs,) smallest over largest pivot of the scaled factor; below 1e-7, the coefficients are unreliable."""
     stop: tuple[Stop, ...]
-    """(n_outputs,) why the selection ended: the criterion, or `exhausted` where no term was left before it."""
+    """(n_outputs,) reason for the end: the criterion, or `exhausted` if no candidate term remained."""
 
     @property
     def sigma(self) -> Floats:
-        """(n_outputs,) standard deviation of the residual, corrected for the terms kept; nan if none is left."""
+        """(n_outputs,) standard deviation of the residual, corrected for the terms; nan without degrees of freedom."""
         free = self.count - self.n_terms
         return np.sqrt(np.where(free > 0, self.rss / np.maximum(free, 1), np.nan))
 
     def chosen(self, output: int) -> NDArray[np.intp]:
-        """Return the indices of one output's terms in order of choice."""
+        """Return the indices of the terms of one output, in order of selection."""
         return self.order[output, : self.n_terms[output]]
 
     def covariance(self, output: int) -> Floats:
-        """Return the covariance (n_terms, n_terms) of one output's coefficients (scaled terms)."""
+        """Return the covariance sigma² T T' (n_terms, n_terms) of the coefficients of one output (scaled terms)."""
         k = int(self.n_terms[output])
         factor = self.inverse[output, :k, :k]
         return np.asarray(self.sigma[output] ** 2 * (factor @ factor.T), dtype=np.float64)
@@ -75,26 +78,26 @@ def select(
     search: Search = "forward",
     folds: Sequence[Moments] = (),
 ) -> Selection:
-    """Select terms for every output by what they explain.
+    """Select terms for every output by their error reduction ratio.
 
     Parameters
     ----------
-    n_terms : terms to keep (criterion `n_terms`), else the most to look at
-    criterion : `n_terms`; `aic`, `bic` (the default without n_terms) or `ebic` (least information criterion over
-        all sizes, half as many terms as rows at most); `cv` (least error on folds); `err_tol` (stop once
-        1 - sum of ERR is below `err_tol`)
-    keep : names of terms chosen first, such as `1` so that ERR counts what is explained beyond the mean
-    refine : one step of iterative refinement of the coefficients
-    search : `forward` (greedy, by ERR); `restart` (greedy again from each term of the best model: iOFR);
-        `exchange` (terms are exchanged while that helps, at every size)
-    folds : moments of parts of the data of `moments`, left out one at a time for criterion `cv`
+    n_terms : Number of terms to keep (criterion `n_terms`), otherwise the maximum number.
+    criterion : `aic`, `bic` (default without n_terms) or `ebic` minimise an information criterion over all sizes, with
+        at most half as many terms as rows. `n_terms` keeps that number. `cv` minimises the error on held-out folds.
+        `err_tol` stops when 1 - Σ ERR is below `err_tol`.
+    keep : Names of terms selected first; with `1`, ERR counts the explained share beyond the mean.
+    refine : Whether to apply one step of iterative refinement to the coefficients.
+    search : `forward` (greedy, by ERR), `restart` (greedy again from each term of the best model: iOFR), or
+        `exchange` (exchange terms while this helps, at every size).
+    folds : Moments of parts of the data, held out one at a time for criterion `cv`.
 
     Raises
     ------
     ValueError
-        if criterion, search, folds and n_terms do not fit together
+        If criterion, search, folds and n_terms are inconsistent.
     IdentError
-        if an output has no known value, or a term to keep is not there
+        If an output has no known value, or a term to keep is missing.
     """
     criterion = criterion or ("bic" if n_terms is None else "n_terms")
     _check(moments, n_terms, criterion, keep, search, folds)
@@ -156,18 +159,20 @@ def _check(
         if value not in known:
             raise ValueError(f"{word} is {value!r}, expected one of {', '.join(known)}")
     if criterion == "n_terms" and n_terms is None:
-        raise ValueError("criterion 'n_terms' needs n_terms")
+        raise ValueError("criterion 'n_terms' needs a value for n_terms")
     if (criterion == "cv") != (len(folds) > 0):
-        raise ValueError("criterion 'cv' needs folds, at least 2 of them, and no other criterion takes them")
+        raise ValueError("criterion 'cv' needs folds, at least 2 of them; other criteria use no folds")
     if len(folds) == 1:
-        raise ValueError("one fold leaves nothing to fit on; give at least 2")
+        raise ValueError("one fold leaves no data for the fit; give at least 2")
     if n_terms is not None and n_terms < max(1, len(keep)):
         raise ValueError(f"n_terms is {n_terms}, expected at least {max(1, len(keep))}")
     if not moments.count.all():
         empty = int(np.flatnonzero(moments.count == 0)[0])
-        raise IdentError(f"output {empty} has no known value; leave it out or give more data")
+        raise IdentError(f"output {empty} has no known value; remove it or add data")
     if absent := set(keep) - set(moments.terms.names):
-        raise IdentError(f"no term {', '.join(sorted(absent))} to keep among {len(moments.terms)} terms")
+        raise IdentError(
+            f"no term {', '.join(sorted(absent))} to keep; expected names of the {len(moments.terms)} candidate terms"
+        )
 
 
 def _column_norms(factor: Floats) -> Floats:
@@ -177,7 +182,7 @@ def _column_norms(factor: Floats) -> Floats:
 def _coefficients(
     order: NDArray[np.intp], T: Floats, z: Floats, grams: Floats, cross: Floats, refine: bool
 ) -> Floats:
-    """Solve R θ = z, then refine once with the residual of the normal equations."""
+    """Solve R theta = z, then refine once with the residual of the normal equations Φ'Φ theta = Φ'y."""
     n, m = len(order), cross.shape[0]
     rows, used = np.arange(n)[:, None], order >= 0
     columns = np.maximum(order, 0)

@@ -1,1 +1,1 @@
-"""Is the model good enough: correlation tests of its residuals, and scores beside those of persistence."""
+"""Validate a model: correlation tests of its residuals, and scores compared with persistence."""

@@ -1,9 +1,14 @@
-"""Is anything left in the residuals? Correlation tests of first and higher order, with the size that they claim.
+"""Correlation tests of the residuals, of first and higher order, with correct significance levels.
 
-Each test asks whether the residual e(k) goes with something of the past, z(k - lag): itself, an input, the square of
-an input, their product (Billings and Voon 1986). Fitting has already removed what the model's own gradients explain,
-so bounds of 1.96 / sqrt(n) are too wide at small lags; here z is first freed of the gradients (a Lagrange multiplier
-test: Breusch 1978, Godfrey 1978), and all lags together give one p-value.
+Each test correlates the residual e(k) with a past quantity z(k - lag): e, an input u, u² or e u (Billings and Voon
+1986). Z (n, n_lags) contains the lagged z, and M projects onto the complement of the gradients of the model.
+
+* The score is `Z'M e`, with the covariance `V = sigma² Z'M Z`.
+* The statistic `score' V⁻¹ score` is chi-squared with n_lags degrees of freedom (Lagrange multiplier test: Breusch
+  1978, Godfrey 1978).
+
+The projection accounts for the correlation that the fit has already removed. Without it, bounds of 1.96 / sqrt(n) are
+too wide at small lags. For tests of e², M only removes the mean.
 """
 
 from __future__ import annotations
@@ -37,16 +42,16 @@ class ResidualTest:
     correlation: Floats
     """(n_lags,)"""
     bound: Floats
-    """(n_lags,) that a correlation stays within in 95 of 100 cases if nothing is left."""
+    """(n_lags,) 95 % bound of the correlation under the null hypothesis."""
     statistic: float
-    """Of all lags together, chi-squared with as many degrees of freedom as lags that can be told apart."""
+    """Statistic of all lags together, chi-squared with as many degrees of freedom as independent lags."""
     p_value: float
     n: int
-    """Residuals that it rests on."""
+    """Number of residuals."""
 
     @property
     def alarms(self) -> NDArray[np.int64]:
-        """Lags whose correlation is out of its bound; 5 % of them are by chance alone."""
+        """Lags whose correlation exceeds its bound; 5 % of the lags exceed it by chance."""
         return self.lags[np.abs(self.correlation) > self.bound]
 
 
@@ -63,13 +68,13 @@ def validate(
     Parameters
     ----------
     max_lag : [samples]
-    inputs : signals to test against; None: those that the model reads
-    fitted : whether the model was fitted on these records; on others nothing was removed beforehand
+    inputs : Signals to test against; None: those of the model.
+    fitted : Whether the model was fitted on these records; on other records, no projection is needed.
 
     Raises
     ------
     IdentError
-        if a signal is missing, or the residuals are too few for `max_lag` lags
+        If a signal is missing, or there are too few residuals for `max_lag` lags.
     """
     records = as_records(records)
     if inputs is None:
@@ -78,7 +83,7 @@ def validate(
         inputs = [v for v in seen if v not in (model.output, "e")]
     if missing := [v for v in inputs if any(v not in r.signals for r in records)]:
         raise IdentError(
-            f"no signal {', '.join(missing)} in every record; they hold {', '.join(records[0].signals)}"
+            f"no signal {', '.join(missing)} in every record; the first record has {', '.join(records[0].signals)}"
         )
     past = _ResidualData(model, records, max_lag)
     ahead, from_now = np.arange(1, max_lag + 1), np.arange(max_lag + 1)
@@ -96,9 +101,9 @@ def validate(
 
 
 def false_discoveries(p_values: ArrayLike, rate: float = 0.05) -> NDArray[np.bool_]:
-    """Tell which of many tests to believe so that at most `rate` of those believed are wrong.
+    """Return which of many tests are significant at a false discovery rate of `rate` (Benjamini and Hochberg 1995).
 
-    Benjamini and Hochberg 1995; nan is never believed. Returns an array shaped like p_values.
+    The result has the shape of p_values; nan is never significant.
     """
     p = np.asarray(p_values, dtype=np.float64)
     flat = np.where(np.isnan(p), np.inf, p).ravel()
@@ -123,12 +128,12 @@ class _ResidualData:
         self.segments: list[Segment] = problem.segments
         if problem.count <= len(model.parameters) + 2 * max_lag + 1:
             raise IdentError(
-                f"{problem.count} residuals are too few to test {max_lag} lags beside {len(model.parameters)} "
-                "coefficients; give a smaller max_lag or longer records"
+                f"{problem.count} residuals are too few to test {max_lag} lags with {len(model.parameters)} "
+                "coefficients; use a smaller max_lag or longer records"
             )
 
     def signal(self, name: str) -> list[Floats]:
-        """Return a signal over every segment, its mean removed and of size one; nan where not known."""
+        """Return a signal over every segment, scaled to unit size and without its mean; nan if unknown."""
         parts = [
             np.asarray(record.signals[name], dtype=np.float64)[segment.piece]
             for record, segment in zip(self.source, self.segments, strict=True)
@@ -147,7 +152,7 @@ class _ResidualData:
         *,
         of_squares: bool = False,
     ) -> ResidualTest:
-        """Test e, or e² less its mean, against `past` at every lag."""
+        """Test e, or e² minus its mean, against `past` at every lag."""
         targets, regressors, nuisance = [], [], []
         for e, z, g, rows in zip(self.e, past, self.gradients, self.rows, strict=True):
             delayed = np.full((len(e), len(lags)), np.nan)
@@ -157,11 +162,11 @@ class _ResidualData:
             targets.append(e[use])
             regressors.append(delayed[use])
             nuisance.append(g[use])
-        target, Z = _of_size_one(np.concatenate(targets)), _of_size_one(np.concatenate(regressors))
+        target, Z = _unit_scaled(np.concatenate(targets)), _unit_scaled(np.concatenate(regressors))
         G = np.concatenate(nuisance)
         n = len(target)
         if n <= len(lags) + 1:
-            raise IdentError(f"test {test}: only {n} rows know {lags[-1]} lags; give a smaller max_lag")
+            raise IdentError(f"test {test}: only {n} rows have {lags[-1]} known lags; use a smaller max_lag")
         if of_squares:
             target = target**2 - np.mean(target**2)
         free = Z - Z.mean(axis=0) if of_squares else Z
@@ -169,13 +174,19 @@ class _ResidualData:
             basis = _orthonormal(G)
             free = Z - basis @ (basis.T @ Z)
         used = self.gradients[0].shape[1] if fitted else 0
-        return _judged(test, lags, target, Z, free, used)
+        return _test_result(test, lags, target, Z, free, used)
 
 
-def _judged(
+def _test_result(
     test: str, lags: NDArray[np.int64], target: Floats, Z: Floats, free: Floats, used: int
 ) -> ResidualTest:
-    """Correlate the target with Z (n, n_lags); `free` is what of Z could still vary with it."""
+    """Correlate the target with Z (n, n_lags).
+
+    Parameters
+    ----------
+    free : (n, n_lags) M Z, the part of Z that is orthogonal to the gradients
+    used : number of estimated parameters
+    """
     n = len(target)
     variance = float(np.sum(target**2)) / max(n - used, 1)
     size = np.sqrt((Z**2).sum(axis=0) * n * variance)
@@ -199,8 +210,8 @@ def _judged(
     )
 
 
-def _of_size_one(z: Floats) -> Floats:
-    """Scale each column by a power of two, which changes no digit: tests do not depend on units, but squares overflow."""
+def _unit_scaled(z: Floats) -> Floats:
+    """Scale each column by a power of two, which is exact and prevents the overflow of squares."""
     return np.asarray(np.ldexp(z, -np.frexp(np.abs(z).max(axis=0, initial=0.0))[1]))
 
 

@@ -1,4 +1,4 @@
-"""Scores of a model beside those of doing nothing: one step, several steps and free run, against persistence."""
+"""Score a model one step ahead, several steps ahead and in free run, compared with persistence."""
 
 from __future__ import annotations
 
@@ -18,55 +18,55 @@ from robotmodic_ident.types import Floats
 
 Horizon = int | Literal["free"]
 SOKAL_WINDOW = 5.0
-"""The sum over lags ends where it covers this many correlation times (Sokal 1997)."""
+"""The sum over lags ends when it spans this number of correlation times (Sokal 1997)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well a prediction meets what was measured."""
+    """The agreement of a prediction with measurements."""
 
     n: int
-    """Samples compared."""
+    """Number of samples compared."""
     rmse: float
-    """[units of the output]"""
+    """[units of the output] root mean square error."""
     rrse: float
-    """RMSE over the standard deviation of what was measured: 1 is as good as the mean."""
+    """RMSE over the standard deviation of the measurements; 1 corresponds to predicting the mean."""
     r: float
-    """Pearson's correlation."""
+    """Pearson correlation."""
     r_low: float
     r_high: float
-    """95 % interval of r."""
+    """Limits of the 95 % interval of r."""
     p_value: float
-    """Of r against none, with the effective number of samples."""
+    """p-value of the hypothesis r = 0, with the effective number of samples."""
     n_effective: float
-    """As many independent samples would be as telling."""
+    """Number of independent samples with the same information on r."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HorizonScore:
-    """A model at one horizon, and persistence at the same."""
+    """The scores of a model and of persistence at one horizon."""
 
     horizon: Horizon
     model: Score
     persistence: Score
-    """The last output known stands for all later ones; in free run, the one that the run started from."""
+    """Score of the last known output as the prediction; in free run, the output before its first prediction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Extrapolation:
-    """What of some records lies outside where a model was fitted, and how it does there."""
+    """The share of samples outside the training data of a model, and its errors inside and outside."""
 
     share: float
-    """0...1 of the samples whose leverage is above `largest`; nan where a fit without residual has none."""
+    """Share of the samples with a leverage above `largest`, 0...1; nan for a fit without residual."""
     largest: float
-    """Leverage among the samples of the fit."""
+    """Largest leverage of the samples of the fit."""
     rmse_inside: float
     rmse_outside: float
-    """[units of the output] of the one-step prediction; nan where there is no such sample."""
+    """[units of the output] RMSE of the one-step prediction; nan without such samples."""
 
 
 def extrapolation(model: Narmax, fitted: Records, records: Records) -> Extrapolation:
-    """Compare the leverage of `records` with the largest that the model was `fitted` on."""
+    """Compare the leverage of `records` with the largest leverage of the `fitted` records."""
     own = np.concatenate([_leverage(model, record) for record in as_records(fitted)])
     largest = float(np.max(own, initial=-np.inf, where=np.isfinite(own)))
     records = as_records(records)
@@ -84,7 +84,7 @@ def extrapolation(model: Narmax, fitted: Records, records: Records) -> Extrapola
 
 
 def _leverage(model: Narmax, record: Record | Mapping[str, Floats]) -> Floats:
-    """Return the leverage of the samples (n,) whose output is known: those that a fit can rest on."""
+    """Return the leverage of the samples (n,) with a known output, which a fit can use; nan for the others."""
     (record,) = as_records(record)
     return np.where(np.isfinite(record.signals[model.output]), model.leverage(record), np.nan)
 
@@ -94,16 +94,16 @@ def _mean(values: NDArray[Any]) -> float:
 
 
 def score(measured: Floats, predicted: Floats) -> Score:
-    """Compare two series (n,); samples that either does not know are left out.
+    """Compare two series (n,); samples that are unknown in either series are left out.
 
     Raises
     ------
     IdentError
-        if both know fewer than 3 samples
+        If fewer than 3 samples are known in both.
     """
     known = np.isfinite(measured) & np.isfinite(predicted)
     if (n := int(known.sum())) < 3:
-        raise IdentError(f"{n} samples are known to both series; a score needs 3 or more")
+        raise IdentError(f"{n} samples are known in both series; a score needs 3 or more")
     unit = size_of(measured[known], predicted[known])
     y, f = measured[known] / unit, predicted[known] / unit
     error, spread = root_mean_square(y - f), root_mean_square(y - y.mean())
@@ -122,16 +122,16 @@ def score(measured: Floats, predicted: Floats) -> Score:
 
 
 def correlation(a: Floats, b: Floats) -> float:
-    """Return Pearson's correlation of two series (n,) that vary, whatever their sizes."""
+    """Return the Pearson correlation of two series (n,) that are not constant, without overflow."""
     a, b = a - a.mean(), b - b.mean()
     a, b = a / size_of(a), b / size_of(b)
     return float(np.clip(a @ b / np.sqrt((a @ a) * (b @ b)), -1.0, 1.0))
 
 
 def effective_samples(a: Floats, b: Floats) -> float:
-    """Count the independent samples as telling of a correlation as two correlated series (n,) are.
+    """Return the effective number of samples n / (1 + 2 Σ rho_a rho_b) for the correlation of two series (n,).
 
-    n / (1 + 2 sum of the products of both autocorrelations): Bartlett 1935; Pyper and Peterman 1998.
+    rho_a and rho_b are the autocorrelations at each lag (Bartlett 1935; Pyper and Peterman 1998).
     """
     n = len(a)
     product = autocorrelation(a, n // 2) * autocorrelation(b, n // 2)
@@ -152,7 +152,7 @@ def autocorrelation(series: Floats, max_lag: int) -> Floats:
 
 
 def _interval(r: float, n: float) -> tuple[float, float, float]:
-    """Return the 95 % interval of r by Fisher's z, and the p-value of Student's t."""
+    """Return the 95 % interval of r by the Fisher z-transformation, and the p-value of a t-test."""
     if n <= 3.5:
         return -1.0, 1.0, 1.0
     z, half = np.arctanh(np.clip(r, -1 + 1e-15, 1 - 1e-15)), 1.96 / np.sqrt(n - 3)
@@ -161,7 +161,7 @@ def _interval(r: float, n: float) -> tuple[float, float, float]:
 
 
 def scores(model: Narmax, records: Records, horizons: Sequence[Horizon] = (1, "free")) -> list[HorizonScore]:
-    """Score a model at horizons [samples, or `free`], with persistence on the same samples beside it."""
+    """Score a model and persistence at horizons [samples, or `free`], on the same samples."""
     records = as_records(records)
     out = []
     for horizon in horizons:
@@ -182,7 +182,7 @@ def scores(model: Narmax, records: Records, horizons: Sequence[Horizon] = (1, "f
 
 
 def _held(y: Floats, predicted: Floats, horizon: Horizon) -> Floats:
-    """Return the last output known at each sample of a segment (n,)."""
+    """Return the last known output at each sample of a segment (n,)."""
     out = np.full(len(y), np.nan)
     if horizon != "free":
         out[horizon:] = y[: max(len(y) - horizon, 0)]
