@@ -68,7 +68,7 @@ def test_an_input_is_never_written_over(
         ("record {png} --arena square -o {tmp}/a.mcap", "not a CSV file"),
         ("record {made}/plan --arena square --seed -1 -o {tmp}/a.mcap", "--seed"),
         ("record {made}/plan --arena square --start 1,1,0 -o {tmp}/a.mcap", "which has its own start"),
-        ("predict {made}/g.sensorgraph --poses {far} -o {tmp}/a.npz", "expected metres"),
+        ("predict {made}/g.sensorgraph --poses {far} -o {tmp}/a.npz", "from the origin"),
         ("plan square --cell 1e9 -o {tmp}/a", "larger than the whole arena"),
         ("plan square --duration 100 -o {tmp}/a", "duration is for the baselines"),
         ("show {made}/g.sensorgraph --ray -1", "ray -1 does not exist"),

@@ -103,7 +103,7 @@ def test_messages_lost_on_the_way_and_gaps_are_counted(
     assert live(port, tmp_path / "run.mcap", "--duration", "1.2", domain=3) == 0
     thread.join()
     robot.close()
-    assert "/scan: 9 messages, 3 lost on the way, 1 gap of 0.4" in capsys.readouterr().out
+    assert "/scan: 9 messages, 3 lost in transport, 1 gap of 0.4" in capsys.readouterr().out
 
 
 def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
@@ -144,7 +144,7 @@ def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
         (["--duration", "-1"], "expected seconds above 0"),
         (["--wait", "0"], "--wait is 0, expected seconds above 0"),
         (["--until-covered", "nowhere"], "nowhere has no trajectory.csv"),
-        (["--graph", "some.sensorgraph"], "--graph is for the embedded robot"),
+        (["--graph", "some.sensorgraph"], "--graph is for the simulated robot"),
     ],
     ids=lambda value: value[0].strip("-") if isinstance(value, list) else "",
 )
@@ -265,7 +265,7 @@ def test_a_recording_goes_on_when_router_and_robot_restart(
     said = capsys.readouterr().out
     (note,) = (line for line in said.splitlines() if line.startswith("note:"))
     away = float(note.rpartition("(")[2].split()[0])
-    assert f"the router at tcp/127.0.0.1:{port} was away from 0." in note and 0.3 <= away <= 3.0, note
+    assert f"no connection to the router at tcp/127.0.0.1:{port} from 0." in note and 0.3 <= away <= 3.0, note
     (scan,) = (line for line in said.splitlines() if line.startswith("/scan: 30 messages"))
     assert "lost" not in scan and "2 gaps, the longest " in scan and "silent for the last" in scan
     assert not list(tmp_path.glob("*.part"))

@@ -158,7 +158,7 @@ def _listen(
                 show(recording, "; ".join(text for text in state if text), time.monotonic() - began)
     except KeyboardInterrupt:
         return f"stopped after {time.monotonic() - began:.0f} s"
-    return f"stopped after {duration:g} s"
+    return f"reached the duration of {duration:g} s"
 
 
 def _outage_text(recording: LiveRecording) -> str:
