@@ -108,7 +108,7 @@ BAD = {
     ),
     "degree of faces": (
         ["build", "{folder}/run.mcap", "--degree", "2", "-o", "{tmp}/g.sensorgraph"],
-        "give --model polynomial",
+        "set --model to polynomial",
     ),
     "bad model": (
         ["build", "{folder}/run.mcap", "--model", "net", "-o", "{tmp}/g.sensorgraph"],

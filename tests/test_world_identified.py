@@ -227,7 +227,7 @@ def test_controllers_are_compared_on_one_seed(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--graph", "{g}", "--controller", "dwa"], "expected each of plan, wall_following, random_bounce"),
+        (["--graph", "{g}", "--controller", "dwa"], "expected plan, wall_following, random_bounce"),
         (["--graph", "{g}", "--controller", "plan", "--controller", "plan"], "at most once"),
         (["--controller", "wall_following", "--start", "1,1,0"], "cannot be used with --controller"),
         (["--graph", "{g}", "--start", "1,1,0"], "use them with --arena"),
