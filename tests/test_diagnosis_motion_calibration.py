@@ -131,7 +131,7 @@ def test_a_turn_scale_that_changes_within_a_run_is_told_with_its_time() -> None:
     change = change_within(motion, calibrate(motion))
     assert change is not None and change.difference.name == "turn_scale"
     assert change.at_s == pytest.approx(400.0, abs=40.0)
-    assert "changes within the run" in change_lines(change)[0]
+    assert "changes during the run" in change_lines(change)[0]
 
 
 def test_wheels_that_hold_do_not_change_within_a_run() -> None:
@@ -181,12 +181,12 @@ def finding_of(**motions: LaserMotion) -> DrivingFinding:
 
 def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: LaserMotion) -> None:
     wrong = finding_of(run=untouched).lines
-    assert re.fullmatch(
-        r"Wheels and mount differ from what is stated, by: laser ahead of the axle \+1[12].*\.", wrong[0]
-    )
-    assert "way scale" not in wrong[0]
+    assert re.fullmatch(r"Wheels and mount differ from the specified values: mount x \+1[12].*\.", wrong[0])
+    assert "distance scale" not in wrong[0]
     right = finding_of(run=drive(n=4_000, mount=MOUNT)).lines
-    assert right[0] == "Wheels and mount are as stated, as far as driving alone can tell."
+    assert (
+        right[0] == "Wheels and mount agree with the specified values, within the accuracy of driving alone."
+    )
     assert right[1].startswith("run, from driving alone") and right[1].endswith(":")
 
 

@@ -160,7 +160,7 @@ def test_effects_of_the_motors_are_named_beside_a_constant_gain(effect: dict[str
     run = make_run(9, **effect)
     result = diagnose_drive(replace(run, commands=run.commands / 0.88), ROBOT)
     assert [a.name for a in result.effects] == [name[key] for key in effect]
-    assert result.unknown is not None and "0.88 times the speed" in result.unknown.statement
+    assert result.unknown is not None and "0.88 times the commanded speed" in result.unknown.statement
 
 
 @pytest.mark.parametrize("gain", [0.95, 1.06])
@@ -261,8 +261,8 @@ def coasting(run: Run) -> Floats:
         (ringing, "rings"),
         (partial(ringing, hz=3.0, damping=0.3), "rings"),  # the likeliest lag is 0.28 s below what is told
         (partial(ringing, hz=1.7, damping=0.5), "rings"),
-        (coasting, "another one while the base speeds up"),
-        (sharing_power, "a speed that depends on how fast it turns"),
+        (coasting, "differs between speeding up and slowing down"),
+        (sharing_power, "a speed that depends on the turn rate"),
         (slow_to_gain_speed, "the base accelerates at about"),
         (partial(slow_to_gain_speed, most=(0.05, 0.2)), "the base accelerates at about 9%"),
     ],

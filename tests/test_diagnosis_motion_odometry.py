@@ -305,9 +305,9 @@ def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
-        ({"play": 0.012}, "after a wheel has turned back"),
+        ({"play": 0.012}, "after a wheel reverses"),
         ({"pile": 0.03}, "depends on the heading"),
-        ({"spin": 0.3}, "accelerates"),
+        ({"spin": 0.3}, "depends on the acceleration"),
     ],
     ids=["play in a gear", "pile of a carpet", "wheels that spin"],
 )

@@ -27,7 +27,7 @@ def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
     outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
     result = diagnose_drive(make_run(seed, outages=outages), ROBOT)
     assert result.effects == ()
-    assert result.unknown is not None and "by standing at times" in result.unknown.statement
+    assert result.unknown is not None and "pauses in which the base stands" in result.unknown.statement
 
 
 def cut_out(run: Run, times: tuple[tuple[float, float], ...], slowest: float) -> Run:
@@ -46,7 +46,7 @@ def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stan
     times = tuple((begin, begin + 0.7) for begin in range(7, 78, 9))
     result = diagnose_drive(cut_out(make_run(seed), times, 0.3), ROBOT)
     assert result.effects == ()
-    assert result.unknown is not None and "losing speed at times" in result.unknown.statement
+    assert result.unknown is not None and "a temporary loss of speed" in result.unknown.statement
 
 
 def wait_between_halves(n_late: int, *, in_step: bool, robot: Robot = ROBOT) -> float:

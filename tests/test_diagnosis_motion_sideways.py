@@ -46,7 +46,7 @@ def carried(v: Floats, omega: Floats, phi: Floats) -> Floats:
 
 @pytest.mark.parametrize(
     ("speed", "said"),
-    [(sliding_outward, "sliding sideways in curves"), (carried, "depends on the heading")],
+    [(sliding_outward, "sideways sliding in curves"), (carried, "depends on the heading")],
     ids=["outward in curves", "the pile of a carpet"],
 )
 def test_what_moves_a_body_aside_is_unknown(
@@ -73,7 +73,7 @@ def test_a_body_that_goes_askew_is_told_with_its_angle(angle: float, side: str) 
     poses[:, 2] -= angle
     result = diagnose_odometry(replace(run, poses=poses), ROBOT)
     assert result.unknown is not None and result.effects == ()
-    told = re.search(rf"([\d.]+)° to the {side} of its heading", result.unknown.statement)
+    told = re.search(rf"([\d.]+)° to the {side} of the body's heading", result.unknown.statement)
     assert told is not None and abs(float(told[1]) - 4.87) < 0.3
     located = diagnose_odometry(replace(run, poses=poses, pose_frame="laser"), ROBOT)
     assert located.unknown is None  # its mount may be what is askew

@@ -126,23 +126,23 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
     run = turned_by_place(make_run(3))
     bent = diagnose_odometry(run, ROBOT)
     straight = diagnose_odometry(run, ROBOT, is_reference_straight=True)
-    assert bent.unknown is not None and "yaw of the reference" in bent.unknown.statement
-    assert straight.unknown is None or "yaw of the reference" not in straight.unknown.statement
+    assert bent.unknown is not None and "yaw error of the reference" in bent.unknown.statement
+    assert straight.unknown is None or "yaw error of the reference" not in straight.unknown.statement
 
 
 @pytest.mark.parametrize(
     ("distort", "said"),
     [
-        (turning_at_rest, "goes on at rest"),
+        (turning_at_rest, "continues at rest"),
         (sliding_at_speed, "depends on speed"),
         (spinning, "they spin"),
-        (out_of_round, "once in every turn of a wheel"),
-        (turned_by_place, "yaw of the reference"),
+        (out_of_round, "repeats with every turn of a wheel"),
+        (turned_by_place, "yaw error of the reference"),
         (bent_by_place, "reference"),
-        (turned_by_iron, "a compass beside iron"),
+        (turned_by_iron, "a compass near iron"),
         (worn_half_way, "changes once"),
         (losing_air, "loses air"),
-        (loaded_for_a_while, "for a while, from"),
+        (loaded_for_a_while, "a temporary change of scale, from"),
         (scrubbing, "in tight turns"),
         (slewed, "clock offset that changes"),
     ],
@@ -165,7 +165,7 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
     result = diagnose_odometry(distort(make_run(11)), ROBOT)
     assert result.unknown is not None and said in result.unknown.statement
     assert result.unknown.deviation is not None
-    assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
+    assert f"(log Bayes factor {result.unknown.statistic:.0f})" in result.unknown.deviation.sentence()
     assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
 
 
@@ -173,7 +173,7 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
 def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(seed: int, at: float) -> None:
     result = diagnose_odometry(worn_half_way(make_run(seed), at), ROBOT)
     assert result.effects == () and result.unknown is not None
-    moment = re.search(r"changes once, from (\d+) s on", result.unknown.statement)
+    moment = re.search(r"changes once, after (\d+) s", result.unknown.statement)
     assert moment is not None and abs(float(moment[1]) - at) <= 1.0
 
 

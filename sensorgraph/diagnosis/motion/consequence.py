@@ -1,4 +1,4 @@
-"""What structure costs a user: how far a simulation without it is off."""
+"""Size of unmodelled structure: the error of a simulation without it."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from sensorgraph.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationError:
-    """By how much a simulation of the run is off."""
+    """Error of a simulation of the run."""
 
     drift: float
-    """[m] root mean square of the position after a minute of dead reckoning."""
+    """[m] RMS error of the position after a minute of dead reckoning."""
     speed: float
-    """[m/s] root mean square of the wheels' speed."""
+    """[m/s] RMS error of the wheels' speed."""
 
     def to_dict(self) -> dict[str, float]:
         """Return plain data for the report."""
         return {"drift_m_per_minute": self.drift, "speed_m_s": self.speed}
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the error in words."""
         return f"a simulation without it is off by {self.drift:.2g} m after a minute and by {100 * self.speed:.2g} cm/s"
 
     def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
-        """Tell whether a user would surely mind.
+        """Tell whether the error certainly matters to a user.
 
         Parameters
         ----------
-        top_speed : [m/s] of the robot; a fast one may be off by more, a slow one by less
-        evidence : [nats] that something is off at all
+        top_speed : [m/s] Of the robot. The limits are proportional to it.
+        evidence : [nats] That the error is not zero.
         """
         factor = top_speed / settings.reference_speed
         drift, speed = sure_share(evidence) * self.drift, sure_share(evidence) * self.speed
@@ -42,39 +42,46 @@ class SimulationError:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceError:
-    """By how much the reference poses are off, if they are what is bent."""
+    """Error of the reference poses, if these are distorted."""
 
     place: float
-    """[m] root mean square of the position along the way."""
+    """[m] RMS error of the position along the path."""
     yaw: float
-    """[rad] root mean square."""
+    """[rad] RMS error of the heading."""
 
     def to_dict(self) -> dict[str, float]:
         """Return plain data for the report."""
         return {"reference_m": self.place, "reference_rad": self.yaw}
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the error in words."""
         return f"the reference is off by {100 * self.place:.2g} cm and {np.degrees(self.yaw):.2g} degrees"
 
     def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
-        """Tell whether a user would surely mind, given the evidence [nats] that something is off at all."""
+        """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
         share = sure_share(evidence)
         return share * self.place > settings.min_place_error or share * self.yaw > settings.min_yaw_error
 
 
 def sure_share(evidence: float) -> float:
-    """Return the share of a size that is left two standard errors below it, given the evidence that it is not 0 [nats]."""
+    """Return the share of a size that remains two standard errors below it.
+
+        share = max(1 - 2 / z, 0),   z = sqrt(2 evidence)
+
+    Parameters
+    ----------
+    evidence : [nats] That the size is not zero.
+    """
     return max(1.0 - 2.0 / float(np.sqrt(2.0 * max(evidence, 1e-9))), 0.0)
 
 
 def reference_error(turn: Floats, missing: Floats) -> ReferenceError:
-    """Return by how much a reference is off whose steps differ from the wheels'.
+    """Return the error of a reference whose steps differ from those of the wheels.
 
     Parameters
     ----------
-    turn : (n,) [rad] of the robot, in steps that follow each other
-    missing : (2 n,) [m, then rad] of each step that the wheels did not make
+    turn : (n,) [rad] Of the robot, in consecutive steps.
+    missing : (2 n,) [m, then rad] Part of each step that the wheels did not make.
     """
     n = len(turn)
     place = np.cumsum(missing[:n] * np.exp(1j * np.cumsum(turn)))
@@ -84,15 +91,15 @@ def reference_error(turn: Floats, missing: Floats) -> ReferenceError:
 def simulation_error(
     distance: Floats, turn: Floats, missing: Floats, dt: Floats, base: float, aside: Floats | None = None
 ) -> SimulationError:
-    """Return by how much dead reckoning is off that misses something.
+    """Return the error of dead reckoning that lacks a part of the motion.
 
     Parameters
     ----------
-    distance, turn : (n,) [m, rad] of the robot, in steps that follow each other
-    missing : (2 n,) [m, then rad] of each step that the simulation lacks
-    dt : (n,) [s] of each step
-    base : [m] wheelbase
-    aside : (n,) [m] of each step to the left that the simulation lacks, too
+    distance, turn : (n,) [m, rad] Of the robot, in consecutive steps.
+    missing : (2 n,) [m, then rad] Part of each step that the simulation lacks.
+    dt : (n,) [s] Duration of each step.
+    base : [m] Wheelbase.
+    aside : (n,) [m] Part of each step to the left that the simulation also lacks.
     """
     n = len(distance)
     away, yaw = missing[:n] + 1j * (np.zeros(n) if aside is None else aside), missing[n:]
@@ -102,7 +109,7 @@ def simulation_error(
     off = np.cumsum((distance + away) * np.exp(1j * (heading + error)))
     k = max(min(round(EVIDENCE.reckoning_time / step), n - 1), 1)
     starts = np.arange(0, n - k, max(k // 6, 1))
-    # from a common pose: what the error had turned before the start is turned back
+    # from a common pose: undo the heading error from before the start
     ahead = (off[starts + k] - off[starts]) * np.exp(-1j * error[starts]) - (true[starts + k] - true[starts])
     drift = float(np.sqrt(np.mean(np.abs(ahead) ** 2))) if len(starts) else 0.0
     wheel = np.abs(away / dt) ** 2 + (base / 2 * yaw / dt) ** 2

@@ -1,7 +1,7 @@
-"""CommandSignal against odometry: lag, dead time and saturation of the motors.
+"""Drive channel: commands against odometry, for lag, dead time and saturation of the motors.
 
-Every set of effects is a small simulation of the motors (dead time, first order, limited acceleration), fitted to
-what the wheels say they did.
+Each set of effects is a small simulation of the motors (dead time, first-order lag, limited acceleration). It
+is fitted to the motion that the wheels report.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ def diagnose_drive(
     wheels: MotionDifference | None = None,
     named_wheels: Sequence[Amendment] = (),
 ) -> ChannelResult:
-    """Name what makes commands and odometry differ.
+    """Name the effects that make commands and odometry differ.
 
-    A run without odometry or without commands is skipped; `ChannelResult.skipped` says why.
+    A run without odometry or commands is skipped, with the reason in `ChannelResult.skipped`.
 
     Parameters
     ----------
-    use_clock : trust the reference poses for the offset of the odometry's clock
-    wheels : what the odometry channel has explained by slip or structure
-    named_wheels : effects that it has named
+    use_clock : Use the reference poses to correct the clock offset of the odometry.
+    wheels : Motion that the odometry channel has explained by slip or structure.
+    named_wheels : Effects that the odometry channel has named.
     """
     try:
         increments = wheel_increments(run)
@@ -69,12 +69,12 @@ class _Explained:
 
     @property
     def log_likelihood(self) -> float:
-        """[nats] less the price of all that is free."""
+        """[nats] less the complexity penalty of all free parameters."""
         return self.selected.log_likelihood(self.model)
 
 
 def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained:
-    """Select effects and structure under the model's limits of acceleration, with noise of its own."""
+    """Select effects and structure under the acceleration limits of the model, with a separate noise fit."""
     model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
     selected = with_constant_gain(model, with_structure(model, selected), named_wheels)

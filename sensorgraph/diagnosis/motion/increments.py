@@ -1,4 +1,4 @@
-"""What the wheels say: increments of distance and heading between the stamps of the odometry."""
+"""Motion reported by the wheels: increments of distance and heading between the stamps of the odometry."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
 MIN_STAMPS = 20
-"""Stamps of odometry below which there is nothing to compare."""
+"""Minimum number of odometry stamps for a comparison."""
 SAME_STAMP = 1e-6
-"""[s] within which two stamps are one."""
+"""[s] maximum difference between two stamps that count as one."""
 MIN_MOTION = 1e-3
-"""[m or rad] (of twists [m/s or rad/s]) below which a signal does not move."""
+"""[m or rad], of twists [m/s or rad/s]: range of a signal, below which it does not move."""
 
 
 class ChannelSkippedError(SensorgraphError):
-    """A run lacks what a channel compares; the text says what."""
+    """Raised if a run lacks the data of a channel; the message gives the reason."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WheelIncrements:
-    """What the wheels say they did between two stamps."""
+    """Motion that the wheels report between consecutive stamps."""
 
     start: Floats
     """(n,) [s]"""
@@ -36,7 +36,7 @@ class WheelIncrements:
     turn: Floats
     """(n,) [rad]"""
     source: str
-    """Where from: `poses` or `twists` of the odometry."""
+    """Origin: `poses` or `twists` of the odometry."""
 
     @property
     def middle(self) -> Floats:
@@ -49,15 +49,16 @@ class WheelIncrements:
         return np.stack([self.distance, self.turn], axis=1) / (self.end - self.start)[:, None]
 
     def sides(self, base: float) -> tuple[Floats, Floats]:
-        """Return the ways (n,), (n,) [m] of the left and the right wheel, `base` [m] apart."""
+        """Return the distances (n,), (n,) [m] of the left and the right wheel, `base` [m] apart."""
         half_turn = self.turn * base / 2
         return self.distance - half_turn, self.distance + half_turn
 
 
 def wheel_increments(run: Run) -> WheelIncrements:
-    """Return what the odometry says between its stamps.
+    """Return the increments of the odometry between its stamps.
 
-    Poses come first, since the meaning of their stamps is plain. Twists stand in where the poses do not move.
+    Poses are preferred, because the meaning of their stamps is unambiguous. Twists replace poses that do not
+    move.
 
     Raises
     ------
@@ -88,12 +89,12 @@ def wheel_increments(run: Run) -> WheelIncrements:
 
 
 def require_reference(run: Run) -> None:
-    """Refuse a run whose poses are its odometry.
+    """Reject a run whose poses are its odometry.
 
     Raises
     ------
     ChannelSkippedError
-        The odometry has no reference but itself.
+        The odometry has no separate reference.
     """
     source = run.meta.get("pose_source", "")
     is_said = source.partition(" ")[0].strip("/") in ("odom", "odometry")
@@ -105,5 +106,5 @@ def require_reference(run: Run) -> None:
     if is_said or is_same:
         named = f" ({source})" if source else ""
         raise ChannelSkippedError(
-            f"the poses of this run are its odometry{named}: there is no other reference to compare it with"
+            f"the poses of this run are its odometry{named}; expected a separate reference for the comparison"
         )

@@ -1,4 +1,4 @@
-"""Compiled: series whitened, and how badly a noise fits one, which are asked thousands of times a run."""
+"""Compiled kernels that whiten series and evaluate noise models; called thousands of times per run."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ from sensorgraph.types import Bools, Floats
 def robust_misfit(
     autocovariance: Floats, min_innovation: float, residual: Floats, valid: Bools, limit: float
 ) -> float:
-    """Return minus the log-likelihood of a series by Huber's loss, without constants [nats].
+    """Return the negative log-likelihood of a series with Huber's loss, without constants [nats].
 
-    What `reference_noise.robust_log_likelihood` says of the noise that `whitening.filter_of` makes of the autocovariance.
+        misfit   = sum over valid i of  rho(white_i / sigma) + log sigma
+        white_i  = sum over lag of  taps_lag residual_(i - lag)
+        sigma²   = max(taps . autocovariance, min_innovation autocovariance_0)
+        rho(u)   = u² / 2 for |u| < limit, limit |u| - limit² / 2 otherwise
+
+    The taps whiten noise with the given autocovariance. The result is minus
+    `reference_noise.robust_log_likelihood` of the noise that `whitening.filter_of` returns.
 
     Parameters
     ----------
     autocovariance : (order + 1,)
-    min_innovation : least share of the variance that the past does not predict
-    residual, valid : (n,) the series, and which of its rows count
-    limit : [standard deviations] beyond which a row counts by its size, not by its square
+    min_innovation : Minimum share of the variance that the past does not predict.
+    residual, valid : (n,) The series, and which of its rows count.
+    limit : [standard deviations] Limit of Huber's loss.
     """
     taps = _prediction_error_taps(autocovariance)
     variance = max((taps * autocovariance).sum(), min_innovation * autocovariance[0])
@@ -42,7 +48,12 @@ def robust_misfit(
 
 @kernel
 def _prediction_error_taps(autocovariance: Floats) -> Floats:
-    """Return the taps (order + 1,) of the filter that predicts best, by Levinson's and Durbin's recursion (Durbin 1960)."""
+    """Return the taps (order + 1,) of the best linear predictor, by the Levinson-Durbin recursion (Durbin 1960).
+
+        sum over j of  autocovariance_|i - j| taps_j = 0  for i >= 1,   taps_0 = 1
+
+    These are the Yule-Walker equations of the series.
+    """
     n = len(autocovariance)
     taps, before = np.zeros(n), np.zeros(n)
     taps[0] = 1.0
@@ -61,7 +72,12 @@ def _prediction_error_taps(autocovariance: Floats) -> Floats:
 
 @kernel
 def filtered(columns: Floats, taps: Floats, sigma: float) -> Floats:
-    """Return columns (n, k) filtered along time by taps (order + 1,), with zeros before the first row, over sigma."""
+    """Return columns (n, k), filtered along time and divided by sigma.
+
+        out_i = sum over lag of  taps_lag columns_(i - lag) / sigma
+
+    Rows before the first are zero.
+    """
     n, k = columns.shape
     out = np.zeros((n, k))
     for i in range(n):

@@ -1,7 +1,8 @@
-"""Odometry against the reference pose: wheel effects, slippery patches, and the clock between the two.
+"""Odometry channel: odometry against reference poses, for wheel effects, slippery patches and the clock offset.
 
-Reference poses are averaged over a tenth of a second. What the body did from one average to the next, along its
-heading and in yaw, is compared with what the wheels say; across its heading, with what wheels can roll.
+Reference poses are averaged over a tenth of a second. Between two averages, the motion of the body along its
+heading and in yaw is compared with the wheels. Its motion across the heading is compared with wheels that
+roll without slipping.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from sensorgraph.world.robot import Robot
 def diagnose_odometry(
     run: Run, robot: Robot, *, seed: int = 0, is_reference_straight: bool = False
 ) -> ChannelResult:
-    """Name what makes odometry and reference pose differ.
+    """Name the effects that make odometry and reference poses differ.
 
-    A run without odometry or without a reference of its own is skipped; `ChannelResult.skipped` says why.
+    A run without odometry or separate reference poses is skipped, with the reason in `ChannelResult.skipped`.
 
     Parameters
     ----------
-    is_reference_straight : the scans have shown that the reference is not bent over the place
+    is_reference_straight : The scans have shown that the reference poses are not distorted over the place.
     """
     try:
         signals = motion_signals(run)
@@ -53,7 +54,7 @@ def diagnose_odometry(
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
-    """Return how much older the odometry is than its stamp, and its standard error [s]; None if the run cannot tell."""
+    """Return the age of the odometry at its stamps, and its standard error [s]; None if it is not observable."""
     try:
         signals = motion_signals(run)
         rows = aligned_rows(signals)

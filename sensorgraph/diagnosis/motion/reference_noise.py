@@ -1,9 +1,13 @@
-"""How much of a difference between odometry and reference is noise: wheels slip a little, reference poses wander.
+"""Noise of the difference between reference poses and odometry, with limits from robot.yaml.
 
-The slow part of such noise has limits that robot.yaml gives: the distance and turn of the wheels are a random walk of
-known density, and a reference wanders by a few of its standard deviations within a second or so. A free spectrum
-would take any effect that is smooth in time for noise; one of limited slow part leaves it to be explained. The
-fast part has no limit: a camera that is noisier than said is no effect.
+    gamma_k = 2 c_k - c_(k-1) - c_(k+1) + walk² period (2/3 [k = 0] + 1/6 [k = 1])
+    c_k     = wander² memory^|k| + white² [k = 0]
+
+The slow part of the noise is limited. The wheels slip a little: their distance and turn are a random walk of
+known density (walk). The reference poses drift by a few of their standard deviations within about a second
+(wander). A free spectrum would absorb any effect that is smooth in time; with a limited slow part, the effect
+remains to be explained. The fast part (white) has no limit: a camera with more noise than specified is not an
+effect.
 """
 
 from __future__ import annotations
@@ -22,21 +26,21 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 MAX_LOGIT = 6.0
-"""Bound of the unconstrained parameters of the noise: e⁶ : 1 is as good as a limit."""
+"""Bound of the unconstrained noise parameters: a ratio of e⁶ : 1 is practically a limit."""
 FIRST_GUESS = (-0.5, -2.0, 0.0, -0.7)
 """Of log white, and the logits of wander, memory and walk."""
 FIRST_SIMPLEX = (0.7, 1.5, 1.5, 1.0)
-"""Edges of the first simplex."""
+"""Edge lengths of the first simplex."""
 MIN_INNOVATION = 1e-6
-"""Least share of the variance that the past does not predict."""
+"""Minimum share of the variance that the past does not predict."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLimits:
-    """What robot.yaml says of one kind of row, distance or turn."""
+    """Noise that robot.yaml specifies for one kind of row, distance or turn."""
 
     walk: float
-    """[m/√s or rad/√s] root of the density of the wheels' random walk."""
+    """[m/√s or rad/√s] square root of the density of the wheels' random walk."""
     wander: float
     """[m or rad] standard deviation of the reference."""
     period: float
@@ -46,7 +50,7 @@ class NoiseLimits:
 def noise_limits(
     robot: Robot, wheels: WheelIncrements, row_stamps: Floats
 ) -> tuple[NoiseLimits, NoiseLimits]:
-    """Return the limits of the noise of distances and of turns."""
+    """Return the noise limits of distances and of turns."""
     step = float(np.median(wheels.end - wheels.start))
     period = float(np.median(np.diff(row_stamps)))
     translation = NoiseLimits(
@@ -65,10 +69,19 @@ def noise_limits(
 def difference_autocovariance(
     white: float, wander: float, memory: float, walk: float, period: float
 ) -> Floats:
-    """Return the autocovariance (order + 1,) of differences of an averaged reference minus averaged wheels.
+    """Return the autocovariance gamma (order + 1,) of averaged reference steps minus averaged wheel steps.
 
-    `white` and `wander` [m or rad] are standard deviations of the averages, `memory` their correlation from one
-    average to the next, `walk` the density of the wheels. Averages overlap, so that two neighbours share a sixth.
+        gamma_k = 2 c_k - c_(k-1) - c_(k+1) + walk² period (2/3 [k = 0] + 1/6 [k = 1])
+        c_k     = wander² memory^|k| + white² [k = 0]
+
+    Averages overlap, so that neighbours share a sixth of the walk.
+
+    Parameters
+    ----------
+    white, wander : [m or rad] Standard deviations of the fast and the slow part of the averages.
+    memory : Correlation of the slow part from one average to the next.
+    walk : [m/√s or rad/√s] Square root of the density of the wheels' random walk.
+    period : [s] Between two averages.
     """
     lags = np.arange(-1, ODOMETRY.noise.order + 2)
     level = wander**2 * memory ** np.abs(lags) + white**2 * (lags == 0)
@@ -81,7 +94,10 @@ def difference_autocovariance(
 def fit_limited_noise(
     residual: Floats, valid: Bools, limits: NoiseLimits, start: Floats | None = None
 ) -> tuple[WhiteningFilter, Floats]:
-    """Return the likeliest noise within limits, and its parameters (4,) to start the next fit from."""
+    """Return the most likely noise within limits, and its parameters (4,), from which the next fit can start.
+
+    The parameters minimise `robust_misfit`, found by the simplex method of Nelder and Mead.
+    """
     settings = ODOMETRY.noise
 
     def autocovariance(p: Floats) -> Floats:
@@ -109,13 +125,13 @@ def fit_limited_noise(
 
 
 def robust_log_likelihood(noise: WhiteningFilter, residual: Floats, valid: Bools) -> float:
-    """Return the log-likelihood of a residual (n,) by Huber's loss, without constants [nats]."""
+    """Return the log-likelihood of a residual (n,) with Huber's loss, without constants [nats]."""
     loss = huber_loss(noise(residual)[valid], EVIDENCE.huber_limit)
     return -float(loss.sum()) - float(valid.sum()) * float(np.log(noise.sigma))
 
 
 class LimitedNoiseFitter:
-    """Fits noise within limits, each time from where the last fit ended."""
+    """Fits noise within limits; each fit starts from the result of the previous one."""
 
     def __init__(self, limits: tuple[NoiseLimits, NoiseLimits]) -> None:
         self.limits = limits

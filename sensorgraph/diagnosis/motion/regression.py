@@ -1,7 +1,9 @@
-"""Linear regression of whitened rows under Gaussian priors with bounds, and what its errors are.
+"""Linear regression of whitened rows with bounded Gaussian priors.
 
-Every tolerance is a coefficient with a narrow prior and a bound; an effect is the same coefficient set free. The
-penalised optimum is the mode of the posterior (ridge regression; Hoerl and Kennard 1970).
+    minimise  |y - A theta|² / 2 + |(theta - mean) / sigma|² / 2   subject to   |theta - mean| <= reach
+
+Each tolerance is a coefficient with a narrow prior and a bound. An effect is the same coefficient without a
+prior. The optimum is the mode of the posterior (ridge regression; Hoerl and Kennard 1970).
 """
 
 from __future__ import annotations
@@ -15,35 +17,35 @@ from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.types import Floats
 
 SHUT_SIGMA = 1e-9
-"""Prior standard deviation of a coefficient that is to be 0."""
+"""Prior standard deviation of a coefficient that is fixed at 0."""
 RIDGE = 1e-8
-"""Of the mean square of the columns: keeps normal equations without a prior regular."""
+"""Share of the mean square of the columns; keeps normal equations without a prior regular."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoundedPrior:
-    """A Gaussian with bounds for each coefficient."""
+    """Bounded Gaussian prior of each coefficient."""
 
     mean: Floats
     """(k,)"""
     sigma: Floats
     """(k,) infinite for a free coefficient."""
     reach: Floats
-    """(k,) largest distance from the mean."""
+    """(k,) maximum distance from the mean."""
 
     @classmethod
     def of(cls, sigma: Floats, mean: Floats, max_sigmas: float) -> BoundedPrior:
-        """Return the prior whose bounds are `max_sigmas` standard deviations from the mean."""
+        """Return the prior with bounds at `max_sigmas` standard deviations from the mean."""
         return cls(mean=mean, sigma=sigma, reach=max_sigmas * sigma)
 
     def freed(self, which: Sequence[int]) -> BoundedPrior:
-        """Return it with some coefficients free."""
+        """Return the prior with some coefficients free."""
         sigma, reach = self.sigma.copy(), self.reach.copy()
         sigma[list(which)] = reach[list(which)] = np.inf
         return BoundedPrior(mean=self.mean, sigma=sigma, reach=reach)
 
     def unbounded_from(self, k: int) -> BoundedPrior:
-        """Return it without bounds on the coefficients from k on."""
+        """Return the prior without bounds on coefficient k and all later ones."""
         reach = self.reach.copy()
         reach[k:] = np.inf
         return BoundedPrior(mean=self.mean, sigma=self.sigma, reach=reach)
@@ -76,7 +78,7 @@ class Regression:
 
     @classmethod
     def of(cls, A: Floats, y: Floats) -> Regression:
-        """Form the normal equations once, to be solved under many priors."""
+        """Form the normal equations once, for solutions under several priors."""
         return cls(A=A, y=y, G=A.T @ A, b=A.T @ y)
 
     def solve(self, prior: BoundedPrior) -> RegressionFit:
@@ -98,13 +100,16 @@ class Regression:
         )
 
     def clustered_covariance(self, fit: RegressionFit, clusters: Floats) -> Floats:
-        """Return the covariance (k, k) that errors correlated within a cluster ask for, never below the model's.
+        """Return the covariance (k, k) for errors correlated within clusters; at least that of the model.
 
-        The sandwich estimator of Huber (1967) and White (1980), by clusters as in Liang and Zeger (1986).
+            robust = covariance  (sum over clusters of  s s')  covariance,   s = A' (y - A theta) of one cluster
+
+        This is the sandwich estimator of Huber (1967) and White (1980), by clusters as in Liang and Zeger
+        (1986). Its diagonal scales the covariance of the model.
 
         Parameters
         ----------
-        clusters : (n,) index of each row's cluster
+        clusters : (n,) Index of the cluster of each row.
         """
         scores = self.A * (self.y - self.A @ fit.theta)[:, None]
         sums = np.stack([np.bincount(clusters.astype(np.intp), weights=s) for s in scores.T], axis=1)
@@ -115,6 +120,11 @@ class Regression:
 
 
 def ridge_solution(A: Floats, y: Floats) -> Floats:
-    """Return the least-squares solution (k,) of whitened rows, kept regular by a small ridge."""
+    """Return the least-squares solution (k,) of whitened rows, kept regular by a small ridge.
+
+        theta = (A'A + RIDGE tr(A'A) / k I)⁻¹ A'y
+
+    k is the number of columns.
+    """
     G = A.T @ A
     return np.asarray(np.linalg.solve(G + RIDGE * np.trace(G) / len(G) * np.eye(len(G)), A.T @ y))

@@ -1,4 +1,4 @@
-"""How sure a name is beside the effects that could stand in its place."""
+"""Probability of a named effect, and its strongest rival."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from sensorgraph.effects import Effect
 
 
 def probability(evidence: float, alternatives: Iterable[float], settings: EvidenceSettings) -> float:
-    """Return the probability of an effect among its alternatives and no effect at all, from tempered evidence [nats]."""
+    """Return the probability of an effect, against its alternatives and no effect.
+
+        p = exp(evidence / temperature) / sum over candidates of exp(evidence_i / temperature)
+
+    The evidence [nats] of no effect is 0.
+    """
     values = np.array([evidence, *alternatives, 0.0]) / settings.temperature
     share = np.exp(values - values.max())
     share /= share.sum()
@@ -22,7 +27,7 @@ def probability(evidence: float, alternatives: Iterable[float], settings: Eviden
 def strongest_rival(
     effect: Effect, alternatives: Mapping[Effect, float], settings: EvidenceSettings
 ) -> Rival | None:
-    """Return the alternative with most evidence [nats]; None where none would be named in the effect's stead."""
+    """Return the alternative with the largest evidence [nats]; None if it would not be named instead."""
     best = max(alternatives, key=lambda other: alternatives[other], default=None)
     if best is None or alternatives[best] < settings.threshold:
         return None

@@ -1,15 +1,19 @@
-"""Settings of the motion channels: every tuned number of `diagnosis/motion` with its unit, its meaning and what set it.
+"""Settings of the motion channels: every tuned number of `diagnosis/motion`, with its unit and meaning.
 
-Three frozen dataclasses: `OdometryChannelSettings` (odometry against reference poses), `DriveChannelSettings` (commands
-against odometry) and `EvidenceSettings` (what a name takes in either). `ODOMETRY`, `DRIVE` and `EVIDENCE` are the
-instances that the modules use.
+There are three frozen dataclasses:
 
-Unless a field says otherwise, its number was set on the development cases of the hidden-effects benchmark:
+- `OdometryChannelSettings`: odometry against reference poses,
+- `DriveChannelSettings`: commands against odometry,
+- `EvidenceSettings`: what a name requires in both.
+
+`ODOMETRY`, `DRIVE` and `EVIDENCE` are the instances that the modules use.
+
+Unless a field says otherwise, its value was set on the development cases of the hidden-effects benchmark:
 
     python -m benchmarks.hidden_effects.generate --suite SUITE --seeds dev --n N -o DIR
     python -m benchmarks.hidden_effects.run DIR
 
-with SUITE one of singles, none, pairs, triples and foreign.
+SUITE is one of singles, none, pairs, triples and foreign.
 """
 
 from __future__ import annotations
@@ -21,162 +25,169 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceSettings:
-    """What a name costs; the same in both motion channels as in the scan channel."""
+    """Evidence that a name requires; the same in both motion channels as in the scan channel."""
 
     price: float = SCAN.selection.price
-    """[nats] per parameter of an effect."""
+    """[nats] complexity penalty of each parameter of an effect."""
     threshold: float = SCAN.selection.threshold
-    """[nats] of evidence, less the price, that a name needs."""
+    """[nats] evidence, after the complexity penalty, that a name needs."""
     max_tolerances: float = SCAN.nuisance.max_tolerances
-    """Tolerances at which a nuisance is bounded; a larger error must be an effect."""
+    """Bound of a nuisance, in tolerances; a larger error must be an effect."""
     temperature: float = 4.0
-    """Evidence is divided by this before it becomes a probability: models are wrong in more ways than noise."""
+    """Divisor of the evidence before it becomes a probability, since models are wrong in more ways than noise."""
     huber_limit: float = 3.0
-    """Standard deviations beyond which a row counts by its size, not by its square."""
+    """Limit of Huber's loss, in standard deviations."""
     clip_limit: float = 4.0
-    """Robust standard deviations at which a residual is cut before its autocovariance is estimated."""
+    """Robust standard deviations at which a residual is clipped before its autocovariance is estimated."""
     cluster: float = 2.0
-    """[s] within which errors may be correlated beyond the whitening filter."""
+    """[s] within which errors may be correlated, beyond the whitening filter."""
     held_out_block: float = 5.0
-    """[s] of rows that are held out together where the gap is measured."""
+    """[s] duration of the blocks that are held out for the gap."""
     listed_z: float = 4.0
     """z above which a deviation is listed."""
     observable_size: float = 3.0
-    """Materialities: an effect of this size should show."""
+    """Size of an effect that should be observable, in materialities."""
     reckoning_time: float = 60.0
-    """[s] of dead reckoning after which a simulation without something is judged."""
+    """[s] duration of dead reckoning, after which the error of a simulation is evaluated."""
     min_drift: float = 0.05
-    """[m] by which it must be off then for the user to mind, of a robot that drives 0.4 m/s; another one in proportion."""
+    """[m] position error after that time, above which it matters to a user. For a robot at 0.4 m/s;
+    proportional to its speed."""
     min_speed_error: float = 0.005
-    """[m/s] by which the wheels' speed must be off for the user to mind; in proportion, too."""
+    """[m/s] speed error of the wheels, above which it matters to a user; also proportional to the speed."""
     reference_speed: float = 0.4
-    """[m/s] of the robot that these are for."""
+    """[m/s] speed of the robot for which these limits hold."""
     min_place_error: float = 0.005
-    """[m] by which a reference must be bent over the place for the user to mind."""
+    """[m] distortion of the reference positions over the place, above which it matters to a user."""
     min_yaw_error: float = 0.005
-    """[rad] the same of its yaw."""
+    """[rad] distortion of the reference headings, above which it matters to a user."""
     clock_tolerance_share: float = 0.6
-    """Of the tolerance of one stamp: the standard deviation of a clock offset that needs no effect."""
+    """Standard deviation of a clock offset that needs no effect, as a share of the tolerance of one stamp."""
     clock_tolerance_range: tuple[float, float] = (0.0015, 0.0035)
-    """[s] least and largest such standard deviation."""
+    """[s] minimum and maximum of that standard deviation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RowSettings:
-    """How the reference poses are averaged and compared with the wheels (`wheels/rows`)."""
+    """Averaging of the reference poses, and their comparison with the wheels (`wheels/rows`)."""
 
     averaging_time: float = 0.1
     """[s] over which reference poses are averaged."""
     max_gap: float = 0.35
-    """[s] without poses or odometry across which nothing is compared."""
+    """[s] maximum gap in poses or odometry, across which motion is compared."""
     min_rows: int = 60
-    """Rows, or reference poses; with fewer the channel is skipped."""
+    """Minimum number of rows, and of reference poses; with fewer, the channel is skipped."""
     min_travel: float = 0.02
-    """[m] of the reference along one axis; with less, and less than `min_rotation`, it does not move."""
+    """[m] minimum extent of the reference along one axis, unless it turns by `min_rotation`; otherwise it
+    does not move."""
     min_rotation: float = 0.05
-    """[rad]"""
+    """[rad] minimum rotation of the reference."""
     min_overlap: float = 0.9
-    """Share of the whole time that poses and odometry overlap, below which a note says so."""
+    """Share of the run during which poses and odometry overlap, below which a note reports it."""
     max_clock: float = 0.8
-    """[s] clock offsets that are tried."""
+    """[s] maximum clock offset of the search."""
     clock_step: float = 0.025
-    """[s] between them."""
+    """[s] step of the search."""
     clock_half_window: float = 0.1
-    """[s] before and after, over which rates are compared."""
+    """[s] half the window over which rates are compared."""
     min_clock_overlap: float = 5.0
-    """[s] of overlap, below which the clocks are taken to agree at first."""
+    """[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
     max_clock_correction: float = 0.05
-    """[s] of one Gauss-Newton step of the clock offset."""
+    """[s] maximum Gauss-Newton step of the clock offset."""
     clock_resolution: float = 2e-4
-    """[s] step below which the clock offset has converged."""
+    """[s] step of the clock offset, below which it has converged."""
     heading_window: float = 1.0
-    """[s] over which the offset between the headings of reference and wheels is averaged."""
+    """[s] averaging time of the offset between the headings of reference and wheels."""
     position_window: float = 2.0
-    """[s] the same for positions."""
+    """[s] averaging time of the offset between positions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedNoiseSettings:
-    """Limits of the noise that structure is tested against (`reference_noise`)."""
+    """Limits of the noise model in tests for structure (`reference_noise`)."""
 
     order: int = 24
-    """Of the whitening filter."""
+    """Order of the whitening filter."""
     max_walk: float = 3.0
-    """Times the density in robot.yaml that the wheels' random walk may have."""
+    """Maximum density of the wheels' random walk, as a multiple of that in robot.yaml."""
     max_wander: float = 4.0
-    """Times the standard deviation in robot.yaml that the slow part of the reference's noise may have."""
+    """Maximum slow part of the reference noise, as a multiple of the standard deviation in robot.yaml."""
     max_memory: float = 1.0
-    """[s] of memory of the reference's noise."""
+    """[s] maximum memory of the reference noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryStructureSettings:
-    """Structure in odometry against reference that no effect makes (`wheels/structure`, `wheels/each_wheel`, `wheels/reference_structure`, `wheels/selection`)."""
+    """Structure in odometry against reference poses that no effect explains.
+
+    Used by `wheels/structure`, `wheels/each_wheel`, `wheels/reference_structure` and `wheels/selection`.
+    """
 
     n_pieces: int = 6
-    """Pieces of the run, each with its own scales."""
+    """Number of pieces of the run with separate scales."""
     n_jumps: int = 15
-    """Moments of a run at which something may change once, tried first."""
+    """Number of moments that are tried first for a single change."""
     n_nearer_jumps: int = 5
-    """Moments to each side of the best of them, tried next, and again about the best of these."""
+    """Number of moments on each side of the best one that are tried next, and again around the best of these."""
     n_while: int = 9
-    """Moments of a run between two of which something may be another, for a while."""
+    """Number of moments between which a temporary change may lie."""
     n_clock_pieces: tuple[int, ...] = (5, 20)
-    """Pieces of the run, each with its own clock offset; tried one after the other."""
+    """Numbers of pieces of the run with separate clock offsets; tried one after the other."""
     tight_turns: tuple[float, ...] = (0.3, 1.0, 3.0)
-    """Half bases from the middle of the axle to the point about which the robot turns, below which a turn is tight."""
+    """Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
+    is tight."""
     speed_cuts: tuple[float, ...] = (0.12, 0.22, 0.32)
-    """[m/s] of a robot that drives 0.4 m/s; of a faster one in proportion."""
+    """[m/s] limits between speeds, for a robot at 0.4 m/s; proportional for a faster one."""
     reference_speed: float = 0.4
-    """[m/s]"""
+    """[m/s] speed of the robot for which these limits hold."""
     rate_cuts: tuple[float, ...] = (0.25, 0.5, 0.75)
-    """[rad/s] of a robot that turns at 1 rad/s; of a faster one in proportion."""
+    """[rad/s] limits between turn rates, for a robot at 1 rad/s; proportional for a faster one."""
     acceleration_quantile: float = 0.85
-    """Of the run's accelerations, above which the robot accelerates."""
+    """Quantile of the accelerations of a run, above which the robot accelerates."""
     spinning_quantiles: tuple[float, ...] = (0.5, 0.7, 0.8, 0.9, 0.95)
-    """Of the accelerations of the wheels, above which they may spin."""
+    """Quantiles of the accelerations of the wheels, above which they may spin."""
     cell: float = 1.0
-    """[m] of the raster of places."""
+    """[m] cell size of the raster of places."""
     max_cells: int = 24
-    """Cells, those that the robot drove through most."""
+    """Maximum number of cells: those with the longest path."""
     min_cell_travel: float = 0.3
-    """[m] driven in a cell."""
+    """[m] minimum path in a cell."""
     min_extent: float = 1.5
-    """[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""
+    """[m] minimum extent of a run for a reference that is distorted over the place; a camera is not distorted
+    within less."""
     least_turning: float = 0.02
-    """[m/s] of a wheel that turns: slower ones may stand."""
+    """[m/s] minimum speed of a wheel that turns; a slower one may be at rest."""
     play: float = 0.005
-    """[m] after a wheel has turned back, within which play would show."""
+    """[m] distance after a reversal of a wheel, within which play shows."""
     radius_factors: tuple[float, ...] = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
-    """Times the wheels' radius in robot.yaml, by which their turns are counted; 1 % of 60 m is a turn."""
+    """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
     max_askew: float = 0.035
-    """[rad] by which the heading of a reference may be put on askew: 2°."""
+    """[rad] maximum misalignment of the heading of a reference that counts as setup: 2°."""
     askew_sigma: float = 0.1
-    """[rad] a priori, of that angle."""
+    """[rad] prior standard deviation of that angle."""
     even_part: float = 0.5
-    """Of what an effect of the whole run explains, above which structure leaves it no name."""
+    """Share of the contribution of a whole-run effect, above which structure takes its name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)
-    """Tenths of a second in which a reference jumps, that are tried."""
+    """Numbers of jumps of the reference that are tried, each within a tenth of a second."""
     jump_sigma: float = 0.05
-    """[m or rad] a priori, of each jump of the reference."""
+    """[m or rad] prior standard deviation of each jump of the reference."""
     scale_sigma: float = 0.1
-    """A priori, of each coefficient that is a scale; in seconds, of a clock offset."""
+    """Prior standard deviation of each scale coefficient; in seconds, of a clock offset."""
     rest_sigma: float = 0.01
-    """[rad/s] a priori, of a turn that goes on at rest."""
+    """[rad/s] prior standard deviation of a turn rate at rest."""
     yaw_sigma: float = 0.02
-    """[rad] a priori, of each wave of a distorted yaw."""
+    """[rad] prior standard deviation of each wave of a distorted heading."""
     position_sigma: float = 0.2
-    """[1] a priori, of each power of a distorted position."""
+    """[1] prior standard deviation of each power of a distorted position."""
     threshold: float = 20.0
-    """[nats] that structure needs where what is left is noise; in proportion more where it is not."""
+    """[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
     scatter_span: float = 0.3
-    """[s] over which what ticks of an encoder add to the noise hangs together."""
+    """[s] correlation time of the noise from encoder ticks."""
     min_gain_per_row: float = 1e-3
-    """[nats] per row that structure must explain: less is 0.2 % of the noise's variance, and matters to nobody."""
+    """[nats] minimum evidence per row; less is 0.2 % of the noise variance, and does not matter."""
     wheel_share: float = 0.02
-    """Of the evidence of all wheel effects: structure below it is where an effect's model is not exact."""
+    """Share of the evidence of all wheel effects, below which structure only reflects their inexact models."""
     patch_share: float = 0.1
-    """The same of the evidence of a patch: none is a sharp round disc, and its rim looks like structure."""
+    """Share of the evidence of a patch, below which structure only reflects its rim: no patch is a sharp disc."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,61 +195,63 @@ class PatchSettings:
     """The search for slippery patches (`wheels/patch_search`)."""
 
     max_patches: int = 3
-    """In one run."""
+    """Maximum number of patches in one run."""
     min_moving: float = 1e-3
-    """[m] of an increment that moves."""
+    """[m] minimum length of an increment that moves."""
     min_positions: int = 20
-    """Increments that move; with fewer no patch is looked for."""
+    """Minimum number of increments that move; with fewer, no patch is searched."""
     cell: float = 0.15
-    """[m] between the centres that are tried."""
+    """[m] distance between the centres that are tried."""
     max_centres: int = 250
-    """Centres that are tried; of more, every second or third."""
+    """Maximum number of centres; of more, every second or third is tried."""
     radii: tuple[float, ...] = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
-    """[m] of patches that are tried."""
+    """[m] radii that are tried."""
     first_steps: tuple[float, ...] = (0.08, 0.04)
-    """[m] of the random steps about the best of them."""
+    """[m] sizes of the random steps around the best disc."""
     first_spread: float = 1.5
-    """Steps to each side, within which these are drawn."""
+    """Range of these steps to each side, in step sizes."""
     n_first: int = 120
-    """Drawn for each step."""
+    """Number of discs drawn for each step size."""
     grid_reach: float = 0.9
-    """[m] around an accepted patch, within which centres are tried first."""
+    """[m] distance from an accepted patch, within which centres are tried first."""
     grid_step: float = 0.3
-    """[m] between them."""
+    """[m] distance between these centres."""
     grid_radii: tuple[float, float, float] = (0.15, 2.3, 0.15)
-    """[m] first radius tried there, end, and step."""
+    """[m] first radius, end and step of the radii that are tried there."""
     n_refining: int = 80
-    """Drawn for each refining step, of either kind."""
+    """Number of discs drawn for each refining step, of either kind."""
     ridge_growth: float = 2.0
-    """Steps (standard deviation) by which a patch grows whose near edge stays."""
+    """Standard deviation, in step sizes, of the growth of a patch whose near edge stays."""
     posterior_cell: float = 0.05
-    """[m] cells of (x, y, r) that count as one disc each for the spread of the place."""
+    """[m] cell size in (x, y, r) within which only one disc counts for the spread of the place."""
     radius_range: tuple[float, float] = (0.1, 2.5)
-    """[m] of patches, in these steps and in the refining ones."""
+    """[m] range of radii in the random steps."""
     refining_steps: tuple[float, ...] = (0.25, 0.25, 0.12, 0.06, 0.03)
-    """[m] of the random steps about an accepted patch."""
+    """[m] sizes of the random steps around an accepted patch."""
     rim: float = 0.02
-    """[m] over which a patch fades at its edge: about as long as an increment."""
+    """[m] width of the edge of a patch: about the length of an increment."""
     min_information: float = 400.0
-    """[1] inverse variance of the lost share, 5 % standard error; with less the disc was hardly driven through."""
+    """[1] minimum inverse variance of the lost share, for 5 % standard error; with less, the robot hardly
+    crossed the disc."""
     max_slip: float = 0.95
-    """Share of the motion that a patch may take."""
+    """Maximum share of the motion that a patch loses."""
     min_gain: float = 4.0
-    """[nats] at which a patch is judged again by a noise of its own."""
+    """[nats] gain above which a patch is tested again with a separate noise fit."""
     clear_gain: float = 50.0
-    """[nats] at which that is not needed."""
+    """[nats] gain above which this is not needed."""
     noise_price: float = 8.0
-    """[nats] for a noise of its own."""
+    """[nats] penalty for the separate noise fit."""
     further_share: float = 0.005
-    """Of the evidence of all effects that a further patch must bring: less mends the rim of the others."""
+    """Minimum evidence of a further patch, as a share of that of all effects; with less, it only corrects the
+    rims of the others."""
     credible_fall: float = 6.0
-    """[nats] below the best disc, within which a disc counts for the spread of the place."""
+    """[nats] maximum difference from the best disc, for discs that count for the spread of the place."""
     place_doubt: float = 2.0
-    """Widens the spread of a patch's place: the search alone is too sure of it."""
+    """Factor of the spread of a patch's place, which the search underestimates."""
     min_place_error: float = 0.02
-    """[m] least standard error of a patch's place."""
+    """[m] minimum standard error of a patch's place."""
     rim_shift: float = 0.06
-    """[m] by which a patch may be off before that counts as structure."""
+    """[m] error of a patch, below which it does not count as structure."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,98 +263,101 @@ class OdometryChannelSettings:
     structure: OdometryStructureSettings = field(default_factory=OdometryStructureSettings)
     patch: PatchSettings = field(default_factory=PatchSettings)
     filter_order: int = 24
-    """Of the whitening filters."""
+    """Order of the whitening filters."""
     walk_over_level: tuple[float, float] = (1e-3, 10.0)
-    """Least and largest variance of the wheels' random walk from row to row, over that of an averaged reference."""
+    """Minimum and maximum ratio of the step variance of the wheels' random walk to the variance of an
+    averaged reference."""
     marker_sigma: float = 0.003
-    """[m] between the axle and what the reference calls base_link."""
+    """[m] standard deviation of the distance between the axle and the base_link of the reference."""
     max_effects: int = 7
-    """Steps of the forward selection."""
+    """Maximum number of steps of the forward selection."""
     min_clock_shift: float = 3e-4
-    """[s] by which the clock offset must move for the rows to be laid out anew."""
+    """[s] minimum change of the clock offset for which the rows are computed again."""
     max_clock_shift: float = 0.02
-    """[s] by which it may move then."""
+    """[s] maximum change of the clock offset at that time."""
     stamp_averaging: float = 8.0
-    """The mean of a run's stamps is so many times less off than the tolerance of one stamp."""
+    """Ratio of the tolerance of one stamp to the error of the mean over a run."""
     min_distance: float = 1.0
-    """[m] driven, below which no slip can be seen."""
+    """[m] minimum path for a slip to be observable."""
     max_listed: int = 12
-    """Deviations listed before any naming."""
+    """Maximum number of deviations listed before any effect is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveStructureSettings:
-    """Structure in commands against odometry that no effect makes (`motors/structure`)."""
+    """Structure in commands against odometry that no effect explains (`motors/structure`)."""
 
     n_pieces: int = 6
-    """Pieces of the run, each with its own gains and its own delay."""
+    """Number of pieces of the run with separate gains and delays."""
     n_jumps: int = 15
-    """Moments of a run at which a gain may change once."""
+    """Number of moments at which a gain may change once."""
     speed_cuts: tuple[float, ...] = (0.25, 0.5)
-    """Shares of the largest speed below which the gain may be another."""
+    """Shares of the maximum speed, below which the gain may differ."""
     rate_cuts: tuple[float, ...] = (0.12, 0.2, 0.35, 0.6)
-    """The same of the turn rate."""
+    """Shares of the maximum turn rate, below which the gain may differ."""
     deadbands: tuple[float, ...] = (0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.21, 0.24, 0.28, 0.33)
-    """Shares of the largest command below which motors may do nothing."""
+    """Shares of the maximum command, below which the motors may not move."""
     still_share: float = 0.03
-    """Of the largest speed, below which a base stands."""
+    """Share of the maximum speed, below which a base stands."""
     asked_share: float = 0.15
-    """Of the largest speed, above which commands ask it to move."""
+    """Share of the maximum speed, above which the base is commanded to move."""
     stop_time: float = 0.25
-    """[s] that it must stand so: longer than a base waits for the next tick of its loop."""
+    """[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
     rolling_times: tuple[float, ...] = (0.6, 1.2, 2.5, 5.0)
-    """[s] for which a base may go on after it was told to stand."""
+    """[s] for which a base may continue to move after a stop command."""
     answer_lags: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-    """[s] after a command has acted, at which it may act again."""
+    """[s] delays after the response to a command, at which a second response may follow."""
     answer_sigma: float = 0.3
-    """A priori, of how much it acts again."""
+    """Prior standard deviation of the second response."""
     ramps: tuple[float, ...] = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
-    """Shares of the robot's acceleration that a base may really have."""
+    """Shares of the acceleration in robot.yaml that a base may really have."""
     lead_over_answer: float = 10.0
-    """Times the evidence of such an answer, or ramp, that a lag or a dead time must bring beside it for a name."""
+    """Evidence that a lag or a dead time needs for a name next to such a response or ramp, as a multiple of
+    the latter's evidence."""
     gain_sigma: float = 0.1
-    """A priori, of each coefficient that is a gain."""
+    """Prior standard deviation of each gain coefficient."""
     delay_sigma: float = 0.05
-    """[s] a priori, of each delay."""
+    """[s] prior standard deviation of each delay."""
     max_families: int = 3
-    """That the size of a doubt counts: the strongest, and others that explain as much beside it as a name takes."""
+    """Maximum number of families that determine the size of the structure: the strongest, and others with
+    enough evidence for a name."""
     slope_sigma: float = 0.05
-    """[m/s] a priori, by which a slope makes the robot faster or slower."""
+    """[m/s] prior standard deviation of the speed change on a slope."""
     deadband_sigma: float = 1.0
-    """A priori: the share of a deadband that is there."""
+    """Prior standard deviation of the share of a dead zone that is present."""
     accepted_sigma: float = 0.5
-    """A priori, of each coefficient of structure once it is part of the model."""
+    """Prior standard deviation of each coefficient of structure that is part of the model."""
     share: float = 0.01
-    """Of the evidence of the strongest effect: structure below it is where that effect's model is not exact."""
+    """Share of the evidence of the strongest effect, below which structure only reflects its inexact model."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotorFitSettings:
-    """Gauss-Newton on the simulated motors (`motors/model`)."""
+    """Gauss-Newton method for the simulated motors (`motors/model`)."""
 
     max_steps: int = 6
     tau_quotient: tuple[float, float] = (0.004, 0.05)
-    """[s] and share of the time constant: the larger is the step of its difference quotient."""
+    """[s] and share of the time constant; the larger is the step of the difference quotient."""
     delay_quotient: float = 0.01
-    """[s] to each side, of the difference quotient of the dead time."""
+    """[s] step to each side, for the difference quotient of the dead time."""
     v_max_quotient: float = 0.004
-    """[m/s] downward, of the difference quotient of the largest speed."""
+    """[m/s] downward step, for the difference quotient of the maximum speed."""
     tau_step: tuple[float, float] = (-0.08, 0.15)
-    """[s] largest steps of the time constant, down and up."""
+    """[s] maximum steps of the time constant, down and up."""
     delay_step: tuple[float, float] = (-0.1, 0.1)
-    """[s] of the dead time."""
+    """[s] maximum steps of the dead time, down and up."""
     v_max_step: tuple[float, float] = (-0.05, 0.05)
-    """[m/s] of the largest speed."""
+    """[m/s] maximum steps of the maximum speed, down and up."""
     tau_range: tuple[float, float] = (1e-3, 3.0)
-    """[s] least and largest time constant."""
+    """[s] minimum and maximum time constant."""
     min_v_max: float = 0.02
-    """[m/s] least largest speed."""
+    """[m/s] lower limit of the maximum speed."""
     converged: tuple[float, float, float] = (1e-3, 1e-3, 5e-4)
-    """[s, s, m/s] steps of time constant, dead time and largest speed below which the fit has converged."""
+    """[s, s, m/s] steps of time constant, dead time and maximum speed, below which the fit has converged."""
     v_max_quantile: float = 0.995
-    """Of the measured speeds: the largest speed to begin with."""
+    """Quantile of the measured speeds that gives the start value of the maximum speed."""
     v_max_start: tuple[float, float] = (0.03, 0.005)
-    """[m/s] its least value, and how far it stays below the largest command."""
+    """[m/s] lower limit of this start value, and its distance from the largest command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,45 +367,45 @@ class DriveChannelSettings:
     structure: DriveStructureSettings = field(default_factory=DriveStructureSettings)
     fit: MotorFitSettings = field(default_factory=MotorFitSettings)
     step: float = 0.01
-    """[s] of the simulated motors."""
+    """[s] step of the simulated motors."""
     control_step: float = 0.003
-    """[s] by which a controller's own step blurs a dead time."""
+    """[s] error of a dead time due to the step of the controller."""
     filter_order: int = 4
-    """Of the whitening filters."""
+    """Order of the whitening filters."""
     gain_sigma: float = 0.03
     """Tolerance of the gain from command to odometry."""
     lag_sigma: float = 0.004
     """[s] tolerance of the time constant."""
     turn_sigma: float = 0.008
-    """Tolerance of the turn in proportion to speed, times the wheelbase."""
+    """Tolerance of the turn in proportion to speed, multiplied by the wheelbase."""
     min_rows: int = 100
-    """Rows; with fewer the channel is skipped."""
+    """Minimum number of rows; with fewer, the channel is skipped."""
     min_commands: int = 20
-    """Commands; with fewer the channel is skipped."""
+    """Minimum number of commands; with fewer, the channel is skipped."""
     max_gap: float = 0.35
-    """[s] between commands, or of an increment, across which nothing is compared."""
+    """[s] maximum gap between commands, and maximum duration of an increment, that are compared."""
     settling_time: float = 0.3
-    """[s] after the first command, which is not compared: what came before it is unknown."""
+    """[s] after the first command that is not compared, because earlier commands are unknown."""
     min_clock_offset: float = 0.004
-    """[s] of the odometry's clock against the reference's, below which it is not corrected."""
+    """[s] minimum offset between the clocks of odometry and reference that is corrected."""
     max_clock_error: float = 0.01
-    """[s] largest standard error of that offset which counts."""
+    """[s] upper limit of the standard error of that offset."""
     second_lag: float = 0.03
-    """[s] of a second lag in series with the first, as real motors have one; at most half of both together."""
+    """[s] second lag in series with the first, as in real motors; at most half of their sum."""
     second_lag_sigma: float = 0.4
-    """Standard deviation a priori of the share of such a lag that is there."""
+    """Prior standard deviation of the share of this lag that is present."""
     beat_time: float = 5.0
-    """[s] over which the ticks of the base and the stamps of the commands keep their phase."""
+    """[s] over which the control loop of the base and the stamps of the commands keep their phase."""
     max_beats: int = 24
-    """Pieces of the run with a delay of their own; in a longer run they are longer."""
+    """Maximum number of pieces of the run with separate delays; in a longer run they are longer."""
     min_top_speed: float = 0.05
-    """[m/s] of the largest command, below which no saturation is looked for."""
+    """[m/s] minimum largest command, for a saturation to be tested."""
     min_saturation: float = 0.02
-    """[m/s] by which motors must fall short of the largest command for a saturation to be material."""
+    """[m/s] minimum difference between the largest command and the motors, for a saturation to be material."""
     full_speed_share: float = 0.9
-    """Of the robot's limit that commands must reach to show a saturation."""
+    """Share of the robot's limit that commands must reach for a saturation to be observable."""
     max_effects: int = 4
-    """Steps of the forward selection."""
+    """Maximum number of steps of the forward selection."""
 
 
 EVIDENCE = EvidenceSettings()

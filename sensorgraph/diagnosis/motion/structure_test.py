@@ -1,8 +1,11 @@
-"""Tests whether residuals hold structure that no effect of the library makes.
+"""Test residuals for structure that no effect of the library explains.
 
-Families of columns say how such structure may look: over time, speed, direction, place. Their coefficients have a
-Gaussian prior, so that a family is compared by its marginal likelihood (evidence with Occam factor; MacKay 1992,
-"Bayesian interpolation"), and a rich family needs no more than a poor one. Noise and columns are fitted in turn.
+    evidence = c' H⁻¹ c / 2 - log det H / 2 - choice_price,   H = I + Z'Z,   c = Z'y
+
+Z are the whitened columns of a family, in units of their prior standard deviation and orthogonal to the
+columns of the model. A family describes how structure may depend on time, speed, direction or place. This
+marginal likelihood contains the Occam factor (MacKay 1992, "Bayesian interpolation"), so that families with
+few and many columns need the same evidence. Noise and columns are fitted in turn.
 """
 
 from __future__ import annotations
@@ -22,65 +25,65 @@ from sensorgraph.types import Bools, Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StructureFamily:
-    """Differences that no effect of the library makes."""
+    """Family of differences that no effect of the library explains."""
 
     kind: str
-    """What they vary with: `time`, `jump`, `speed`, …; several families may be of one kind."""
+    """Variable that they depend on: `time`, `jump`, `speed`, ...; several families may have one kind."""
     columns: Floats
     """(n_kinds n, k)"""
     labels: Sequence[str]
-    """(k,) what each column stands for; empty where columns are not reported one by one."""
+    """(k,) name of each column; empty if columns are not reported separately."""
     sigma: float
-    """Standard deviation of each coefficient, a priori."""
+    """Prior standard deviation of each coefficient."""
     statement: str
-    """How the readings differ, as the end of a sentence."""
+    """Noun phrase that completes the sentence "the readings differ by ..."."""
     is_of_reference: bool = False
-    """It is the reference that would be off, not the robot."""
+    """Whether it describes an error of the reference poses, not of the robot."""
     choice_price: float = 0.0
-    """[nats] for having been chosen among several of its kind."""
+    """[nats] penalty for the choice among several families of its kind."""
     materiality: float = float("inf")
-    """Of its one coefficient: an effect of the library that is this large takes a name."""
+    """Size of its only coefficient, above which an effect of the library is named."""
     moment: float = float("nan")
-    """[s] at which something changes, where it is of that kind."""
+    """[s] time of the change, for families of a single change."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AcceptedStructure:
-    """A family that entered the model, since no effect explains what it does."""
+    """A family that entered the model, because no effect explains the difference."""
 
     family: StructureFamily
     evidence: float
     """[nats]"""
     threshold: float
-    """[nats] that it needed."""
+    """[nats] required evidence."""
     size: SimulationError | ReferenceError
-    """By how much a simulation without it is off, or the reference."""
+    """Error of a simulation without it, or of the reference poses."""
     rivals: Sequence[str] = ()
-    """Statements of the families that explain most after it."""
+    """Statements of the next best families."""
 
 
 Noise = tuple[WhiteningFilter, ...]
-"""Of each kind of rows, for instance translation and rotation."""
+"""One filter for each kind of rows, for instance translation and rotation."""
 MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
-"""Noises of earlier fits that a fit may begin at, times that columns and noise are fitted in turn, and times that rows
-are weighed anew by what the columns leave."""
+"""Maximum number of earlier noise fits from which a fit may start, maximum number of alternations between
+columns and noise, and number of reweightings of the rows."""
 MIN_GAIN = 0.5
-"""[nats] with less, another round changes nothing, and a family explains nothing."""
+"""[nats] gain below which the iteration stops, and below which a family explains nothing."""
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
 """Fits the noise of a residual (n,) of one kind of rows, counted from 0, to its valid part."""
 
 
 class StructureTest:
-    """Compares families of structure with noise, and with each other."""
+    """Compares families of structure with noise and with each other."""
 
     def __init__(
         self, valid: Bools, y: Floats, fit_noise: NoiseFitter, nuisances: Floats | None = None
     ) -> None:
-        """Compare over rows y of one kind or several (n_kinds n,), those of `valid` (n,) of each.
+        """Prepare the comparison on rows y of one or several kinds (n_kinds n,), valid where `valid` (n,) is.
 
         Parameters
         ----------
-        nuisances : (n_kinds n, m) columns that are part of every model, in units of their standard deviation a priori
+        nuisances : (n_kinds n, m) Columns of every model, in units of their prior standard deviation.
         """
         self.nuisances = np.zeros((len(y), 0)) if nuisances is None else nuisances
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
@@ -90,16 +93,16 @@ class StructureTest:
         self.residual = y
 
     def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
-        """Return the family that explains most beside the model's own columns (n_kinds n, k), and its evidence [nats]."""
+        """Return the best family in addition to the model's own columns (n_kinds n, k), and its evidence [nats]."""
         here = self.evidence(own)
         screened = self._screened(own, candidates)
         k = int(np.argmax(screened))
         found = self.evidence(own, candidates[k])
-        here = max(here, self.evidence(own))  # under the noise that the family has brought to light
+        here = max(here, self.evidence(own))  # under the noise that was fitted with the family
         return candidates[k], max(found - here, screened[k])
 
     def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
-        """Return the likeliest family of each kind, the likeliest first; those that explain nothing are left out."""
+        """Return the most likely family of each kind, most likely first; families that explain nothing are omitted."""
         self.evidence(own)
         screened = dict(zip(candidates, self._screened(own, candidates), strict=True))
         found: dict[str, StructureFamily] = {}
@@ -109,9 +112,10 @@ class StructureTest:
         return list(found.values())
 
     def explained(self, own: Floats, families: Sequence[StructureFamily]) -> Floats:
-        """Return by how much the rows (n_kinds n,) differ between the models with families and without.
+        """Return the difference of the fitted rows (n_kinds n,) between the models with and without families.
 
-        All rows weigh alike: what is off in a few rows by much is an outlier to evidence, and all the more to a user.
+        All rows have the same weight. A large difference in a few rows is an outlier for the evidence, but it
+        matters to a user.
         """
         self.evidence(own, families[0])
         self.whitener = Whitener.plain(self.whitener.filters, self.valid)
@@ -122,9 +126,11 @@ class StructureTest:
         return np.asarray(without - with_them)
 
     def dispersion(self, span: float, period: float) -> float:
-        """Return how much more than noise of the fitted kind the last fit left, over blocks of `span` [s]; at least 1.
+        """Return the dispersion of the last residual over blocks of `span` [s]; at least 1.
 
-        A ratio of variances: that of the blocks' sums over what uncorrelated whitened rows, `period` [s] apart, give.
+            dispersion = sum over blocks of (sum of white)² / sum of white²
+
+        It is 1 for uncorrelated whitened rows, which are `period` [s] apart, and larger for correlated ones.
         """
         limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
@@ -137,10 +143,11 @@ class StructureTest:
         return max(1.0, sums / max(squares, 1e-12))
 
     def dispersion_along(self, own: Floats, family: StructureFamily, span: float, period: float) -> float:
-        """Return how much more than noise of the fitted kind tells the coefficients of a family, over blocks of `span` [s].
+        """Return the dispersion in the direction of a family's columns over blocks of `span` [s]; at least 1.
 
-        The mean ratio of the variance of their scores, summed over blocks, to what white rows give (White 1980, by clusters
-        as in Liang and Zeger 1986); at least 1. Noise that is larger where the columns are is told so, and nowhere else.
+        This is the mean ratio of the variance of their scores, summed over blocks, to that of white rows
+        (White 1980, by clusters as in Liang and Zeger 1986). It increases only for noise that is larger where
+        the columns are.
         """
         self.evidence(own, family)
         A, Z = (
@@ -157,20 +164,20 @@ class StructureTest:
         return max(1.0, float(np.trace(told @ (sums @ sums.T))) / max(freedom, 1e-12))
 
     def gain(self, own: Floats, family: StructureFamily) -> float:
-        """Return the evidence of one family beside columns (n_kinds n, k) [nats]."""
+        """Return the evidence of one family in addition to columns (n_kinds n, k) [nats]."""
         return self.evidence(own, family) - self.evidence(own)
 
     def lead(self, own: Floats, family: StructureFamily, more: Floats) -> float:
-        """Return how much likelier [nats] the rows are with a family beside columns `own` than with `more` columns."""
-        self.evidence(own, family)  # so that both are judged under the noises of both
+        """Return the evidence [nats] for columns `own` with a family, against `more` columns."""
+        self.evidence(own, family)  # first, so that both are evaluated under all noise fits
         other = self.evidence(more)
         return self.evidence(own, family) - other
 
     def evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
         """Fit columns and noise in turn; return the evidence, without constants [nats].
 
-        Where that ends hangs on where it begins: on a noise that takes structure for noise, the structure is never
-        found. So it begins at the noise under which these columns are likeliest, of all that were fitted so far.
+        The result depends on the start, because noise that has absorbed structure hides it. The fit therefore
+        starts from the earlier noise fit under which these columns are most likely.
         """
         noises = [self._noise(self.y), *self._noises]
         evidence, k = max((self._evidence_under(noise, own, family), k) for k, noise in enumerate(noises))
@@ -191,7 +198,7 @@ class StructureTest:
         return tuple(self.fit_noise(kind, part, self.valid) for kind, part in parts)
 
     def _evidence_under(self, noise: Noise, own: Floats, family: StructureFamily | None) -> float:
-        """Fit columns by rows that noise whitens; leave whitener and residual as fitted."""
+        """Fit columns to rows whitened by `noise`; store the whitener and the residual."""
         self.whitener = Whitener.plain(noise, self.valid)
         for _ in range(N_REWEIGHTED):
             self.residual, price = self._fit_columns(own, family)
@@ -201,7 +208,7 @@ class StructureTest:
         return sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
 
     def _parts(self, own: Floats, family: StructureFamily | None) -> list[tuple[Floats, Floats]]:
-        """Return columns (n_kinds n, .) and their scales (.), which bring them to units of their norm or prior."""
+        """Return columns (n_kinds n, .) and their scales (.), which normalise them to unit norm or unit prior."""
         parts = [
             (own, 1 / np.maximum(np.linalg.norm(own, axis=0), 1e-12)),
             (self.nuisances, np.ones(self.nuisances.shape[1])),
@@ -211,7 +218,12 @@ class StructureTest:
         return parts
 
     def _fit_columns(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, float]:
-        """Return what columns leave (n_kinds n,) and the price of the family's freedom: prior and Occam factor [nats]."""
+        """Return the residual (n_kinds n,) and the complexity penalty of the family [nats].
+
+            price = theta'theta / 2 + log det(I + information) / 2 + choice_price
+
+        theta excludes the coefficients of the model's own columns, which have no prior.
+        """
         parts, k = self._parts(own, family), own.shape[1]
         scale = np.concatenate([scale for _, scale in parts])
         G, b = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
@@ -227,7 +239,7 @@ class StructureTest:
         return self.y - fitted, price
 
     def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[float]:
-        """Return the evidence of each family beside columns (n_kinds n, k) if the noise stays as it is [nats]."""
+        """Return the evidence of each family in addition to columns (n_kinds n, k), with fixed noise [nats]."""
         parts = self._parts(own, None)
         parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
         scale = np.concatenate([scale for _, scale in parts])
@@ -248,9 +260,11 @@ class StructureTest:
 def _gain(H: Floats, c: Floats) -> float:
     """Return the evidence of columns with unit priors [nats].
 
+        c' H⁻¹ c / 2 - log det H / 2
+
     Parameters
     ----------
-    H, c : (k, k), (k,) their normal equations, prior included
+    H, c : (k, k), (k,) Normal equations of the columns, including the prior.
     """
     return float(0.5 * c @ np.linalg.solve(H, c) - 0.5 * np.linalg.slogdet(H)[1])
 
@@ -260,6 +274,6 @@ def _ridge(G: Floats, k: int) -> Floats:
 
 
 def _information_beside(G: Floats, k: int) -> Floats:
-    """Return the information on the columns from k on when the first k are free (Schur complement)."""
+    """Return the information on column k and all later ones, with the first k free (Schur complement)."""
     H = G[:k, :k] + np.diag(_ridge(G, k))
     return np.asarray(G[k:, k:] - G[k:, :k] @ np.linalg.solve(H, G[:k, k:]))

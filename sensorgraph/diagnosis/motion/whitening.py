@@ -1,9 +1,11 @@
 """Whitening: filters that turn correlated noise into white noise of unit variance.
 
-Least squares on whitened rows is generalised least squares (Aitken 1935; Cochrane and Orcutt 1949). The noise is what
-the run shows, not what robot.yaml says: an autoregressive filter fitted to the residual by Yule and Walker's equations
-(Box and Jenkins 1970, section 7.3), with Huber's weights against outliers (Huber 1964). So correlated cameras and wrong
-tolerances change the weights and not the names.
+    white_i = (x_i + taps_1 x_(i-1) + ... + taps_order x_(i-order)) / sigma
+
+Least squares on whitened rows is generalised least squares (Aitken 1935; Cochrane and Orcutt 1949). The noise
+is estimated from the run, not taken from robot.yaml: an autoregressive filter is fitted to the residual by
+the Yule-Walker equations (Box and Jenkins 1970, section 7.3), with Huber's weights against outliers (Huber
+1964). Correlated cameras and wrong tolerances therefore change the weights, but not the named effects.
 """
 
 from __future__ import annotations
@@ -18,14 +20,14 @@ from sensorgraph.diagnosis.motion.noise_kernels import filtered
 from sensorgraph.types import Bools, Floats
 
 ROWS_AT_A_TIME = 4096
-"""Rows that are filtered together: what is in use stays in the cache, and a long run needs no further memory."""
+"""Rows filtered at a time: the data stays in the cache, and a long run needs no further memory."""
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a Gaussian over its median absolute deviation."""
+"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WhiteningFilter:
-    """A prediction-error filter: what the past of a series does not predict, over its standard deviation."""
+    """Prediction-error filter: the unpredicted part of a series, divided by its standard deviation."""
 
     taps: Floats
     """(order + 1,) the first is 1."""
@@ -54,12 +56,12 @@ class WhiteningFilter:
 
     @classmethod
     def white(cls, order: int, sigma: float) -> WhiteningFilter:
-        """Return the filter of noise that is white already."""
+        """Return the filter of white noise."""
         return cls(taps=np.eye(1, order + 1)[0], sigma=sigma)
 
 
 def blocks(n: int) -> Iterator[slice]:
-    """Cut n rows into blocks."""
+    """Yield slices that divide n rows into blocks."""
     for first in range(0, n, ROWS_AT_A_TIME):
         yield slice(first, min(first + ROWS_AT_A_TIME, n))
 
@@ -74,50 +76,65 @@ def fit_autoregression(series: Floats, valid: Bools, order: int) -> WhiteningFil
 
 
 def filter_of(autocovariance: Floats, min_innovation: float) -> WhiteningFilter:
-    """Return the filter that whitens a process of this autocovariance (order + 1,).
+    """Return the filter that whitens a process with autocovariance gamma (order + 1,).
+
+        sum over j of  gamma_|i - j| a_j = gamma_i,   taps = [1, -a],   sigma² = gamma_0 - sum over i of a_i gamma_i
 
     Parameters
     ----------
-    min_innovation : least share of the variance that the past does not predict
+    autocovariance : (order + 1,) gamma.
+    min_innovation : Minimum share of the variance that the past does not predict.
     """
     lag = np.arange(len(autocovariance) - 1)
-    covariance = autocovariance[np.abs(lag[:, None] - lag)]  # small: quicker so than by Levinson's recursion
+    covariance = autocovariance[
+        np.abs(lag[:, None] - lag)
+    ]  # so small that this is faster than Levinson's recursion
     coefficients = np.linalg.solve(covariance, autocovariance[1:])
     variance = max(autocovariance[0] - coefficients @ autocovariance[1:], min_innovation * autocovariance[0])
     return WhiteningFilter(taps=np.concatenate([[1.0], -coefficients]), sigma=float(np.sqrt(variance)))
 
 
 def clipped(residual: Floats, valid: Bools, limit: float, floor: float) -> Floats:
-    """Return a residual (n,) cut at `limit` robust standard deviations, or at `floor` if that is more."""
+    """Return a residual (n,), clipped at the larger of `limit` robust standard deviations and `floor`."""
     most = max(limit * MAD_TO_SIGMA * float(np.median(np.abs(residual[valid]))), floor)
     return np.clip(residual, -most, most)
 
 
 def huber_weights(white: Floats, limit: float) -> Floats:
-    """Return weights in (0, 1] for residuals in standard deviations."""
+    """Return Huber's weights in (0, 1] for residuals in standard deviations.
+
+        weight = min(1, limit / |white|)
+
+    Whitened rows are multiplied by the square root of the weight.
+    """
     return np.minimum(1.0, limit / np.maximum(np.abs(white), 1e-9))
 
 
 def huber_loss(white: Floats, limit: float) -> Floats:
-    """Return Huber's loss of whitened residuals [nats]."""
+    """Return Huber's loss of whitened residuals [nats].
+
+        loss = white² / 2 for |white| < limit, limit |white| - limit² / 2 otherwise
+
+    The limit is in standard deviations.
+    """
     size = np.abs(white)
     return np.where(size < limit, 0.5 * size**2, limit * size - 0.5 * limit**2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Whitener:
-    """Whitens rows of one or several kinds, for instance translation and rotation, one kind after the other."""
+    """Whitens rows of one or several kinds, for instance translation and rotation, kind by kind."""
 
     filters: tuple[WhiteningFilter, ...]
     """(n_kinds,)"""
     valid: Bools
-    """(n,) rows of each kind that count."""
+    """(n,) valid rows of each kind."""
     weights: Floats
-    """(n_kinds n,) by which whitened rows are multiplied."""
+    """(n_kinds n,) factors of the whitened rows."""
 
     @classmethod
     def plain(cls, filters: tuple[WhiteningFilter, ...], valid: Bools) -> Whitener:
-        """Weigh all rows alike."""
+        """Return a whitener with equal weights."""
         return cls(filters=filters, valid=valid, weights=np.ones(len(filters) * len(valid)))
 
     @classmethod
@@ -128,12 +145,12 @@ class Whitener:
         residual: Floats,
         limit: float,
     ) -> Whitener:
-        """Weigh rows by the residual (n_kinds n,): beyond `limit` standard deviations, by its size and not its square."""
+        """Return a whitener with Huber's weights, from a residual (n_kinds n,) and a limit in standard deviations."""
         white = cls.plain(filters, valid)(residual)
         return cls(filters=filters, valid=valid, weights=np.sqrt(huber_weights(white, limit)))
 
     def __call__(self, columns: Floats) -> Floats:
-        """Return rows (n_kinds n,) or columns (n_kinds n, k) whitened along time and weighted; 0 where not valid."""
+        """Return rows (n_kinds n,) or columns (n_kinds n, k), whitened along time and weighted; 0 where not valid."""
         out, n = np.empty(columns.shape), len(self.valid)
         for f, part, white in zip(self.filters, by_kind(columns, n), by_kind(out, n), strict=True):
             f.write(part, white)
@@ -142,11 +159,11 @@ class Whitener:
         return out
 
     def normal_equations(self, parts: Sequence[Floats], y: Floats) -> tuple[Floats, Floats]:
-        """Return Z'Z (k, k) and Z'y (k,) of whitened rows, without keeping them.
+        """Return Z'Z (k, k) and Z'y (k,) of whitened rows, without storing these.
 
         Parameters
         ----------
-        parts : (n_kinds n, .) columns that stand side by side, k in all
+        parts : (n_kinds n, .) Columns of Z, side by side, k in total.
         y : (n_kinds n,)
         """
         k, n = sum(part.shape[1] for part in parts), len(self.valid)
@@ -173,11 +190,11 @@ class Whitener:
 
     @property
     def log_likelihood(self) -> float:
-        """Of rows whose noise is as fitted, without constants [nats]."""
+        """[nats] log-likelihood of rows with the fitted noise, without constants."""
         return -float(self.valid.sum()) * float(np.log(self.sigmas).sum())
 
     def nats_and_rms(self, residual: Floats) -> tuple[float, float]:
-        """Return mean negative log-likelihood and RMS of a whitened residual (n_kinds n,), all rows weighed alike."""
+        """Return mean negative log-likelihood [nats] and RMS of a whitened residual (n_kinds n,), unweighted."""
         some = self.valid_rows
         white = Whitener.plain(self.filters, self.valid)(residual)[some]
         sigma = np.repeat(self.sigmas, len(self.valid))[some]
@@ -186,7 +203,7 @@ class Whitener:
 
 
 def by_kind(rows: Floats, n: int) -> list[Floats]:
-    """Return rows (n_kinds n, ...) kind by kind, (n, ...) each: views."""
+    """Return rows (n_kinds n, ...) split by kind, (n, ...) each; views."""
     return [rows[first : first + n] for first in range(0, len(rows), n)]
 
 

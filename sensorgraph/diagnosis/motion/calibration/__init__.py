@@ -1,1 +1,1 @@
-"""Wheels and the laser's mount from driving alone: no map, no reference, only scans and odometry."""
+"""Calibrate wheels and laser mount from driving alone: scans and odometry, without map or reference poses."""

@@ -1,4 +1,4 @@
-"""Two runs of one robot, or two parts of one run: what of wheels and mount has changed."""
+"""Compare the calibration of wheels and mount between two runs of one robot, or between parts of one run."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ class Difference:
     first: float
     second: float
     stderr: float
-    """Of the difference; two of them hold 95 %."""
+    """Of the difference; twice this value covers 95 %."""
     threshold: float
-    """Standard errors beyond which the runs differ."""
+    """Standard errors above which the runs differ."""
 
     @property
     def value(self) -> float:
-        """The second run's less the first run's."""
+        """Second run minus first run."""
         return self.second - self.first
 
     @property
     def differs(self) -> bool:
-        """Tell whether chance is ruled out."""
+        """Tell whether the difference is larger than chance."""
         return abs(self.value) > self.threshold * self.stderr
 
     @property
     def is_material(self) -> bool:
-        """Tell whether it is more than a careful set-up would notice."""
+        """Tell whether the difference exceeds the accuracy of a careful setup."""
         return abs(self.value) > QUANTITIES[self.name].materiality
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A parameter that changed once within a run."""
+    """A parameter that changed once during a run."""
 
     difference: Difference
-    """Before (first) and after (second)."""
+    """Values before (first) and after (second) the change."""
     at_s: float
     """[s] since the first scan."""
 
@@ -80,14 +80,15 @@ def compare(
 def change_within(
     motion: LaserMotion, found: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION
 ) -> Change | None:
-    """Return the parameter that changed once within a run, where one did; None: all hold from beginning to end.
+    """Return the parameter that changed once during a run; None if none did.
 
-    Each place between blocks with a quarter of the run on either side is tried: both sides are calibrated by themselves and
-    compared; the threshold counts places and parameters (Bonferroni, in the spirit of Andrews 1993).
+    Each border between blocks with at least a quarter of the run on either side is tried. Both sides are
+    calibrated separately and compared. The threshold accounts for the number of borders and parameters
+    (Bonferroni, in the spirit of Andrews 1993).
 
     Parameters
     ----------
-    found : the calibration of all of the run
+    found : Calibration of the whole run.
     """
     s, n = settings, len(motion.first)
     at = [n * b // s.blocks for b in range(s.blocks // 4, s.blocks - s.blocks // 4 + 1)]
@@ -115,7 +116,7 @@ def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
 
 
 def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Floats, Floats]:
-    """Return the estimates (blocks, 9) of the parts of a run, their standard errors (blocks, 9), and their middles [s]."""
+    """Return estimates (blocks, 9) and standard errors (blocks, 9) for the parts of a run, and their middles [s]."""
     rows, n = found.rows, len(found.rows.scores)
     values, errors = np.zeros((blocks, found.values.size)), np.zeros((blocks, found.values.size))
     ends = np.append(rows.from_s, found.duration_s)
@@ -130,12 +131,18 @@ def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Flo
 
 
 def _time_of(rows: WindowRows, parameter: int, settings: DrivingCalibrationSettings) -> float:
-    """Return the time [s] at which one parameter changed: where two fits gain most over one."""
+    """Return the time [s] at which one parameter changed: where two fits gain most over one.
+
+        gain_k = (S_k - S_n I_k / I_n)² / (I_k (1 - I_k / I_n))
+
+    S_k and I_k are the score and the information of the parameter up to window k, with the other parameters
+    projected out.
+    """
     n = len(rows.scores)
     least = max(n // settings.blocks, 1)
     total = rows.information.sum(axis=0) + rows.prior
     kept = [k for k in range(len(PARAMETERS) + len(NUISANCES)) if k != parameter]
-    # the parameter's own score and information, the others' share taken out
+    # score and information of the parameter, with the other parameters projected out
     share = total[np.ix_([parameter], kept)] @ np.linalg.inv(total[np.ix_(kept, kept)])
     row = np.zeros(len(total))
     row[parameter], row[kept] = 1.0, -share[0]
@@ -151,5 +158,5 @@ def _sigmas(one: Difference) -> float:
 
 
 def _threshold(level: float) -> float:
-    """Return how many standard errors chance exceeds with this probability."""
+    """Return the number of standard errors that chance exceeds with this probability."""
     return NormalDist().inv_cdf(1 - level / 2)

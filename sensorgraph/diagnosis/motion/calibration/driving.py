@@ -1,4 +1,4 @@
-"""Diagnose runs that have neither arena nor reference: what their wheels and their mount tell."""
+"""Diagnose runs without arena and reference poses: calibrate their wheels and mount."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ from sensorgraph.types import ProgressBars, no_progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivingFinding:
-    """What one or two runs tell without arena and reference."""
+    """Result of one or two runs without arena and reference poses."""
 
     runs: Mapping[str, DrivingCalibration]
-    """Name -> what driving alone tells."""
+    """Name -> calibration from driving alone."""
     changes: Mapping[str, Change | None]
-    """Name -> what changed within the run."""
+    """Name -> change during the run."""
     differences: tuple[Difference, ...]
-    """Of the second run from the first, in the order of PARAMETERS; empty with one run."""
+    """Second run minus first run, in the order of PARAMETERS; empty with one run."""
     effects: tuple[Amendment, ...]
-    """Material, of the last run; for `record` and `export`."""
+    """Material effects of the last run; for `record` and `export`."""
 
     @property
     def verdict(self) -> list[str]:
-        """Say it in a line, or in a few where two runs differ."""
+        """Return the verdict as one line, or as several lines if two runs differ."""
         names = list(self.runs)
         if len(names) > 1:
             return verdict(self.differences, names[0], names[1])
         return [headline(self.runs[names[0]], self.changes[names[0]])]
 
     def lines_of(self, name: str) -> list[str]:
-        """Say what one run tells, quantity by quantity."""
+        """Return the calibration of one run, one line per quantity."""
         return [*lines_of(self.runs[name]), *change_lines(self.changes[name])]
 
     @property
     def lines(self) -> list[str]:
-        """Say it, the verdict first."""
+        """Return the result as lines, the verdict first."""
         out = self.verdict
         for name, found in self.runs.items():
             out += [f"{name}, {source_of(found)}:", *(f"  {line}" for line in self.lines_of(name))]
@@ -57,7 +57,7 @@ class DrivingFinding:
 
 
 def check_odometry(run: Run, *, name: str = "the run") -> None:
-    """Refuse a run that cannot tell wheels and mount, before it is located."""
+    """Reject a run that does not determine wheels and mount, before it is located."""
     try:
         with_moving_odometry(run)
     except SensorgraphError as exc:
@@ -71,12 +71,12 @@ def diagnose_driving(
 
     Parameters
     ----------
-    runs : name -> the run as logged, and the same run located; one or two
-    base : [m] between the wheels, as the odometry takes it; None: not known
+    runs : Name -> the run as logged, and the same run located; one or two.
+    base : [m] Wheelbase that the odometry uses; None: unknown.
 
     Raises
     ------
-    SensorgraphError : a run has no odometry, or is too short
+    SensorgraphError : A run has no odometry, or is too short.
     """
     found: dict[str, DrivingCalibration] = {}
     changes: dict[str, Change | None] = {}

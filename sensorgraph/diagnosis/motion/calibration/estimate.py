@@ -1,11 +1,17 @@
-"""Wheel scale, wheel base and the laser's mount from driving alone, with standard errors that hold.
+"""Estimate wheel scales, heading bias and laser mount from driving alone, with realistic standard errors.
 
-The model is that of Censi, Franchi, Marchionni and Oriolo (2013), Simultaneous calibration of odometry and sensor
-parameters for mobile robots, IEEE T-RO 29(2): the laser's motion is the wheels' corrected motion, seen through the
-mount. Three nuisances are fitted along: the delay between scans and odometry, and the drift of the robot with the floor.
-The residuals of each step are added up over windows of steps, in which errors of stamps cancel; Student's t takes the
-slips. Standard errors are a jackknife over long blocks of the run (Quenouille 1956; Cameron and Miller 2015), never below
-those of independent windows, and widened so that two of them hold 95 %.
+    laser step = mount⁻¹ * corrected wheel step * mount
+
+The corrected wheel step has the distance scaled by `way_scale`, the turn by `turn_scale`, and a turn of
+`heading_bias` per metre added. This is the model of Censi, Franchi, Marchionni and Oriolo (2013),
+Simultaneous calibration of odometry and sensor parameters for mobile robots, IEEE T-RO 29(2). Three nuisances
+are fitted as well: the delay between scans and odometry, and the drift of the robot with the floor, along x
+and y.
+
+The residuals of the steps are summed over windows, so that stamp errors cancel. They have Student's t
+distribution, which limits the influence of slip. The estimate is found by iteratively reweighted Gauss-Newton
+steps. The standard errors are those of a jackknife over long blocks of the run (Quenouille 1956; Cameron and
+Miller 2015), at least those of independent windows. They are widened so that twice their value covers 95 %.
 """
 
 from __future__ import annotations
@@ -21,18 +27,19 @@ from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.types import Floats
 
 PARAMETERS = ("way_scale", "turn_scale", "heading_bias", "mount_x", "mount_y", "mount_phi")
-"""What is told: scales of the odometry, the turn it misses [rad/m], the laser in base_link [m, m, rad]."""
+"""Estimated parameters: distance and turn scale of the odometry, the turn that it misses [rad/m], the laser
+in base_link [m, m, rad]."""
 NUISANCES = ("delay", "drift_x", "drift_y")
-"""[s] by which a scan is later than the odometry at its stamp; [m/m] in map, with the floor."""
+"""[s] delay of a scan after the odometry at its stamp; [m/m] drift with the floor, in map."""
 N_ALL = len(PARAMETERS) + len(NUISANCES)
 YAW = 5
 DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
-"""Of numerical derivatives."""
+"""Steps of the numerical derivatives."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindowRows:
-    """The linearised problem at the estimate, window by window."""
+    """Linearised problem at the estimate, one row per window."""
 
     information: Floats
     """(n_windows, 9, 9)"""
@@ -41,29 +48,29 @@ class WindowRows:
     prior: Floats
     """(9, 9)"""
     from_s: Floats
-    """(n_windows,) [s] since the first scan, where each begins."""
+    """(n_windows,) [s] start of each window, since the first scan."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivingCalibration:
-    """What driving alone tells of wheels and mount."""
+    """Calibration of wheels and mount from driving alone."""
 
     values: Floats
     """(9,) of PARAMETERS and NUISANCES."""
     stderr: Floats
-    """(9,) two of them hold 95 %."""
+    """(9,) twice these values cover 95 %."""
     mount: Floats
-    """(3,) [m, m, rad] as stated."""
+    """(3,) [m, m, rad] specified mount."""
     way_m: float
     turn_rad: float
     duration_s: float
     rows: WindowRows
     metre: str = "the laser's"
-    """Whose metre ways are told in."""
+    """Owner of the length scale in which distances are given."""
 
     @property
     def stated(self) -> Floats:
-        """(6,) of PARAMETERS: wheels as the odometry takes them, and the mount."""
+        """(6,) specified values of PARAMETERS: unit scales, no bias, and the mount."""
         return np.array([1.0, 1.0, 0.0, *self.mount])
 
     def of(self, name: str) -> tuple[float, float]:
@@ -72,7 +79,7 @@ class DrivingCalibration:
         return float(self.values[k]), float(self.stderr[k])
 
     def by_metre(self, stretch: float, stderr: float) -> DrivingCalibration:
-        """Return the same where the laser reads all ranges this many times too long, known within a standard error."""
+        """Return the calibration for a laser whose ranges are too long by a factor, known within a standard error."""
         values, errors = self.values.copy(), self.stderr.copy()
         values[0] /= stretch
         errors[0] = np.hypot(errors[0] / stretch, values[0] * stderr / stretch)
@@ -84,7 +91,7 @@ def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBR
 
     Parameters
     ----------
-    motion : of `settings.window * settings.least_windows` steps at least
+    motion : At least `settings.window * settings.least_windows` steps.
     """
     s = settings
     before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
@@ -121,8 +128,14 @@ def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBR
 
 
 def standard_errors(rows: WindowRows, blocks: int) -> Floats:
-    """Return the standard errors (9,): of the jackknife over blocks, or of independent windows if these are larger."""
-    from scipy.stats import t as student  # slow to import, and not needed by those who only read a run
+    """Return the standard errors (9,): of the jackknife over blocks, or of independent windows if larger.
+
+        jackknife²   = (blocks - 1) / blocks  sum over b of (theta without block b - theta)²
+        independent² = diag(H⁻¹ S'S H⁻¹),   H = total information,   S = scores (n_windows, 9)
+
+    The jackknife is linearised at theta. Student's t with blocks - 1 degrees of freedom widens it.
+    """
+    from scipy.stats import t as student  # slow to import, and rarely needed
 
     total = rows.information.sum(axis=0) + rows.prior
     scores = rows.scores
@@ -142,13 +155,13 @@ def standard_errors(rows: WindowRows, blocks: int) -> Floats:
 
 
 def _added(values: Floats, window: int) -> Floats:
-    """Add up values (n_steps, ...) over windows (n_windows, ...)."""
+    """Sum values (n_steps, ...) over windows (n_windows, ...)."""
     n = len(values) // window
     return np.asarray(values[: n * window].reshape(n, window, *values.shape[1:]).sum(axis=1))
 
 
 def _derivatives(motion: LaserMotion, theta: Floats, window: int) -> Floats:
-    """Return the derivatives (n_windows, 3, 9) of what is predicted for each window, seen from the laser."""
+    """Return the derivatives (n_windows, 3, 9) of the predicted motion of each window, in the laser frame."""
     columns = []
     for k, step in enumerate(DIFFERENCES):
         change = np.zeros(N_ALL)
@@ -159,14 +172,14 @@ def _derivatives(motion: LaserMotion, theta: Floats, window: int) -> Floats:
 
 
 def _residuals(motion: LaserMotion, theta: Floats) -> Floats:
-    """Return the laser's steps seen from the predicted ones (n_steps, 3) [m, m, rad]."""
+    """Return the measured steps of the laser relative to the predicted ones (n_steps, 3) [m, m, rad]."""
     off = compose(invert(predicted(motion, theta)), motion.steps)
     off[:, 2] = wrap(off[:, 2])
     return off
 
 
 def predicted(motion: LaserMotion, theta: Floats) -> Floats:
-    """Return the steps (n_steps, 3) [m, m, rad] of the laser, as wheels and mount of theta (9,) make them."""
+    """Return the steps (n_steps, 3) [m, m, rad] of the laser that wheels and mount of theta (9,) predict."""
     way_scale, turn_scale, heading_bias, *mount, delay, drift_x, drift_y = theta
     track = motion.odometry
     moved = compose(invert(track[:-1]), track[1:])

@@ -1,7 +1,8 @@
-"""How the laser moved between scans, by the scans alone.
+"""Measure the motion of the laser between scans from the scans alone.
 
-The poses of a located run were helped by its wheels, so they must not judge these. Poses and surfaces are fitted
-together once more, from the located poses on, with every tie to the wheels cut: what comes out hangs on scans alone.
+The wheels contributed to the poses of a located run, so that these poses cannot test the wheels. Poses and
+surfaces are therefore fitted again, starting from the located poses and without the wheels. The result
+depends on the scans alone.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ class LaserMotion:
     second: Ints
     """(n_steps,) scan at which it ends."""
     steps: Floats
-    """(n_steps, 3) [m, m, rad] the laser's later pose in its earlier one, from scans alone."""
+    """(n_steps, 3) [m, m, rad] later pose of the laser in its earlier frame, from scans alone."""
     headings: Floats
-    """(n_steps,) [rad] of base_link in map where each begins."""
+    """(n_steps,) [rad] of base_link in map at the start of each step."""
     stamps: Floats
-    """(n_scans,) [s] that never go back, evened out where they come in bursts."""
+    """(n_scans,) [s] never decreasing, and smoothed if scans come in bursts."""
     odometry: Floats
-    """(n_scans, 3) [m, m, rad] as the wheels say."""
+    """(n_scans, 3) [m, m, rad] from the wheels."""
     mount: Floats
-    """(3,) [m, m, rad] of the laser in base_link as stated."""
+    """(3,) [m, m, rad] specified pose of the laser in base_link."""
 
     def part(self, chosen: slice) -> LaserMotion:
         """Return some of the steps, with the scans between them."""
@@ -68,16 +69,16 @@ def laser_motion(
     settings: DrivingCalibrationSettings = CALIBRATION,
     progress: ProgressBars = no_progress,
 ) -> LaserMotion:
-    """Measure how the laser moved, by the scans alone.
+    """Measure the motion of the laser from the scans alone.
 
     Parameters
     ----------
-    run : as it was logged, with its odometry
-    located : the same run with the poses that `locate` found: where the search begins
+    run : As it was logged, with its odometry.
+    located : The same run with the poses of `locate`, at which the fit starts.
 
     Raises
     ------
-    SensorgraphError : the run has no odometry, or too few of its scans were located
+    SensorgraphError : The run has no odometry, or too few of its scans were located.
     """
     run, odometry = with_moving_odometry(run)
     odometry[:, 2] = np.unwrap(odometry[:, 2])
@@ -87,9 +88,9 @@ def laser_motion(
     if len(keys) < settings.window * settings.least_windows:
         raise SensorgraphError(
             f"the robot made {len(keys)} steps of {settings.step_way:g} m or {np.degrees(settings.step_turn):.0f}° between "
-            f"scans that were located, expected {settings.window * settings.least_windows}; drive longer"
+            f"located scans, expected at least {settings.window * settings.least_windows}; drive longer"
         )
-    with progress("measuring motions by scans alone", "steps") as bar:
+    with progress("measuring the motion from scans alone", "steps") as bar:
         poses = _by_scans_alone(run, keys, paired.poses[keys], bar)
     steps = compose(invert(poses[:-1]), poses[1:])
     mount = np.asarray(run.sensor.mount, dtype=np.float64)
@@ -109,17 +110,17 @@ def laser_motion(
 
 
 def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
-    """Return a run with its odometry checked, and that at each scan (n_scans, 3) [m, m, rad]; refuse one without."""
+    """Return a run with checked odometry, and the odometry at each scan (n_scans, 3); reject a run without it."""
     run, notes = with_checked_odometry(run)
     motion = odometry_of(run)
     if motion is None:
         why = notes[0] if notes else "the run has no odometry that moves"
-        raise SensorgraphError(f"{why}; wheels and mount can be told only from a drive with odometry")
+        raise SensorgraphError(f"{why}; the calibration of wheels and mount needs a drive with odometry")
     return run, odometry_at_scans(run, motion)
 
 
 def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats:
-    """Return stamps (n,) that never go back; means over neighbours where a log was written in bursts."""
+    """Return stamps (n,) that never decrease; moving averages if the log was written in bursts."""
     rising = np.maximum.accumulate(stamps)
     intervals = np.diff(rising)
     mean = float(np.ptp(rising)) / max(len(intervals), 1)
@@ -133,14 +134,14 @@ def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats
 
 
 def _lengths(odometry: Floats, settings: DrivingCalibrationSettings) -> Floats:
-    """Return way and turn up to each scan (n_scans,), in steps."""
+    """Return the accumulated distance and turn at each scan (n_scans,), in steps."""
     ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / settings.step_way
     turns = np.abs(np.diff(odometry[:, 2])) / settings.step_turn
     return np.concatenate([[0.0], np.cumsum(ways + turns)])
 
 
 def _keys(length: Floats, usable: Bools) -> Ints:
-    """Return the scans between which steps are measured: usable ones, each a step or more after the last."""
+    """Return the scans between which steps are measured: usable ones, at least a step apart."""
     keys: list[int] = []
     for k in np.flatnonzero(usable):
         if not keys or length[k] - length[keys[-1]] >= 1.0:
@@ -149,7 +150,7 @@ def _keys(length: Floats, usable: Bools) -> Ints:
 
 
 def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> Floats:
-    """Fit poses (n_keys, 3) and surfaces together, without wheels."""
+    """Fit poses (n_keys, 3) and surfaces jointly, without wheels."""
     n = len(keys)
     first = np.arange(n - 1)
     relative = compose(invert(poses[:-1]), poses[1:])

@@ -1,7 +1,8 @@
-"""Every tuned number of the calibration from driving alone, with unit and meaning.
+"""Settings of the calibration from driving alone: every tuned number, with unit and meaning.
 
-The defaults were chosen on intel, fr079 and aces, whole and as parts of one located log (`benchmarks.halves`). Their halves
-located apart were compared after that choice, but a log of another robot has not been seen.
+The defaults were chosen on intel, fr079 and aces, on whole logs and on parts of one located log
+(`benchmarks.halves`). Afterwards, halves that were located separately were compared. No log of another robot
+was used.
 """
 
 from __future__ import annotations
@@ -11,52 +12,54 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class DrivingCalibrationSettings:
-    """How motions are cut, fitted and judged."""
+    """How motions are divided, fitted and tested."""
 
     step_way: float = 0.4
-    """[m] way between two scans whose motion is measured, if the robot does not turn."""
+    """[m] distance between two scans whose motion is measured, without turning."""
     step_turn: float = 0.25
-    """[rad] turn between them, if it does not drive."""
+    """[rad] turn between them, without driving."""
     longest_step: float = 3.0
-    """Times these: a longer step (scans that were not located, a jump of the odometry) is left out."""
+    """Maximum length of a step, as a multiple of these; longer ones (scans without a pose, a jump of the
+    odometry) are omitted."""
     window: int = 10
-    """Steps whose residuals are added up before they are judged: errors of the stamps cancel from step to step, and what is
-    left hangs on the wheels. Windows of 1 shrink or stretch turn scales by 1 to 2 %, 5 to 20 agree."""
+    """Number of steps whose residuals are summed. Stamp errors cancel from step to step; the sum depends on
+    the wheels. Windows of 1 bias turn scales by 1 to 2 %; windows of 5 to 20 agree."""
     blocks: int = 8
-    """Parts of a run that count as independent in the standard errors: slip and floors last for minutes."""
+    """Number of parts of a run that count as independent in the standard errors: slip and floors last for minutes."""
     least_block: int = 5
-    """Windows of a block: runs too short for that have fewer blocks, four at least, and wider errors."""
+    """Minimum number of windows in a block. Shorter runs have fewer blocks, at least four, and larger
+    standard errors."""
     least_side: int = 32
-    """Windows before and after a change within a run."""
+    """Minimum number of windows before and after a change during a run."""
     least_windows: int = 8
-    """Windows of a run, below which nothing can be said: the four blocks, of which standard errors are made, have two each."""
+    """Minimum number of windows of a run: two in each of the four blocks that the standard errors need."""
     tail: float = 4.0
-    """Degrees of freedom of Student's t of the residuals."""
+    """Degrees of freedom of Student's t for the residuals."""
     iterations: int = 8
     """Gauss-Newton steps."""
     derivatives: int = 3
-    """First of these at which derivatives are taken anew."""
+    """Number of initial steps in which the derivatives are updated."""
     scale_sd: float = 0.1
-    """Standard deviation of way and turn scale before any scan."""
+    """Prior standard deviation of distance scale and turn scale."""
     heading_bias_sd: float = 0.1
-    """[rad/m] the same of the heading bias."""
+    """[rad/m] prior standard deviation of the heading bias."""
     mount_sd: float = 0.3
-    """[m, rad] of the laser's mount around what is stated."""
+    """[m, rad] prior standard deviation of the laser mount around its specified pose."""
     delay_sd: float = 0.3
-    """[s] of the delay between scans and odometry."""
+    """[s] prior standard deviation of the delay between scans and odometry."""
     drift_sd: float = 0.02
-    """[m/m] of the drift with the floor (slope, nap of a carpet), in each direction."""
+    """[m/m] prior standard deviation of the drift with the floor (slope, nap of a carpet), in each direction."""
     short_interval: float = 0.25
-    """Of the mean interval of the scans: shorter ones come in a burst."""
+    """Share of the mean interval between scans; shorter intervals belong to a burst."""
     most_bursts: float = 0.05
-    """Share of short intervals above which stamps say when a scan was written, not when it was taken."""
+    """Share of short intervals, above which stamps record when a scan was written, not when it was taken."""
     burst_scans: int = 20
-    """Scans before and after over which such stamps are averaged: lasers scan at an even rate."""
+    """Number of scans before and after, over which such stamps are averaged: lasers scan at a constant rate."""
     sideways_sd: float = 0.0026
-    """[rad] by which the direction of travel wanders from floor to floor, beyond the scatter within a run; it adds to the
-    standard error of the mount's yaw. The eighths of intel and aces show 0.15°, those of fr079 less."""
+    """[rad] variation of the direction of travel between floors, beyond the scatter within a run. It adds to
+    the standard error of the mount's yaw. The eighths of intel and aces show 0.15°, those of fr079 less."""
     level: float = 0.05
-    """Share of pairs of equal runs that may be told to differ (over all parameters, Bonferroni)."""
+    """Probability of a reported difference between two equal runs (over all parameters, Bonferroni)."""
 
 
 CALIBRATION = DrivingCalibrationSettings()

@@ -1,4 +1,4 @@
-"""What driving alone tells, as effects and as sentences."""
+"""Express a calibration from driving alone as effects and as sentences."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 
 SURE = 2.64
-"""Standard errors: five in a hundred good robots would show one of six parameters beyond."""
+"""Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
 LEAST_DELAY = 0.01
-"""[s] a smaller delay is not worth a line."""
+"""[s] minimum delay that is reported."""
 LEAST_DRIFT = 0.005
-"""[m/m] the same of the drift with the floor."""
+"""[m/m] minimum drift with the floor that is reported."""
 
 
 def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment, ...]:
@@ -29,7 +29,7 @@ def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment
 
     Parameters
     ----------
-    base : [m] between the wheels, as the odometry takes it; None: not known, so that unequal radii have no size
+    base : [m] Wheelbase that the odometry uses; None: unknown, so that unequal radii have no size.
     """
     (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
     (x, x_sd), (y, y_sd), (yaw, yaw_sd) = (found.of(name) for name in PARAMETERS[3:])
@@ -57,7 +57,7 @@ def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment
 
 
 def headline(found: DrivingCalibration, change: Change | None) -> str:
-    """Say in one line what one run tells: what changed within it, else what differs from what the log states."""
+    """Return one line for a run: what changed during it, or what differs from the specified values."""
     if change is not None:
         return change_lines(change)[0]
     q = QUANTITIES
@@ -71,12 +71,12 @@ def headline(found: DrivingCalibration, change: Change | None) -> str:
         if abs(d) > max(SURE * sd, q[name].materiality)
     ]
     if told:
-        return f"Wheels and mount differ from what is stated, by: {', '.join(told)}."
-    return "Wheels and mount are as stated, as far as driving alone can tell."
+        return f"Wheels and mount differ from the specified values: {', '.join(told)}."
+    return "Wheels and mount agree with the specified values, within the accuracy of driving alone."
 
 
 def source_of(found: DrivingCalibration) -> str:
-    """Say what was driven."""
+    """Return the length and duration of the drive."""
     return (
         f"from driving alone, {found.way_m:.0f} m and {found.turn_rad / (2 * np.pi):.0f} full turns in "
         f"{found.duration_s / 60:.0f} min"
@@ -84,42 +84,44 @@ def source_of(found: DrivingCalibration) -> str:
 
 
 def lines_of(found: DrivingCalibration) -> list[str]:
-    """Say what one run tells, quantity by quantity."""
+    """Return the calibration of one run, one line per quantity."""
     q = QUANTITIES
     (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
     mount = [q[name].text(*found.of(name)) for name in PARAMETERS[3:]]
     stated = [f"{v:.1f}".replace("-", "−") for v in found.mount * [100.0, 100.0, float(np.degrees(1.0))]]
     lines = [
-        f"ways: {q['way_scale'].text(way - 1, way_sd)} to be added to the odometry's (against {found.metre} metre)",
-        f"turns: {q['turn_scale'].text(turn - 1, turn_sd)} to be added to the odometry's",
-        f"heading: {q['heading_bias'].text(bias, bias_sd)} that the odometry misses (wheels of unequal size)",
-        f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (stated: "
+        f"distance scale: {q['way_scale'].text(way - 1, way_sd)}, correction to the odometry (in {found.metre} length scale)",
+        f"turn scale: {q['turn_scale'].text(turn - 1, turn_sd)}, correction to the odometry",
+        f"heading bias: {q['heading_bias'].text(bias, bias_sd)}, missing in the odometry (wheels of unequal size)",
+        f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (specified: "
         f"{stated[0]} cm, {stated[1]} cm, {stated[2]}°)",
     ]
     delay, delay_sd = found.of("delay")
     if abs(delay) > LEAST_DELAY and abs(delay) > SURE * delay_sd:
         older = "older" if delay < 0 else "newer"
         lines.append(
-            f"clocks: scans are {1e3 * abs(delay):.0f} ± {1e3 * delay_sd:.0f} ms {older} than the odometry of their stamps"
+            f"scan delay: scans are {1e3 * abs(delay):.0f} ± {1e3 * delay_sd:.0f} ms {older} than the odometry at their stamps"
         )
     drift = found.values[-2:]
     size, sd = float(np.hypot(*drift)), float(found.stderr[-2:].max())
     if size > LEAST_DRIFT and size > SURE * sd:
         lines.append(
-            f"floor: carries the robot {100 * size:.1f} ± {100 * sd:.1f} cm a metre towards "
+            f"floor: moves the robot {100 * size:.1f} ± {100 * sd:.1f} cm per metre towards "
             f"{np.degrees(np.arctan2(drift[1], drift[0])) % 360:.0f}° of the map (a slope, the nap of a carpet)"
         )
     return lines
 
 
 def difference_line(one: Difference, first: str, second: str) -> str:
-    """Say how a parameter of two runs compares."""
+    """Return the difference of a parameter between two runs, with its possible causes."""
     q = QUANTITIES[one.name]
-    return f"{q.title} of {second} differs from {first}'s by {q.text(one.value, one.stderr)}: {q.causes}"
+    return (
+        f"{q.title} of {second} differs from that of {first} by {q.text(one.value, one.stderr)}: {q.causes}"
+    )
 
 
 def verdict(differences: Sequence[Difference], first: str, second: str) -> list[str]:
-    """Say in a few lines whether two runs agree."""
+    """Return the lines that state whether two runs agree."""
     told = [d for d in differences if d.differs and d.is_material]
     small = [d for d in differences if d.differs and not d.is_material]
     if told:
@@ -130,15 +132,15 @@ def verdict(differences: Sequence[Difference], first: str, second: str) -> list[
             f"The two runs agree in wheels and mount (largest difference {abs(worst.value) / worst.stderr:.1f} standard "
             f"errors, {QUANTITIES[worst.name].title})."
         ]
-    lines += [f"too small to matter: {difference_line(d, first, second)}" for d in small]
+    lines += [f"Too small to matter: {difference_line(d, first, second)}" for d in small]
     return lines
 
 
 def change_lines(change: Change | None) -> list[str]:
-    """Say whether wheels and mount held for all of the run."""
+    """Return the line that states whether wheels and mount stayed constant during the run."""
     if change is None:
-        return ["Wheels and mount hold from beginning to end of the run."]
+        return ["Wheels and mount are constant during the run."]
     one, q = change.difference, QUANTITIES[change.difference.name]
     return [
-        f"The {q.title} changes within the run, at about {change.at_s:.0f} s, by {q.text(one.value, one.stderr)}: {q.causes}"
+        f"The {q.title} changes during the run, at about {change.at_s:.0f} s, by {q.text(one.value, one.stderr)}: {q.causes}"
     ]

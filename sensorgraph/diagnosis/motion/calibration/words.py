@@ -1,4 +1,4 @@
-"""Calibration in the words of a robot engineer."""
+"""Names, units, materiality and possible causes of the calibrated quantities."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 
 USUAL_BASE = 0.4
-"""[m] between the wheels of a robot that nobody has described: only to say when a heading bias matters."""
+"""[m] wheelbase of a robot without a robot.yaml; only used for the materiality of the heading bias."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """How a parameter is written."""
+    """How a parameter is printed."""
 
     title: str
     unit: str
     factor: float
     """From SI to the unit."""
     materiality: float
-    """[SI] smaller is not worth a word."""
+    """[SI] minimum size that is reported."""
     causes: str
-    """What changes it."""
+    """Possible causes of a change."""
 
     def text(self, value: float, stderr: float, *, sign: bool = True) -> str:
         """Return value and standard error in the unit."""
@@ -41,7 +41,7 @@ class Quantity:
 
 
 def _material(effect: Effect, index: int = 0) -> float:
-    """Return from which size on a parameter of an effect matters."""
+    """Return the materiality of a parameter of an effect."""
     size = effect.parameters[index].materiality
     assert size is not None
     return size
@@ -49,7 +49,7 @@ def _material(effect: Effect, index: int = 0) -> float:
 
 QUANTITIES: Mapping[str, Quantity] = {
     "way_scale": Quantity(
-        title="way scale",
+        title="distance scale",
         unit="%",
         factor=100.0,
         materiality=_material(WHEEL_RADIUS, 0),
@@ -60,31 +60,31 @@ QUANTITIES: Mapping[str, Quantity] = {
         unit="%",
         factor=100.0,
         materiality=_material(WHEEL_BASE, 0),
-        causes="a tyre, a load or a floor has changed: where the wheels touch it decides how far they are apart",
+        causes="a change of tyre, load or floor, which moves the contact points of the wheels",
     ),
     "heading_bias": Quantity(
         title="heading bias",
         unit="°/m",
         factor=float(np.degrees(1.0)),
         materiality=_material(WHEEL_RADIUS_DIFF, 0) / USUAL_BASE,
-        causes="one tyre has lost pressure or worn, or a load sits on one side",
+        causes="pressure loss or wear of one tyre, or a load on one side",
     ),
     "mount_x": Quantity(
-        title="laser ahead of the axle",
+        title="mount x",
         unit="cm",
         factor=100.0,
         materiality=_material(MOUNT_XY, 0),
-        causes="the laser was moved, or a load shifts the point about which the robot turns",
+        causes="the laser was moved, or a load shifts the centre of rotation",
     ),
     "mount_y": Quantity(
-        title="laser to the left",
+        title="mount y",
         unit="cm",
         factor=100.0,
         materiality=_material(MOUNT_XY, 1),
         causes="the laser was moved",
     ),
     "mount_phi": Quantity(
-        title="laser turned",
+        title="mount angle",
         unit="°",
         factor=float(np.degrees(1.0)),
         materiality=_material(MOUNT_YAW, 0),
@@ -92,10 +92,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
 }
 ABSORBED: Mapping[str, str] = {
-    RANGE_SCALE.name: "a laser whose ranges are all too long makes the map larger and the wheels look too small alike: the "
-    "way scale is that of wheels against laser",
-    "map_error": "the map is made of the run's own scans; nothing tells whether it is straight beyond what loops close",
-    "pose_error": "the poses fit the scans by construction; only motions from scan to scan, matched without the wheels, "
-    "are compared with these",
+    RANGE_SCALE.name: "too long ranges enlarge the map and make the wheels seem too small by the same factor, so that the "
+    "distance scale is relative to the laser",
+    "map_error": "the map is built from the run's own scans; its straightness is known only as far as loops close",
+    "pose_error": "the poses fit the scans by construction; only motions between scans, matched without the wheels, are "
+    "compared with the wheels",
 }
-"""What poses from the run's own scans absorb -> in words."""
+"""What poses from the run's own scans absorb -> explanation."""

@@ -1,1 +1,1 @@
-"""CommandSignal against odometry: lag, dead time and saturation of the motors."""
+"""Commands against odometry: lag, dead time and saturation of the motors."""

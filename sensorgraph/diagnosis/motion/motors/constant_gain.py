@@ -1,8 +1,7 @@
-"""A base that moves by a constant gain of what it is told, or turns as it drives: no tolerance, and no effect of the library.
+"""Constant gain from commands to motion beyond the tolerances, which no effect of the library explains.
 
-How far the odometry misreads the wheels is a tolerance of the model, within bounds (`DRIVE.gain_sigma`, `DRIVE.turn_sigma`).
-A gain beyond these is the base's own, unless wheels that are counted wrongly, as the odometry channel has named them, make
-it.
+The error of the odometry is a bounded tolerance of the model (`DRIVE.gain_sigma`, `DRIVE.turn_sigma`). A gain
+beyond these bounds belongs to the base, unless wheel errors that the odometry channel has named cause it.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from sensorgraph.types import Floats
 
 
 def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection]:
-    """Select effects under gains within tolerance; under any gain, where one lies at its bound and that is likelier.
+    """Select effects with bounded gains; with free gains, if one is at its bound and free gains are more likely.
 
-    What a gain may not take at its bound is left for effects to explain.
+    At a bound, effects would otherwise explain the remaining gain.
     """
     within = select(model)
     if within.fit.solution.covariance[GAINS, GAINS].all():
@@ -41,12 +40,11 @@ def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection
 def with_constant_gain(
     model: DriveModel, selected: MotorSelection, wheels: Iterable[Amendment]
 ) -> MotorSelection:
-    """Let a gain stand beside the effects that is surely beyond tolerance as the odometry reads it, and is so, too, without
-    the named errors of the wheels.
+    """Add a constant gain that is certainly beyond tolerance, both as measured and without the named wheel errors.
 
     Parameters
     ----------
-    wheels : what the odometry channel has named
+    wheels : Effects that the odometry channel has named.
     """
     if not model.has_any_gain or selected.structure is not None:
         return selected
@@ -67,7 +65,7 @@ def with_constant_gain(
             columns=fit.columns[:, columns],
             labels=[],
             sigma=DRIVE.structure.gain_sigma,
-            statement=f"by a constant gain: the base {_said(gains, columns)}",
+            statement=f"a constant gain: the base {_said(gains, columns)}",
         ),
         evidence=_lead(model, selected, selected),
         threshold=EVIDENCE.threshold,
@@ -79,37 +77,37 @@ def with_constant_gain(
 def _said(gains: Floats, columns: Iterable[Column]) -> str:
     way, turn, aside = gains
     words = {
-        Column.GAIN_V: f"drives {1 + way:.2f} times the speed commanded",
-        Column.GAIN_OMEGA: f"turns {1 + turn:.2f} times the rate commanded",
-        Column.TURN_PER_DISTANCE: f"turns {np.degrees(aside):+.1f}° per metre that it drives beside what is commanded",
+        Column.GAIN_V: f"drives {1 + way:.2f} times the commanded speed",
+        Column.GAIN_OMEGA: f"turns {1 + turn:.2f} times the commanded rate",
+        Column.TURN_PER_DISTANCE: f"turns {np.degrees(aside):+.1f}° per metre driven, in addition to the command",
     }
     return " and ".join(words[column] for column in columns)
 
 
 def _gains(selected: MotorSelection) -> Floats:
-    """Return the gains (3,) of a fit: of the way and of the turn, less 1, and turn by way [rad/m]."""
+    """Return the gains (3,) of a fit: of distance and turn, less 1, and the turn per distance [rad/m]."""
     return np.asarray(selected.fit.solution.theta[list(GAINS)])
 
 
 def _tolerances(model: DriveModel) -> Floats:
-    """Return by how much the gains (3,) may differ from 0 and be tolerances of a careful set-up."""
+    """Return the maximum gains (3,) within the tolerances of a careful setup."""
     bounded = model.with_any_gain(False)
     return np.asarray(bounded.prior([], bounded.nominal).reach[list(GAINS)])
 
 
 def _lead(free: DriveModel, found: MotorSelection, within: MotorSelection) -> float:
-    """Return how much likelier [nats] the run is under any gain, less the price of gains and effects, under one noise."""
+    """Return the evidence [nats] for free gains, less the complexity penalty, under the same noise."""
     held = free.with_any_gain(False).fit(within.terms, within.fit.motors)
     price = EVIDENCE.price * (len(GAINS) + len(found.terms) - len(within.terms))
     return found.fit.log_posterior - held.log_posterior - price
 
 
 def _without_wheels(gains: Floats, wheels: Iterable[Amendment], base: float) -> Floats:
-    """Return the gains (3,) that are left if the odometry reads as is named of the wheels.
+    """Return the gains (3,) that remain after the named wheel errors.
 
     Parameters
     ----------
-    base : [m] between the wheels
+    base : [m] Wheelbase.
     """
     named = dict.fromkeys((WHEEL_RADIUS, WHEEL_BASE, WHEEL_RADIUS_DIFF), 0.0)
     named |= {a.effect: a["s"] for a in wheels if a.effect in named}

@@ -1,7 +1,10 @@
-"""The regression of odometry on simulated motors: fitted by Gauss-Newton, with the tolerances of motors and odometry.
+"""Regression of odometry on simulated motors, by Gauss-Newton, with tolerances of motors and odometry.
 
-How far the odometry misreads the wheels is nuisance here: a gain of a few per cent, a turn in proportion to speed, and
-a clock offset as far as the reference poses tell it.
+    y = simulated + A theta + noise
+
+A contains the derivatives of the simulated rates by the motor parameters, the gains, and columns of
+structure. The error of the odometry is a nuisance: a gain of a few per cent, a turn in proportion to speed,
+and a clock offset within the accuracy that the reference poses give.
 """
 
 from __future__ import annotations
@@ -51,11 +54,11 @@ class Column(IntEnum):
     TURN_PER_DISTANCE = 4
     V_MAX = 5
     SECOND_LAG = 6
-    """How much of the lag is a second one in series, as in every real motor: the shape of a step, not its delay."""
+    """Share of a second lag in series, as in every real motor: it changes the shape of a step, not its delay."""
 
 
 GAINS = (Column.GAIN_V, Column.GAIN_OMEGA, Column.TURN_PER_DISTANCE)
-"""What the odometry says of every motion beside what was commanded: more of the way, more of the turn, a turn with the way."""
+"""Possible errors of the odometry in every motion: gain of the distance, gain of the turn, turn per distance."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class MotorTerm:
     size: Callable[[MotorParameters, MotorParameters, float], float]
     """Return the effect's parameter from the fitted motors, the nominal ones, and the last step of its column."""
     blur: float = 0.0
-    """[unit of the parameter] by which the controller blurs it."""
+    """[unit of the parameter] uncertainty due to the controller."""
 
 
 SIMULATED_TERMS = (
@@ -85,14 +88,14 @@ SIMULATED_TERMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class MotorColumns:
-    """Which column is which: those of `Column`, then one for each motor effect that has its own; structure after."""
+    """Order of the columns: those of `Column`, one for each other motor effect, then structure."""
 
     regressors: tuple[tuple[Effect, MotorRegressor], ...]
-    """Motor effects that have a column of their own, in the order of the library."""
+    """Motor effects with a separate column, in the order of the library."""
 
     @classmethod
     def of_library(cls) -> MotorColumns:
-        """Return the columns of the effects that are in the library now."""
+        """Return the columns of the effects in the library."""
         found = [(effect, effect.diagnostics.motor_regressor) for effect in EFFECTS.values()]
         return cls(
             regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
@@ -109,13 +112,13 @@ class MotorColumns:
 
     @property
     def n(self) -> int:
-        """Count of columns before those of structure."""
+        """Number of columns before those of structure."""
         return len(Column) + len(self.regressors)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveFit:
-    """The simulated motors that fit a set of effects, and the linear system about them."""
+    """Fitted motors for a set of effects, and the linear system at the fit."""
 
     motors: MotorParameters
     regression: Regression
@@ -141,7 +144,8 @@ class DriveModel:
 
         Parameters
         ----------
-        wheels : what the odometry channel has explained by slip or structure: the wheels may have misread as much
+        wheels : Motion that the odometry channel explains by slip or structure; the wheels may have misread
+            it.
         """
         self.rows, self.robot = rows, robot
         self.top_speed = commands.top_speed
@@ -156,32 +160,32 @@ class DriveModel:
         self.library_terms = self.layout.terms
         self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
         self.has_any_gain = False
-        """The gains have no bounds."""
+        """Whether the gains have no bounds."""
         self.limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.MOTORS, AccelerationLimit.NOWHERE)
         """Where the acceleration may be limited."""
 
     def with_ramped_set_point(self) -> DriveModel:
-        """Return a model, with noise of its own, of a base that brings commands to its motors by a ramp."""
+        """Return a model, with separate noise, of a base that ramps the commands to its motors."""
         model = self.with_any_gain(False)
         model.structure, model.limits = None, (AccelerationLimit.SET_POINT,)
         model.whitener = model.stated_noise()
         return model
 
     def stated_noise(self) -> Whitener:
-        """Return white noise as robot.yaml states it."""
+        """Return white noise as specified in robot.yaml."""
         sigmas = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)
         first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
         return Whitener.plain((first, second), self.rows.valid)
 
     def with_any_gain(self, has_any: bool = True) -> DriveModel:
-        """Return the same model, with noise of its own, whose gains have no bounds, or have them again."""
+        """Return a copy of the model, with separate noise, whose gains have no bounds, or have bounds again."""
         model = copy(self)
         model.simulation, model.has_any_gain = copy(self.simulation), has_any
         return model
 
     @property
     def n_own(self) -> int:
-        """Count of columns before those of structure."""
+        """Number of columns before those of structure."""
         return self.layout.n + int(self.misread.shape[1])
 
     @property
@@ -254,7 +258,7 @@ class DriveModel:
         return prior.freed([term.column for term in terms]).unbounded_from(self.layout.n)
 
     def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
-        """Return the bounded optimum of a set of effects."""
+        """Return the bounded optimum of a set of effects, by Gauss-Newton steps."""
         motors = start or self.nominal
         has_limit = any(term.effect is SPEED_SATURATION for term in terms)
         if has_limit and not np.isfinite(motors.v_max):
@@ -285,7 +289,7 @@ class DriveModel:
         return best
 
     def _first_v_max(self) -> float:
-        """Return the speed that is not exceeded though commands ask for more."""
+        """Return the start value of the maximum speed: about the highest measured one, below the largest command."""
         v, _ = both_kinds(self.rows.y, self.rows.n)
         fastest = float(np.quantile(np.abs(v[self.rows.valid]), FIT.v_max_quantile))
         least, below_commands = FIT.v_max_start
@@ -296,10 +300,10 @@ class DriveModel:
         return float(term.size(fit.motors, self.nominal, fit.solution.theta[term.column]))
 
     def blur_of(self, term: MotorTerm, fit: DriveFit) -> float:
-        """Return by how much [unit of the parameter] an effect is unsure however well it fits.
+        """Return the uncertainty [unit of the parameter] of an effect that more data does not reduce.
 
-        Nobody knows whether the time constant of robot.yaml holds a second lag in series, which bends the start of a
-        step: none of it, all of it, or any share is as likely, which is off by the second lag over sqrt 3 (rms).
+        The time constant of robot.yaml may contain a second lag in series, which bends the start of a step.
+        Any share of it, from none to all, is equally likely; the RMS error is the second lag over sqrt 3.
         """
         if term.column is not Column.LAG:
             return term.blur
@@ -307,7 +311,7 @@ class DriveModel:
         return float(np.hypot(term.blur, second / np.sqrt(3)))
 
     def fit_noise(self, residual: Floats) -> None:
-        """Fit the noise to a residual (2 n,), and whiten with it from now on."""
+        """Fit the noise to a residual (2 n,), and whiten with it afterwards."""
         first, second = (
             self.fitted_noise(k, part, self.rows.valid)
             for k, part in enumerate(both_kinds(residual, self.rows.n))
@@ -315,14 +319,14 @@ class DriveModel:
         self.whitener = Whitener.robust((first, second), self.rows.valid, residual, EVIDENCE.huber_limit)
 
     def fitted_noise(self, kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
-        """Return autoregressive noise as a residual (n,) shows it.
+        """Return autoregressive noise, fitted to a residual (n,).
 
-        Coarse ticks read at a high rate are 0 most of the time, and so is their robust scale; noise as robot.yaml states
-        it is therefore never cut.
+        Coarse ticks that are read at a high rate are 0 most of the time, and so is their robust scale. Noise
+        as large as robot.yaml specifies is therefore never clipped.
 
         Parameters
         ----------
-        kind : 0 for translation, 1 for rotation
+        kind : 0 for translation, 1 for rotation.
         """
         stated = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)[kind]
         limit = EVIDENCE.clip_limit
@@ -331,17 +335,17 @@ class DriveModel:
         return replace(found, sigma=max(found.sigma, 1e-6))
 
     def residual(self, fit: DriveFit) -> Floats:
-        """Return what a fit leaves (2 n,)."""
+        """Return the residual (2 n,) of a fit."""
         return self.rows.masked(self.rows.y - fit.simulated - fit.columns @ fit.solution.theta)
 
 
 def _second_lag(motors: MotorParameters) -> float:
-    """Return the second lag in series [s] that a share of 1 stands for."""
+    """Return the second lag in series [s] that corresponds to a share of 1."""
     return min(DRIVE.second_lag, motors.tau / 2)
 
 
 def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:
-    """Return the columns (2 n, 2) of wheels that misread by what the odometry channel explains, at coefficient 1."""
+    """Return the columns (2 n, 2) of wheels that misread what the odometry channel explains, at coefficient 1."""
     middle, nothing = (rows.start + rows.end) / 2, np.zeros(rows.n)
     v, omega = (np.interp(middle, wheels.stamps, rate) for rate in wheels.rates.T)
     return rows.masked(np.stack([np.concatenate([v, nothing]), np.concatenate([nothing, omega])], axis=1))

@@ -1,6 +1,7 @@
-"""What every base does that no effect is: control ticks, and jitter of transport.
+"""Normal behaviour of a base that is not an effect: ticks of its control loop, and jitter of the transport.
 
-Columns of these are part of every model that structure is tested in, each in units of its standard deviation a priori.
+Every model that is tested for structure contains columns for these, in units of their prior standard
+deviation.
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
 WAIT_SIGMAS = 3.0
-"""Standard deviations of the waits of commands, by which delays, or lags, of two stretches must differ to be no matter of these."""
+"""Standard deviations of the waiting times, within which the delays or lags of two stretches may differ."""
 PERIOD_ERROR = 0.01
-"""Share of its period by which a base's loop may be off: robot.yaml says 33 ms of one that runs 30 times a second."""
+"""Maximum relative error of the loop period: robot.yaml may specify 33 ms for a loop at 30 Hz."""
 IN_STEP = 0.7
-"""Mean resultant length of phases, above which commands are in step with the loop."""
+"""Mean resultant length of the phases, above which commands are in phase with the loop."""
 CHANGE = 0.1
-"""Of the largest command, by which commands have changed in all when they count as another one."""
+"""Accumulated change of the commands that counts as a new command, as a share of the largest command."""
 
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
-    """Return the columns (2 n, m) of what commands and odometry may differ by without an effect."""
+    """Return the columns (2 n, m) of normal differences between commands and odometry."""
     rows = model.rows
     delays = delay_sigma(model.robot.tolerances.control_period, model.robot.tolerances.transport_jitter)
     n = int(np.clip(np.ptp(rows.end) / DRIVE.beat_time, 1, DRIVE.max_beats))
@@ -33,15 +34,21 @@ def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
 
 
 def delay_sigma(control_period: float, transport_jitter: float) -> float:
-    """Return the standard deviation of a command's delay [s]: uniform over one tick of the base, and the transport's."""
+    """Return the standard deviation of a command's delay [s].
+
+        delay_sigma² = control_period² / 12 + transport_jitter²
+
+    The wait for a tick of the base is uniform over one period.
+    """
     return float(np.hypot(control_period / np.sqrt(12), transport_jitter))
 
 
 def longest_wait(robot: Robot) -> float:
-    """Return by how much [s] all commands may act later than robot.yaml says, if the base's loop keeps step with them.
+    """Return the maximum delay [s] of all commands beyond robot.yaml, if they are in phase with the control loop.
 
-    They wait for its tick up to a period. That is half a period more than the mean wait, if `delay` holds that; where the
-    period is stated beside a delay that is too short to hold it, it does not.
+    Commands wait for a tick for up to a period. If `delay` contains the mean wait, the excess is half a
+    period. If the period is specified and `delay` is too short to contain the mean wait, the excess is a
+    whole period.
     """
     period = robot.tolerances.control_period
     is_beside = _is_period_stated(robot) and robot.actuators.delay < period / 2
@@ -49,9 +56,10 @@ def longest_wait(robot: Robot) -> float:
 
 
 def stated_smear(robot: Robot) -> float:
-    """Return the lag [s] that commands seem to have because each waits for the next tick of the stated loop.
+    """Return the apparent lag [s] of commands that each wait for the next tick of the specified loop.
 
-    Waits that are spread evenly over a period smear a step as a lag of their standard deviation does. 0: no period is stated.
+    Waits that are uniform over a period smear a step like a lag equal to their standard deviation. The result
+    is 0 if no period is specified.
     """
     return robot.tolerances.control_period / float(np.sqrt(12)) if _is_period_stated(robot) else 0.0
 
@@ -61,16 +69,16 @@ def _is_period_stated(robot: Robot) -> bool:
 
 
 def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> float:
-    """Return by how much [s] delays, or lags, before and in a later stretch may differ, as commands wait for the base's loop.
+    """Return the difference [s] of delays, or lags, of two stretches that waits for the control loop can cause.
 
-    Each change of a command waits by itself, so that a stretch in which the base answers to few of them has the wait of these.
-    Where the changes are in step with a stated loop, all of a stretch may wait a period longer than those before; where they
-    come nearly in step, so that their phase wanders, neighbours wait alike.
+    Each change of a command waits separately, so that a stretch with few changes has the waits of these. If
+    the changes are in phase with a specified loop, all commands of a stretch may wait a period longer than
+    those before. If their phase drifts slowly, neighbouring changes wait alike.
 
     Parameters
     ----------
-    column : of the regression, that of the delay or of the lag
-    later : (2 n,) what it does to the rates in the later stretch; 0 elsewhere
+    column : Of the regression, for the delay or for the lag.
+    later : (2 n,) Contribution to the rates in the later stretch; 0 elsewhere.
     """
     rows, commands, tolerances = model.rows, model.simulation.commands, model.robot.tolerances
     top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
@@ -90,10 +98,12 @@ def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later:
 
 
 def is_in_step(stamps: Floats, period: float) -> bool:
-    """Tell whether stamps (n,) [s] keep about one phase of a loop of a period [s], which is known to a per cent.
+    """Tell whether stamps (n,) [s] are in phase with a loop, whose period [s] is known to one per cent.
 
-    The mean resultant length of their phases (Mardia and Jupp 2000, Directional Statistics, section 2.3.1), at the period
-    where it is largest; of 20 stamps or more at random it stays below 0.7.
+        max over periods of |mean over n of exp(2 pi i stamps / period)| > IN_STEP
+
+    This is the mean resultant length of the phases (Mardia and Jupp 2000, Directional Statistics, section
+    2.3.1). For 20 or more random stamps it stays below 0.7.
     """
     if period == 0 or len(stamps) < 2:
         return False
@@ -104,7 +114,7 @@ def is_in_step(stamps: Floats, period: float) -> bool:
 
 
 def n_in_step(stamps: Floats, period: float) -> int:
-    """Return how many neighbours of stamps (n,) [s] keep about one phase of a loop of a period [s]; a power of two."""
+    """Return the number of neighbouring stamps (n,) [s] in phase with a loop of a period [s]; a power of two."""
     phases, n = np.exp(2j * np.pi * stamps / max(period, 1e-9)), 1
     while 2 * n <= len(phases):
         whole = len(phases) // (2 * n) * 2 * n

@@ -1,4 +1,4 @@
-"""What the drive channel reports: named effects with their sizes, rivals, deviations, gap, and what was unseen."""
+"""Report of the drive channel: named effects with sizes, rivals, deviations, gap and unobservable effects."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
 FAST, MODERATE = 0.85, 0.4
-"""Shares of the largest commanded speed between which speeds are listed."""
+"""Shares of the maximum commanded speed that separate the listed ranges of speed."""
 CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
-"""[m/s², m/s², m/s] above which v changes, below which it is steady, above which the robot moves."""
+"""[m/s², m/s², m/s] acceleration above which v changes and below which it is steady; speed above which the
+robot moves."""
 
 
 def drive_result(
@@ -38,12 +39,12 @@ def drive_result(
     evidence: Mapping[MotorTerm, float],
     deviations: tuple[Deviation, ...],
 ) -> ChannelResult:
-    """Report the selected effects.
+    """Return the result of the drive channel for the selected effects.
 
     Parameters
     ----------
-    evidence : [nats] of each
-    deviations : what the bare simulator showed, before any selection
+    evidence : [nats] Of each effect.
+    deviations : Of the bare simulator, before any selection.
     """
     fit, rows = selected.fit, model.rows
     covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
@@ -64,7 +65,7 @@ def drive_result(
             rival = _late_clock(evidence[term])
         if rival is not None:
             rivals.append(rival)
-    # a lag or a delay that changes has no one size, and the other one takes a part of the change
+    # a lag or a delay that changes has no single size, and the other one absorbs a part of the change
     structure = selected.structure
     kind = "" if structure is None else structure.family.kind
     is_change = column_of_jump(kind) is not None
@@ -92,7 +93,7 @@ def drive_result(
 
 
 def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> Amendment:
-    """Return an effect with its size, and its standard error."""
+    """Return an effect with its size and standard error."""
     key = term.effect.parameters[0].name
     value = model.size_of(term, fit)
     return replace(
@@ -101,7 +102,7 @@ def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> A
 
 
 def _alternatives(model: DriveModel, term: MotorTerm, selected: MotorSelection) -> dict[Effect, float]:
-    """Return the evidence of each effect that could stand in an effect's place [nats]."""
+    """Return the evidence of each effect that could replace an effect [nats]."""
     rest = [other for other in selected.terms if other != term]
     start = selected.fit.motors
     without = model.fit(rest, start).log_posterior
@@ -118,16 +119,16 @@ def _late_clock(evidence: float) -> Rival:
         name=POSE_CLOCK_OFFSET.name,
         instead_of=DEAD_TIME.name,
         evidence_nats=evidence,
-        separates="reference poses, which this run lacks: an odometry clock that is late looks the same",
+        separates="reference poses, which this run lacks; a late odometry clock looks the same",
     )
 
 
 def _is_material(model: DriveModel, a: Amendment, error: float) -> bool:
-    """Tell whether an effect is larger than its limit, and than what waits for the base's loop make of commands.
+    """Tell whether an effect exceeds its materiality, and what waits for the control loop can cause.
 
     Parameters
     ----------
-    error : [unit of its parameter] standard error of the fit
+    error : [unit of its parameter] Standard error of the fit.
     """
     if a.effect is SPEED_SATURATION:
         return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
@@ -143,7 +144,7 @@ def _is_material(model: DriveModel, a: Amendment, error: float) -> bool:
 
 
 def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
-    """Say where the bare simulator differs, in speed along the path."""
+    """Return where the bare simulator differs, in speed along the path."""
     fit = model.fit([])
     n, top = model.rows.n, model.top_speed
     left, _ = both_kinds(fit.regression.y - fit.regression.A @ fit.solution.theta, n)
@@ -180,14 +181,14 @@ def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
 
 
 def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
-    """Say what structure entered the model in the stead of effects."""
+    """Describe the structure that entered the model."""
     family, evidence, size = structure.family, structure.evidence, structure.size
     return Unknown(
-        statement=f"commands and odometry differ {family.statement}, which no effect of the library explains; {size.sentence()}",
+        statement=f"commands and odometry differ by {family.statement}, which no effect of the library explains; {size.sentence()}",
         deviation=Deviation(
             family="bias",
             partition=family.kind,
-            label=family.statement,
+            label=f"by {family.statement}",
             z=float(np.sqrt(2 * evidence)),
             evidence_nats=evidence,
             size=0.0,
@@ -203,7 +204,10 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
 
 
 def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
-    """Fit on every other 5 s, measure on the rest, and the other way round; what is left for seconds is no noise."""
+    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa.
+
+    A residual that lasts for seconds does not count as noise.
+    """
     rows, fit, structure = model.rows, selected.fit, selected.structure
     regression, prior = fit.regression, model.prior(selected.terms, fit.motors)
     block = ((rows.start - rows.start[0]) // EVIDENCE.held_out_block).astype(np.intp)
@@ -217,7 +221,7 @@ def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
     left = model.residual(fit)
     if structure is not None and structure.family.kind == SLOW:
         left = left - structure.family.columns[:, 0]
-        model = copy(model)  # by white noise: a filter would take what is smooth out again
+        model = copy(model)  # white noise, since a filter would remove the smooth residual
         sigmas = [float(np.std(part[rows.valid])) for part in both_kinds(left, rows.n)]
         first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma + 1e-12) for sigma in sigmas)
         model.whitener = Whitener.plain((first, second), rows.valid)
@@ -231,7 +235,7 @@ def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
 
 
 def _quality(model: DriveModel, residual: Floats) -> FitQuality:
-    """Measure a residual (2 n,): as speed, wheel against body, and in nats."""
+    """Return the quality of a residual (2 n,): RMS speed of body and wheels, and log-likelihood [nats]."""
     rows = model.rows
     use = rows.masked(residual)
     v, omega = (part[rows.valid] for part in both_kinds(use, rows.n))
@@ -241,7 +245,7 @@ def _quality(model: DriveModel, residual: Floats) -> FitQuality:
 
 
 def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[str, str]:
-    """Say which effects could not have been seen at three times their materiality."""
+    """Return the effects that would not show at three times their materiality, with the reason."""
     out = {}
     for term in model.library_terms:
         if term in terms or not term.effect.sizes:
@@ -251,12 +255,12 @@ def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit
         expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
         if expected - EVIDENCE.price < EVIDENCE.threshold:
             out[term.effect.name] = (
-                f"{term.effect.diagnostics.why_unseen}: it would bring {expected:.0f} nats at three times its materiality"
+                f"{term.effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is {expected:.0f}"
             )
     limit = model.robot.limits.v
     can_saturate = any(term.effect is SPEED_SATURATION for term in terms)
     if not can_saturate and model.top_speed < DRIVE.full_speed_share * limit:
         out[SPEED_SATURATION.name] = (
-            f"no command asks for more than {model.top_speed:.2f} of {limit:.2f} m/s: a cap above that cannot be seen"
+            f"no command exceeds {model.top_speed:.2f} m/s (limit: {limit:.2f} m/s); a saturation above that is not observable"
         )
     return out

@@ -1,4 +1,4 @@
-"""Rows of the drive channel: what the wheels did between two stamps, and the commands that asked for it."""
+"""Rows of the drive channel: motion of the wheels between two stamps, and the commands for it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 TOP_QUANTILE = 0.999
-"""Quantile of the commanded speeds that counts as the largest: one odd command does not."""
+"""Quantile of the commanded speeds that counts as the maximum, so that single odd commands do not matter."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommandSignal:
-    """CommandSignal of a run; each acts from its stamp on."""
+    """Commands of a run; each acts from its stamp."""
 
     stamps: Floats
     """(n,) [s]"""
@@ -28,17 +28,17 @@ class CommandSignal:
 
     @property
     def top_speed(self) -> float:
-        """Largest commanded speed [m/s]."""
+        """Maximum commanded speed [m/s]."""
         return float(np.quantile(np.abs(self.values[:, 0]), TOP_QUANTILE))
 
 
 def commands_of(run: Run) -> CommandSignal:
-    """Take the commands from a run.
+    """Return the commands of a run.
 
     Raises
     ------
     ChannelSkippedError
-        There are hardly any, or they never change.
+        There are too few, or they never change.
     """
     n = len(run.commands)
     good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
@@ -65,22 +65,22 @@ class DriveRows:
     y: Floats
     """(2 n,) [m/s], then [rad/s]; 0 where not valid."""
     late: float
-    """[s] by which the odometry's clock was corrected."""
+    """[s] correction of the odometry's clock."""
     clock_sigma: float
-    """[s] standard deviation of what is left of its offset."""
+    """[s] standard deviation of the remaining clock offset."""
     has_reference: bool
-    """The clock offset is known from reference poses."""
+    """Whether the clock offset is known from reference poses."""
     source: str
-    """Where the odometry is from: `poses` or `twists`."""
+    """Origin of the odometry: `poses` or `twists`."""
 
     @property
     def n(self) -> int:
-        """Count of rows of one kind."""
+        """Number of rows of one kind."""
         return len(self.start)
 
     @property
     def n_valid(self) -> int:
-        """Count of those that are compared."""
+        """Number of valid rows of one kind."""
         return int(self.valid.sum())
 
     @property
@@ -97,16 +97,16 @@ class DriveRows:
 def drive_rows(
     wheels: WheelIncrements, commands: CommandSignal, robot: Robot, clock: tuple[float, float] | None
 ) -> DriveRows:
-    """Lay the odometry out on the clock of the commands.
+    """Align the odometry with the clock of the commands.
 
     Parameters
     ----------
-    clock : [s] how much older the odometry is than its stamp, and the standard error; None if unknown
+    clock : [s] Age of the odometry at its stamps, and its standard error; None if unknown.
 
     Raises
     ------
     ChannelSkippedError
-        CommandSignal and odometry hardly overlap.
+        Commands and odometry hardly overlap.
     """
     sigma = clock_sigma(robot, EVIDENCE)
     offset, error = clock if clock is not None else (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Which effects of the motors a run shows: forward selection by evidence, against structure that no effect makes."""
+"""Select the effects of the motors by evidence, in competition with structure that no effect explains."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
-"""Effects that say when motors answer a command."""
+"""Effects that delay the response of the motors to a command."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorSelection:
-    """Effects of the motors, and their fit."""
+    """Selected effects of the motors, and their fit."""
 
     terms: tuple[MotorTerm, ...]
     fit: DriveFit
     structure: AcceptedStructure | None = None
 
     def log_likelihood(self, model: DriveModel) -> float:
-        """Return how likely the run is under noise as fitted, less the price of all that is free, without constants [nats]."""
+        """Return the log-likelihood with the fitted noise, less the complexity penalty, without constants [nats]."""
         n = len(self.terms) + (len(GAINS) if model.has_any_gain else 0)
         n += 0 if self.structure is None else self.structure.family.columns.shape[1]
         return self.fit.log_posterior + model.whitener.log_likelihood - EVIDENCE.price * n
 
 
 def select(model: DriveModel) -> MotorSelection:
-    """Start from all effects free, for the noise; then add and take back by evidence."""
+    """Fit the noise with all effects free; then add and remove effects by evidence."""
     _fit_noise_with_all_effects(model)
     terms: list[MotorTerm] = []
     here = model.fit([])
@@ -81,7 +81,7 @@ def _fit_noise_with_all_effects(model: DriveModel) -> None:
 def _without_superfluous(
     model: DriveModel, terms: list[MotorTerm], here: DriveFit, keep: int = 0
 ) -> tuple[list[MotorTerm], DriveFit]:
-    """Remove effects that the others make superfluous, in the order in which they were added, but for `keep` of them."""
+    """Remove effects that the others make superfluous, in the order of selection; keep at least `keep`."""
     for term in list(terms):
         if len(terms) <= keep:
             break
@@ -93,7 +93,7 @@ def _without_superfluous(
 
 
 def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[MotorTerm, float]:
-    """Return the penalised gain of each effect of a set [nats]."""
+    """Return the evidence of each effect of a set, less its complexity penalty [nats]."""
     out = {}
     for term in terms:
         rest = [other for other in terms if other != term]
@@ -103,12 +103,12 @@ def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFi
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Leftover:
-    """What some effects of the motors leave, to be asked for structure."""
+    """Residual of some motor effects, prepared for the test for structure."""
 
     terms: list[MotorTerm]
     fit: DriveFit
     own: Floats
-    """(2 n, k) columns of the model itself."""
+    """(2 n, k) columns of the model."""
     test: StructureTest
     families: list[StructureFamily]
 
@@ -122,9 +122,9 @@ def _left_by(model: DriveModel, terms: Sequence[MotorTerm], here: DriveFit) -> _
 
 
 def _without_timing(model: DriveModel, beside: _Leftover, family: StructureFamily) -> _Leftover | None:
-    """Return what is left without lag and dead time, where motors of another kind alone are likelier than motors with these.
+    """Return the residual without lag and dead time, if motors of another kind explain the run better than both.
 
-    A lag that is shorter and a dead time that is longer take part of what a base does that rings.
+    A shorter lag and a longer dead time would absorb part of the response of a base that rings.
     """
     others = [term for term in beside.terms if term.effect not in TIMING]
     if family.kind not in OTHER_MOTORS or len(others) == len(beside.terms):
@@ -136,7 +136,7 @@ def _without_timing(model: DriveModel, beside: _Leftover, family: StructureFamil
 
 
 def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
-    """Let structure that no effect makes stand beside the effects, or in their stead."""
+    """Let structure that no effect explains enter the model, in addition to the effects or instead of them."""
     beside, stands_for_material = _left_by(model, selected.terms, selected.fit), False
     family, gain = beside.test.best(beside.own, beside.families)
     if gain >= EVIDENCE.threshold and (plain := _without_timing(model, beside, family)) is not None:
@@ -187,9 +187,9 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
 
 
 def _change_by_waits(model: DriveModel, here: DriveFit, family: StructureFamily) -> float:
-    """Return by how much [s] a delay, or lag, may change as commands wait for the base's loop; 0 for other families.
+    """Return the change [s] of a delay, or lag, that waits for the control loop can cause; 0 for other families.
 
-    Where commands and loop beat, short stretches differ by up to a period.
+    If commands and loop beat, short stretches differ by up to a period.
     """
     if family.kind == TIMING_OF_STRETCHES:
         return model.robot.tolerances.control_period
@@ -200,7 +200,7 @@ def _change_by_waits(model: DriveModel, here: DriveFit, family: StructureFamily)
 def _without_smaller(
     model: DriveModel, selected: MotorSelection, family: StructureFamily, change: float
 ) -> MotorSelection:
-    """Return effects without a delay, or lag, of the whole run that is smaller than what waits may change it by [s]."""
+    """Return the selection without a whole-run delay, or lag, smaller than its `change` [s] due to waits."""
     column = column_of_jump(family.kind)
     terms = [
         term
@@ -213,11 +213,11 @@ def _without_smaller(
 
 
 def _each_time(family: StructureFamily, missing: Floats) -> float:
-    """Return how far [m] a base goes each time that it rolls on, however often the run has it stand.
+    """Return the distance [m] that a base rolls on after a stop command, whatever the number of stops.
 
     Parameters
     ----------
-    missing : (n,) [m] that a simulation without it lacks
+    missing : (n,) [m] Motion that a simulation without it lacks.
     """
     column = np.abs(family.columns[: len(missing), 0])
     rolls = column > np.exp(-SLOWED_DOWN) * column.max()
@@ -230,7 +230,7 @@ def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:
 
 
 def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> Floats:
-    """Return how large the coefficients (k,) of a family are, beside the model's own columns (2 n, .)."""
+    """Return the coefficients (k,) of a family, fitted together with the model's own columns (2 n, .)."""
     columns = np.concatenate([own, test.nuisances, family.columns], axis=1)
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     explained = test.explained(own, [family])
@@ -245,11 +245,11 @@ def _all_significant(
     families: Sequence[StructureFamily],
     needed: float,
 ) -> list[StructureFamily]:
-    """Return the first family, and those that explain as much beside it as a name takes: a doubt is as large as these.
+    """Return the first family and those with enough evidence in addition to it; together they give the size.
 
     Parameters
     ----------
-    needed : [nats]
+    needed : [nats] Evidence that a further family needs.
     """
     found = [first]
     while len(found) < DRIVE.structure.max_families:
@@ -262,7 +262,7 @@ def _all_significant(
 
 
 def confirmed(model: DriveModel, selected: MotorSelection) -> tuple[MotorSelection, dict[MotorTerm, float]]:
-    """Drop effects whose evidence has fallen below the threshold; return the rest and their evidence [nats]."""
+    """Remove effects whose evidence fell below the threshold; return the rest and their evidence [nats]."""
     evidence = evidence_of_each(model, selected.terms, selected.fit)
     if all(value >= EVIDENCE.threshold for value in evidence.values()):
         return selected, evidence

@@ -1,4 +1,11 @@
-"""Simulated motors: dead time, a first-order lag, limited acceleration and a largest speed."""
+"""Simulated motors: dead time, first-order lag, limited acceleration and maximum speed.
+
+    held_k  = clip(command at (k STEP - delay), -v_max, v_max)
+    speed_k = speed_(k-1) + clip((1 - keep) (held_k - speed_(k-1)), -slew STEP, slew STEP)
+    keep    = exp(-STEP / tau)
+
+v_max limits the translation only. `AccelerationLimit` selects where slew acts.
+"""
 
 from __future__ import annotations
 
@@ -15,22 +22,23 @@ from sensorgraph.types import Floats
 
 STEP = DRIVE.step
 MAX_KNOWN = 6
-"""Simulated drives that are kept: a fit asks for each three times in a row; one of two hours takes 12 MB a 10 ms step."""
+"""Number of simulated drives that are cached. A fit needs each of them three times in a row; two hours take
+12 MB at a step of 10 ms."""
 AT_ONCE = 1e-6
-"""[s] a shorter time constant is none."""
+"""[s] time constant below which the response is immediate."""
 SLEW_MARGIN = 1.02
-"""Times the robot's acceleration that the plain lag may ask for before the limit is simulated."""
+"""Acceleration of the plain lag above which the limit is simulated, as a multiple of the robot's."""
 
 
 class AccelerationLimit(Enum):
-    """Where a base keeps the limits of acceleration in robot.yaml."""
+    """Where a base enforces the acceleration limits of robot.yaml."""
 
     MOTORS = "motors"
-    """The speed changes no faster: the lag is clipped."""
+    """The change of speed is limited: the lag is clipped."""
     SET_POINT = "set point"
-    """The base brings commands to its motors by a ramp, which these follow with their lag."""
+    """The base ramps the commands, and the motors follow with their lag."""
     NOWHERE = "nowhere"
-    """Nowhere: the commands keep them."""
+    """Nowhere: the commands respect the limits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +56,7 @@ class MotorParameters:
 
 
 class MotorSimulation:
-    """The motors' answer to the commands of one run."""
+    """Response of the motors to the commands of one run."""
 
     def __init__(self, commands: CommandSignal, rows: DriveRows, slew: Floats) -> None:
         """Simulate from a second before the first command to a second after the last.
@@ -66,12 +74,12 @@ class MotorSimulation:
         self._known: dict[tuple[MotorParameters, AccelerationLimit], Floats] = {}
 
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
-        """Return mean rates (2 n,) of the motors over each row, all `later` [s] than commanded; 0 where not valid."""
+        """Return mean rates (2 n,) of the motors in each row, `later` [s] after the commands; 0 where not valid."""
         key = (motors, self.limit)
         travelled = self._known.pop(key, None)
         if travelled is None:
             travelled = self._travelled(motors, self.commands.values)
-        self._known[key] = travelled  # the last one used stands last
+        self._known[key] = travelled  # most recently used last
         if len(self._known) > MAX_KNOWN:
             del self._known[next(iter(self._known))]
         return self._mean_rates(travelled, later)
@@ -79,11 +87,11 @@ class MotorSimulation:
     def rates_of(
         self, motors: MotorParameters, commands: Floats, *, limit: AccelerationLimit | None = None
     ) -> Floats:
-        """Return the same for other commands (n_commands, 2) at the same stamps.
+        """Return the rates for other commands (n_commands, 2) at the same stamps.
 
         Parameters
         ----------
-        limit : where the acceleration is limited; default: where it is here
+        limit : Where the acceleration is limited; default: as in this simulation.
         """
         other = copy(self)
         if limit is not None:
@@ -91,7 +99,10 @@ class MotorSimulation:
         return self._mean_rates(other._travelled(motors, commands), 0.0)
 
     def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
-        """Return the same of a base whose acceleration, of its motors or set point, is limited to a share of the robot's limits."""
+        """Return the rates of a base whose acceleration is limited to a share of the robot's limits.
+
+        The limit acts on the set point if it does so here, otherwise on the motors.
+        """
         slower = copy(self)
         is_ramped = self.limit is AccelerationLimit.SET_POINT
         slower.slew, slower.limit = share * self.slew, self.limit if is_ramped else AccelerationLimit.MOTORS
@@ -104,7 +115,7 @@ class MotorSimulation:
         return self.rows.masked((out / (end - start)[:, None]).T.ravel())
 
     def _travelled(self, motors: MotorParameters, commands: Floats) -> Floats:
-        """Return distance and turn of the motors up to the end of each step (n_steps, 2)."""
+        """Return the accumulated distance and turn of the motors at the end of each step (n_steps, 2)."""
         stamps = self.commands.stamps
         index = np.searchsorted(stamps, self.grid + STEP - motors.delay, side="right") - 1
         held = np.where((index >= 0)[:, None], commands[np.maximum(index, 0)], 0.0)
@@ -138,7 +149,7 @@ class MotorSimulation:
 
 @kernel
 def _lagged(inputs: Floats, keep: float) -> Floats:
-    """Return x (n, 2) with x[k] = keep x[k - 1] + inputs[k], from 0 on."""
+    """Return x (n, 2) with x[k] = keep x[k - 1] + inputs[k], starting from 0."""
     out = inputs.copy()
     for k in range(1, len(out)):
         for i in range(2):
@@ -148,7 +159,12 @@ def _lagged(inputs: Floats, keep: float) -> Floats:
 
 @kernel
 def _with_limited_change(held: Floats, keep: float, most: float) -> Floats:
-    """Return speeds (n,) of a first-order motor whose change per step is limited."""
+    """Return speeds v (n,) of a first-order motor with limited change per step.
+
+        v[k] = v[k - 1] + clip((held[k] - v[k - 1]) (1 - keep), -most, most)
+
+    The motor starts at rest.
+    """
     out = np.empty_like(held)
     v = 0.0
     for k in range(len(held)):

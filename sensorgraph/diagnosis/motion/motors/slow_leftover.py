@@ -1,7 +1,8 @@
-"""What effects and structure leave for seconds at a time: the noise of the regression takes it, a user would mind.
+"""Speed residuals that last for seconds: the noise model absorbs them, although they matter to a user.
 
-Noise is fitted to the run, so that what is smooth in time costs little: a floor that slopes, or a link that loses commands,
-may hide in it. No base's speed is off for two seconds by more than its wheels' noise and the waits of its commands make.
+Noise is fitted to the run, so that a residual that is smooth in time costs little evidence. A sloped floor or
+a link that loses commands may therefore be absorbed. The speed of a normal base is not off for two seconds by
+more than the noise of its wheels and the waits of its commands.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Floats, Ints
 
 SLOW = "slow"
-"""Kind of the family of what is left for seconds: its one column (2 n, 1) is that itself, of no regression."""
+"""Kind of the family of slow residuals. Its only column (2 n, 1) is the residual itself, without a regression."""
 SURE_SIGMAS = 2.0
-"""Standard deviations of the mean of a block that are no matter."""
+"""Standard deviations of the mean of a block that do not count."""
 TIMES_LARGER = 2.0
-"""How much larger what an effect does must be than what is left for a while, or it may be a part of that."""
+"""Minimum ratio of an effect to the slow residual; a smaller effect may be a part of it."""
 TOLD_SHARE = 0.5
-"""Share of what is left that a family of structure must explain for its words to be used."""
+"""Minimum share of the slow residual that a family must explain for its statement to be used."""
 
 
 def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSelection:
-    """Let a doubt stand where, without other structure, speeds are off for seconds by more than a user minds.
+    """Add the slow residual as structure if it matters to a user and there is no other structure.
 
-    Effects that do less than twice as much as what is left are dropped: they may be a part of it.
+    Effects less than twice as large as the residual are removed, because they may be a part of it.
     """
     if selected.structure is not None:
         return selected
@@ -51,7 +52,9 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
         left = _slow_part(model, kept)
     likely = _likely_families(left, drive_families(model, kept.fit))
     words = [family.statement for family in likely[:2]]
-    statement = "for seconds at a time, by what noise of the wheels and waits of commands do not make"
+    statement = (
+        "a speed error that lasts for seconds, beyond the noise of the wheels and the waits of commands"
+    )
     return replace(
         kept,
         structure=AcceptedStructure(
@@ -72,17 +75,17 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _SlowPart:
-    """The means of what is left over blocks of two seconds."""
+    """Means of the residual over blocks of two seconds."""
 
     block: Ints
-    """(n,) of each row; -1 where it does not count, as in blocks of few rows."""
+    """(n,) block of each row; -1 for rows that do not count, as in blocks of few rows."""
     means: Floats
     """(2, n_blocks) [m/s, rad/s]"""
     evidence: float
-    """[nats] over noise of the wheels and waits."""
+    """[nats] beyond the noise of the wheels and the waits."""
     size: SimulationError
     rates: Floats
-    """(2 n,) [m/s, rad/s] what is surely left, of each row."""
+    """(2 n,) [m/s, rad/s] certain part of the residual of each row."""
 
 
 def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
@@ -116,14 +119,14 @@ def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
 
 
 def _means(part: Floats, block: Ints, n_blocks: int) -> Floats:
-    """Return the means (n_blocks,) of rows (n,) over their blocks; 0 where there are none."""
+    """Return the means (n_blocks,) of rows (n,) over their blocks; 0 for empty blocks."""
     some = block >= 0
     sums = np.bincount(block[some], part[some], minlength=n_blocks)
     return np.asarray(sums / np.maximum(np.bincount(block[some], minlength=n_blocks), 1))
 
 
 def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
-    """Return the standard deviation of the mean of each block (2, n_blocks) that the waits of its commands make."""
+    """Return the standard deviation of each block mean (2, n_blocks) due to the waits of the commands."""
     commands, tolerances = model.simulation.commands, model.robot.tolerances
     wait = delay_sigma(tolerances.control_period, tolerances.transport_jitter)
     block = np.floor((commands.stamps[1:] - model.rows.start[0]) / EVIDENCE.cluster).astype(np.intp)
@@ -135,7 +138,7 @@ def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
 
 
 def _speed_of(model: DriveModel, selected: MotorSelection, term: MotorTerm) -> float:
-    """Return how much an effect changes the wheels' speed [m/s], root mean square."""
+    """Return the RMS change of the wheels' speed [m/s] due to an effect."""
     rest = [other for other in selected.terms if other is not term]
     without = model.fit(rest, selected.fit.motors)
     v, omega = both_kinds(model.rows.masked(selected.fit.simulated - without.simulated), model.rows.n)
@@ -143,7 +146,7 @@ def _speed_of(model: DriveModel, selected: MotorSelection, term: MotorTerm) -> f
 
 
 def _likely_families(left: _SlowPart, families: Sequence[StructureFamily]) -> list[StructureFamily]:
-    """Return the families that explain most of what is left for seconds, the likeliest first."""
+    """Return the families that explain most of the slow residual, most likely first."""
     y, n_blocks, n = left.means.ravel(), left.means.shape[1], len(left.block)
     told: list[tuple[float, StructureFamily]] = []
     for family in families:

@@ -1,4 +1,4 @@
-"""Structure in the difference of commands and odometry that no effect makes, as families of columns."""
+"""Families of columns for differences between commands and odometry that no effect explains."""
 
 from __future__ import annotations
 
@@ -15,50 +15,50 @@ from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Bools, Floats, Ints
 
 WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
-"""Numbers of the motors that a load, a warm gear or a restart may change during a run."""
+"""Motor parameters that a load, a warm gear or a restart may change during a run."""
 
 ANSWER = "answer"
-"""Kind of the family of motors that answer a command otherwise than by a lag."""
+"""Kind of the family of motors whose response is not a single lag."""
 
 RAMP = "ramp"
-"""Kind of the families of a base that accelerates more slowly than stated."""
+"""Kind of the families of a base that accelerates more slowly than specified."""
 
 ROLLS_ON = "rolls on"
-"""Kind of the families of a base that goes on though it was told to stand."""
+"""Kind of the families of a base that continues to move after a stop command."""
 
 LAG_BY_SENSE = "lag by sense"
-"""Kind of the family of motors that speed up with another lag than they slow down with."""
+"""Kind of the family of motors that speed up and slow down with different lags."""
 
 OTHER_MOTORS = (ANSWER, LAG_BY_SENSE, RAMP)
-"""Kinds of the families of motors that answer otherwise than by one lag: a lag takes most of them, or much."""
+"""Kinds of the families of motors whose response is not a single lag, although a lag absorbs most of it."""
 
 ROLLING_SPEED = 0.05
-"""[m/s] of a base that goes on though it was told to stand, about."""
+"""[m/s] typical speed of a base that continues to move after a stop command."""
 
 SLOWED_DOWN = 3.0
-"""Time constants after which a base that brakes stands: 5 % of its speed are left."""
+"""Time constants after which a braking base stands: 5 % of its speed remain."""
 
 TRIMMED = 0.15
-"""Share of the run, at its begin and its end, within which no change is looked for: few commands would tell it (Andrews 1993,
-section 4)."""
+"""Share of the run at its start and its end, within which no change is tested: too few commands would show it
+(Andrews 1993, section 4)."""
 
 
 def jump_of(column: int) -> str:
-    """Return the kind of the families of a number of the motors that changes once; empty: it is not looked for."""
+    """Return the kind of the families of a single change of a motor parameter; empty if it is not tested."""
     return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
 
 
 def column_of_jump(kind: str) -> int | None:
-    """Return the column of the number that changes once in families of a kind; None: they are of another kind."""
+    """Return the column of the parameter that changes in families of a kind; None for other kinds."""
     return next((column for column in WHAT_CHANGES if kind == jump_of(column)), None)
 
 
 TIMING_OF_STRETCHES = "timing"
-"""Kind of the family of a delay that changes during the run, as a base's own loop makes it change, too."""
+"""Kind of the family of a delay that changes during the run, which the control loop of a base can also cause."""
 
 
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return differences that no effect makes, with columns (2 n, k)."""
+    """Return the families of differences that no effect explains, with columns (2 n, k)."""
     rows = model.rows
     v, omega = both_kinds(fit.simulated, rows.n)
     middle = (rows.start + rows.end) / 2
@@ -72,11 +72,11 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     by_delay = fit.columns[:, Column.DELAY]
     timing = np.stack([by_delay * np.concatenate([mask, mask]) for mask in pieces], axis=1)
     return [
-        _gains("time", "by a gain that changes in time", model, fit, pieces, pieces),
-        _gains("speed", "by a gain that depends on speed or turn rate", model, fit, slow, slow_turns),
+        _gains("time", "a gain that changes over time", model, fit, pieces, pieces),
+        _gains("speed", "a gain that depends on speed or turn rate", model, fit, slow, slow_turns),
         _gains(
             "direction",
-            "differently forward and backward, or to the left and to the right",
+            "a gain that differs forward and backward, or to the left and to the right",
             model,
             fit,
             [v < 0],
@@ -87,7 +87,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             columns=timing,
             labels=[],
             sigma=DRIVE.structure.delay_sigma,
-            statement="by a delay that changes in time",
+            statement="a delay that changes over time",
         ),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
@@ -111,7 +111,7 @@ def _gains(
     turn_masks: Sequence[Bools],
     choice_price: float = 0.0,
 ) -> StructureFamily:
-    """Return the family of columns that scale speeds in some rows (n,), and turn rates in others."""
+    """Return the family of gains of the speed in some rows (n,), and of the turn rate in others."""
     ways, turns = _way_and_turn(fit.simulated)
     columns = [ways * np.tile(mask, 2) for mask in masks] + [turns * np.tile(mask, 2) for mask in turn_masks]
     return StructureFamily(
@@ -125,25 +125,23 @@ def _gains(
 
 
 def _way_and_turn(rates: Floats) -> tuple[Floats, Floats]:
-    """Return rates (2 n,) with those of turning put to 0, and with those of driving put to 0."""
+    """Return rates (2 n,) with all turn rates set to 0, and with all speeds set to 0."""
     of_way = np.arange(len(rates)) < len(rates) // 2
     return np.where(of_way, rates, 0.0), np.where(of_way, 0.0, rates)
 
 
 def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of a base that drives slower where it turns, or turns slower where it drives: wheels share power."""
+    """Return the family of a base whose speed depends on its turn rate, or vice versa: the wheels share power."""
     v, omega = (np.abs(x) for x in both_kinds(fit.simulated, model.rows.n))
     top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
     turning = [omega > q * top_omega for q in DRIVE.structure.rate_cuts]
     driving = [v > q * top_v for q in DRIVE.structure.speed_cuts]
-    statement = (
-        "by a speed that depends on how fast it turns, or a turn rate that depends on how fast it drives"
-    )
+    statement = "a speed that depends on the turn rate, or a turn rate that depends on the speed"
     return _gains("coupling", statement, model, fit, turning, driving)
 
 
 def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of motors that answer a command otherwise than by a lag: they ring, overshoot, creep."""
+    """Return the family of motors whose response is not a single lag: they ring, overshoot or creep."""
     rates = model.simulation.rates
     late = [rates(fit.motors, later=lag) - fit.simulated for lag in DRIVE.structure.answer_lags]
     columns = [column for one in late for column in _way_and_turn(one)]
@@ -152,24 +150,24 @@ def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
         columns=model.rows.masked(np.stack(columns, axis=1)),
         labels=[],
         sigma=DRIVE.structure.answer_sigma,
-        statement="after each change of a command, in another way than by one lag: the base rings, overshoots or creeps",
+        statement="a response to commands that is not a single lag: the base rings, overshoots or creeps",
     )
 
 
 def _lag_by_sense(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of motors that speed up with another lag than they slow down with: a load, a brake, a worm gear."""
+    """Return the family of motors that speed up and slow down with different lags: a load, a brake, a worm gear."""
     faster = [np.gradient(np.abs(x)) > 0 for x in both_kinds(fit.simulated, model.rows.n)]
     return StructureFamily(
         kind=LAG_BY_SENSE,
         columns=(fit.columns[:, Column.LAG] * np.concatenate(faster))[:, None],
         labels=[],
         sigma=DRIVE.structure.delay_sigma,
-        statement="by a lag that is another one while the base speeds up than while it slows down",
+        statement="a lag that differs between speeding up and slowing down",
     )
 
 
 def _slopes(model: DriveModel) -> StructureFamily:
-    """Return speeds that depend on where the robot heads, as on a floor that is not level."""
+    """Return the family of speeds that depend on the heading, as on a sloped floor."""
     rows = model.rows
     _, omega = both_kinds(rows.y, rows.n)
     heading, nothing = np.cumsum(omega * (rows.end - rows.start)), np.zeros(rows.n)
@@ -177,18 +175,18 @@ def _slopes(model: DriveModel) -> StructureFamily:
     ways = (np.cos(heading), np.sin(heading))
     columns = [
         np.concatenate([way * some, nothing]) for way in ways for some in (1.0, moves)
-    ]  # it rolls, or brakes
+    ]  # at all times, or only while it moves
     return StructureFamily(
         kind="heading",
         columns=rows.masked(np.stack(columns, axis=1)),
         labels=[],
         sigma=DRIVE.structure.slope_sigma,
-        statement="by the direction in which the robot heads, as on a floor that slopes",
+        statement="a speed that depends on the heading, as on a floor that slopes",
     )
 
 
 def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of a base that stands for a while though commands ask it to move."""
+    """Return the family of a base that pauses although it is commanded to move."""
     rows, settings = model.rows, DRIVE.structure
     asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
     top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
@@ -206,22 +204,23 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
         columns=rows.masked(columns[:, None]),
         labels=[],
         sigma=settings.deadband_sigma,
-        statement="by standing at times though commands ask it to move: a link that drops out, a watchdog, a bumper",
+        statement="pauses in which the base stands despite commands to move: a link that drops out, a watchdog, a bumper",
     )
 
 
 def _long_stretches(model: DriveModel, some: Bools) -> Ints:
-    """Return first row and the row beyond (k, 2) of every stretch of some rows (n,) that lasts longer than commands wait."""
+    """Return the first row and the end (k, 2) of each stretch of rows (n,) that lasts longer than commands wait."""
     least = round(DRIVE.structure.stop_time / float(np.median(model.rows.end - model.rows.start)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], some.astype(np.intp), [0]]))).reshape(-1, 2)
     return np.asarray(edges[edges[:, 1] - edges[:, 0] >= least])
 
 
 def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return families of a base that loses speed for a while though commands ask it to go on: at once, or as fast as it may.
+    """Return families of a base that temporarily loses speed although it is commanded to continue.
 
-    It begins to when it is short of what is asked, less the time that it takes to lose so much, and ends when it is so by most.
-    Each such time is a choice of two moments.
+    The speed falls at once, or at the acceleration limit. A loss begins where the base falls short of the
+    command, earlier by the time of that fall, and ends at the largest shortfall. Each loss is a choice of two
+    moments.
     """
     rows, settings, motors = model.rows, DRIVE.structure, fit.motors
     asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
@@ -249,7 +248,7 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
                 columns=rows.masked(columns[:, None]),
                 labels=[],
                 sigma=settings.deadband_sigma,
-                statement="by losing speed at times though commands ask it to go on: motors that cut out, a link that drops out",
+                statement="a temporary loss of speed despite commands to continue: motors that cut out, a link that drops out",
                 choice_price=2 * len(times) * float(np.log(rows.n)),
             )
         )
@@ -257,7 +256,7 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return families of a base that goes on in the last sense for some time after it was told to stand."""
+    """Return families of a base that continues in its last direction for some time after a stop command."""
     stamps, values = model.simulation.commands.stamps, model.simulation.commands.values
     stands = (np.abs(values) < MIN_MOTION).all(axis=1)
     index = np.arange(len(stamps))
@@ -279,7 +278,7 @@ def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
                 columns=model.rows.masked(columns[:, None]),
                 labels=[],
                 sigma=DRIVE.structure.deadband_sigma,
-                statement="after it was told to stand: the base creeps or rolls on",
+                statement="a motion that continues after a stop command: the base creeps or rolls on",
                 choice_price=float(np.log(len(times))),
             )
         )
@@ -287,11 +286,11 @@ def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
-    """Return families for each moment at which gains, the lag or the delay may change once.
+    """Return families for each moment at which gains, lag or delay may change once.
 
     Parameters
     ----------
-    share, passed : (n,) of the run, as a share and in s
+    share, passed : (n,) Elapsed part of the run, as a share and in s.
     """
     n, out = DRIVE.structure.n_jumps, list[StructureFamily]()
     price = float(np.log(3 * n))
@@ -300,7 +299,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
             continue
         later = share > k / (n + 1)
         when = f"that changes once, {passed[later][0]:.0f} s into the run"
-        out.append(_gains("jump", f"by a gain {when}", model, fit, [later], [later], price))
+        out.append(_gains("jump", f"a gain {when}", model, fit, [later], [later], price))
         for term in (term for term in SIMULATED_TERMS if term.column in WHAT_CHANGES):
             what = WHAT_CHANGES[term.column]
             out.append(
@@ -309,7 +308,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
                     columns=(fit.columns[:, term.column] * np.concatenate([later, later]))[:, None],
                     labels=[],
                     sigma=DRIVE.structure.delay_sigma,
-                    statement=f"by a {what} of the motors {when}",
+                    statement=f"a {what} of the motors {when}",
                     choice_price=price,
                     materiality=max(term.effect.sizes.values()),
                 )
@@ -318,7 +317,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
 
 
 def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return one family for each slower ramp by which a base may bring commands to its motors."""
+    """Return one family for each slower ramp that a base may apply to commands."""
     shares = DRIVE.structure.ramps
     out = []
     for share in shares:
@@ -329,7 +328,7 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
                 columns=model.rows.masked(np.stack(columns, axis=1)),
                 labels=[],
                 sigma=DRIVE.structure.deadband_sigma,
-                statement=f"while speed changes: the base accelerates at about {share:.0%} of what robot.yaml says",
+                statement=f"a slower change of speed: the base accelerates at about {share:.0%} of the limit in robot.yaml",
                 choice_price=float(np.log(len(shares))),
             )
         )
@@ -337,7 +336,7 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return one family for each size of command below which motors may do nothing, and for the likeliest of all sizes."""
+    """Return one family for each size of a dead zone of the commands, and for the most likely of all sizes."""
     rows, commands = model.rows, model.simulation.commands.values
     top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
     moved, asked = (np.stack(both_kinds(x, rows.n)) for x in (rows.y, fit.simulated))
@@ -356,7 +355,7 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
                     columns=(model.simulation.rates_of(fit.motors, without) - fit.simulated)[:, None],
                     labels=[],
                     sigma=DRIVE.structure.deadband_sigma,
-                    statement="where commands are small",
+                    statement="a dead zone: the motors do not respond to small commands",
                     choice_price=price,
                 )
             )
@@ -364,7 +363,12 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _deadband(moved: Floats, asked: Floats) -> float:
-    """Return the size of what was asked (n,) below which it is likeliest that nothing moved, by least squares."""
+    """Return the most likely size of a dead zone of the commands asked (n,), by least squares.
+
+        minimise over size  sum of moved² where |asked| <= size + sum of (moved - asked)² elsewhere
+
+    The size is 0 if the motors respond to all commands.
+    """
     order = np.argsort(np.abs(asked))
     size = np.abs(asked)[order]
     lost = np.square(moved[order]) - np.square((moved - asked)[order])

@@ -1,7 +1,9 @@
-"""The offset between the clocks of odometry and reference: a coarse search, then Gauss-Newton.
+"""Clock offset between odometry and reference poses: a coarse search, then Gauss-Newton.
 
-Aligning sensors by their turn rates is the method of Olson (2010), "A passive solution to the sensor synchronization
-problem".
+    maximise over tau  - sum over t of (reference(t) - wheels(t + tau))² / power of the reference
+
+The sum includes turn and distance. Aligning sensors by their turn rates is the method of Olson (2010), "A
+passive solution to the sensor synchronization problem".
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ from sensorgraph.types import Floats
 
 ROWS = ODOMETRY.rows
 NOMINAL_BASE = 0.4
-"""[m] wheelbase for the alignment: it scales a column that is free, and so changes nothing."""
+"""[m] wheelbase for the alignment. It only scales a free column, so that the result does not depend on it."""
 MAX_STEPS = 3
-"""Of Gauss-Newton."""
+"""Maximum number of Gauss-Newton steps."""
 
 
 def aligned_rows(signals: MotionSignals) -> OdometryRows:
-    """Return rows at the clock offset that fits best.
+    """Return the rows at the clock offset that fits best.
 
     Raises
     ------
@@ -50,7 +52,7 @@ def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
 
 
 def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
-    """Return by how much the clock offset should change [s], all columns free, each kind of row by its own spread."""
+    """Return the next step of the clock offset [s], with all columns free and the rows scaled by their spread."""
     columns = WheelColumns.of_library()
     A = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
     y = wheel_rows(rows, signals.wheels)
@@ -67,7 +69,7 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
 
 
 def _coarse_offset(signals: MotionSignals) -> float:
-    """Return the clock offset [s] at which turn rate and speed of wheels and reference go together best."""
+    """Return the clock offset [s] at which turn rate and speed of wheels and reference agree best."""
     stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
     reach, step, half = ROWS.max_clock, ROWS.clock_step, ROWS.clock_half_window
     first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
@@ -96,10 +98,13 @@ def _coarse_offset(signals: MotionSignals) -> float:
 
 
 def _fit_by_shift(reference: Floats, move: Floats, margin: int, n_shifts: int) -> Floats:
-    """Return minus the squared difference over the reference's power at each shift (n_shifts,); 0 if nothing moves."""
+    """Return minus the squared difference, divided by the power of the reference, for each shift (n_shifts,).
+
+    It is 0 if nothing moves.
+    """
     inner = reference[margin : len(reference) - margin]
     power = np.sum((inner - inner.mean()) ** 2)
     if power < 1e-12:
         return np.zeros(n_shifts)
-    # the odometry at t + tau shows the reference at t
+    # the odometry at t + tau corresponds to the reference at t
     return np.array([-np.sum((inner - move[k : k + len(inner)]) ** 2) / power for k in range(n_shifts)])

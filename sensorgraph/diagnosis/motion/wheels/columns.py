@@ -1,7 +1,7 @@
-"""Columns of the odometry channel's regression: one for each wheel effect, the clock, and the marker beside the axle.
+"""Columns of the regression of the odometry channel: wheel effects, the clock, and the marker offset.
 
-The rows are what the reference did less what the wheels say. What a wheel effect does to them stands on the effect
-(`Diagnostics.wheel_regressor`).
+A row is the motion of the reference minus that of the wheels. The column of a wheel effect is defined by the
+effect (`Diagnostics.wheel_regressor`).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class WheelTerm:
 
 @dataclass(frozen=True, kw_only=True)
 class WheelColumns:
-    """Which column is which: wheel effects in the order of the library, the clock, the marker; patches come after."""
+    """Order of the columns: wheel effects in the order of the library, the clock, the marker; patches follow."""
 
     regressors: tuple[tuple[Effect, WheelRegressor], ...]
-    """Wheel effects that act everywhere, and how they enter."""
+    """Wheel effects that act everywhere, and their columns."""
 
     @classmethod
     def of_library(cls) -> WheelColumns:
-        """Return the columns of the effects that are in the library now."""
+        """Return the columns of the effects in the library."""
         found = [(effect, effect.diagnostics.wheel_regressor) for effect in EFFECTS.values()]
         return cls(
             regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
@@ -54,7 +54,7 @@ class WheelColumns:
 
     @property
     def n(self) -> int:
-        """Count of columns before those of patches; the last is that of the marker."""
+        """Number of columns before those of patches; the last is that of the marker."""
         return self.clock + 2
 
     def evaluate(self, rows: OdometryRows, motion: WheelIncrements, base: float) -> Floats:
@@ -62,8 +62,8 @@ class WheelColumns:
 
         Parameters
         ----------
-        motion : what the wheels say; where structure is looked for, without noise (`fused_motion`)
-        base : [m] wheelbase
+        motion : Motion of the wheels; for structure tests, without noise (`fused_motion`).
+        base : [m] Wheelbase.
         """
         distance, turn = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn
         moved = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ motion.distance, base=base)
@@ -71,12 +71,12 @@ class WheelColumns:
         columns.append(rows.slopes.T.ravel())
         columns.append(
             np.concatenate([-turn, np.zeros(rows.n)])
-        )  # a marker beside the axle swings as the robot turns
+        )  # a marker off the axle swings as the robot turns
         return rows.masked(np.stack(columns, axis=1))
 
 
 def wheel_rows(rows: OdometryRows, wheels: WheelIncrements) -> Floats:
-    """Return what the reference did less what the wheels say (2 n,), distances first, then turns; 0 where not valid."""
+    """Return reference minus wheels (2 n,), distances first, then turns; 0 where not valid."""
     return rows.masked(
         np.concatenate([rows.along - rows.D_along @ wheels.distance, rows.yaw - rows.D_yaw @ wheels.turn])
     )

@@ -1,4 +1,4 @@
-"""Structure that each wheel makes by itself, as families of columns: play, spinning, wheels out of round."""
+"""Families of structure that each wheel causes separately: play, spinning, wheels out of round."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from sensorgraph.types import Floats
 from sensorgraph.world.robot import Wheels
 
 SMOOTHED = 5
-"""Increments at least that a speed is averaged over before its acceleration is taken."""
+"""Minimum number of increments over which a speed is averaged before its acceleration is computed."""
 RAMP = 0.25
-"""[s] at least: motors take that long, and ticks are no acceleration."""
+"""[s] minimum duration of that average: motors take that long, and ticks are not an acceleration."""
 
 
 def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: float) -> StructureFamily:
-    """Return the family of wheels that move the body only some millimetres after they have turned back: play in a gear.
+    """Return the family of play in a gear: the first millimetres of a wheel after a reversal are lost.
 
     Parameters
     ----------
-    rates : (n, 2) [m/s, rad/s] of the wheels' increments
-    base : [m] between the wheels
+    rates : (n, 2) [m/s, rad/s] Of the wheels' increments.
+    base : [m] Wheelbase.
     """
     lost, by_turning = [], base / 2 * rates[:, 1]
     speeds = rates[:, 0] - by_turning, rates[:, 0] + by_turning
@@ -34,7 +34,7 @@ def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: 
         turned_back = moving[1:][np.diff(sign[moving]) != 0]
         travelled = np.cumsum(way)
         since = np.searchsorted(turned_back, np.arange(len(way)), side="right") - 1
-        # before the first: long ago
+        # index -1, before the first reversal, gives -inf
         begin = np.append(travelled[turned_back] - way[turned_back], -np.inf)[since]
         inside = np.clip(
             (begin + ODOMETRY.structure.play - (travelled - way)) / np.maximum(way, 1e-9), 0.0, 1.0
@@ -45,18 +45,18 @@ def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: 
     return StructureFamily(
         kind="reversal",
         columns=column[:, None],
-        labels=["after a wheel has turned back"],
+        labels=["after a wheel reverses"],
         sigma=1.0,
-        statement="by what is lost after a wheel has turned back: play",
+        statement="a loss of motion after a wheel reverses: play",
     )
 
 
 def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
-    """Return the family of wheels that lose a share of their way while they gain speed, each by itself.
+    """Return the family of wheels that lose a share of their distance while they speed up, each separately.
 
     Parameters
     ----------
-    base : [m] between the wheels
+    base : [m] Wheelbase.
     """
     period, ways = wheels.end - wheels.start, wheels.sides(base)
     speeds = [smoothed(way / period, wheels) for way in ways]
@@ -68,17 +68,19 @@ def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struct
     return StructureFamily(
         kind="spinning",
         columns=np.stack(columns, axis=1),
-        labels=[f"the {1 - q:.0%} that gain most" for q in ODOMETRY.structure.spinning_quantiles],
+        labels=[
+            f"the {1 - q:.0%} with the largest acceleration" for q in ODOMETRY.structure.spinning_quantiles
+        ],
         sigma=ODOMETRY.structure.scale_sigma,
-        statement="by what wheels lose while they gain speed: they spin",
+        statement="a loss of motion while wheels speed up: they spin",
     )
 
 
 def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
-    """Return families of wheels that are out of round or sit askew: they move the body more and less once a turn.
+    """Return families of wheels that are out of round or misaligned: an error that repeats with every turn.
 
-    A wheel's turns are counted by its own way. Over a long run that needs its radius better than robot.yaml has it, so
-    that some are tried.
+    The turns of a wheel are counted by its own distance. Over a long run, this requires a more accurate
+    radius than robot.yaml specifies, so that several radii are tried.
     """
     left, right = wheels.sides(size.base)
     nothing, out = np.zeros(len(left)), list[StructureFamily]()
@@ -90,9 +92,9 @@ def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) 
             StructureFamily(
                 kind="turns of a wheel",
                 columns=np.stack(columns, axis=1),
-                labels=[f"{wheel} wheel, once a turn" for wheel in ("left", "left", "right", "right")],
+                labels=[f"{wheel} wheel, once per turn" for wheel in ("left", "left", "right", "right")],
                 sigma=ODOMETRY.structure.scale_sigma,
-                statement="once in every turn of a wheel: it is out of round, or its encoder sits askew",
+                statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
                 choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
             )
         )
@@ -100,13 +102,13 @@ def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) 
 
 
 def _by_angle(way: Floats, radius: float) -> tuple[Floats, Floats]:
-    """Return the way (n,) [m] of a wheel by cosine and sine of the angle that it has turned."""
+    """Return the distance (n,) [m] of a wheel, multiplied by cosine and sine of its angle."""
     angle = (np.cumsum(way) - way / 2) / radius
     return way * np.cos(angle), way * np.sin(angle)
 
 
 def smoothed(x: Floats, wheels: WheelIncrements) -> Floats:
-    """Return a series (n,) averaged over some increments; an odd count of them, so that none comes early."""
+    """Return a series (n,) averaged over several increments; their number is odd, so that there is no shift."""
     count = max(SMOOTHED, round(RAMP / float(np.median(wheels.end - wheels.start))))
     count |= 1
     return np.convolve(np.pad(x, count // 2, mode="edge"), np.ones(count) / count, mode="valid")

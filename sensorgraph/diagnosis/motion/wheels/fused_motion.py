@@ -1,9 +1,12 @@
-"""What the wheels would have said without noise: the motion that structure is looked for in.
+"""Estimate the motion of the wheels without their noise, for the columns of structure.
 
-Rows are the reference less the wheels. A column of the wheels' own readings shares its noise with the rows: errors in
-variables, which attenuate every scale, and make one out of nothing where a column chooses increments by the noisy speed
-itself or where the robot stands (Fuller 1987, chapter 1). By the Gauss-Markov theorem the best estimate of the motion
-from wheels and reference is uncorrelated with their difference, so columns made of it find nothing where nothing is.
+    total_t = walk_t + level noise,   walk_t = walk_(t-1) + step      (local-level model)
+
+Rows are reference minus wheels. A column made of the wheels' readings shares its noise with the rows (errors
+in variables). This attenuates every scale. It also creates false scales where a column selects increments by
+their noisy speed, or by standstill (Fuller 1987, chapter 1). By the Gauss-Markov theorem, the best estimate
+of the motion from wheels and reference is uncorrelated with their difference. Columns made of that estimate
+therefore find nothing in pure noise.
 """
 
 from __future__ import annotations
@@ -20,13 +23,13 @@ from sensorgraph.diagnosis.motion.whitening import both_kinds, clipped
 from sensorgraph.types import Floats
 
 MIN_TICK = 1e-5
-"""[rad] of a turn below which it is rounding, not counting."""
+"""[rad] turn below which a reading is a rounding error, not a tick."""
 MIN_MOVING = 20
-"""Increments that turn; with fewer no tick is looked for."""
+"""Minimum number of turning increments for the detection of ticks."""
 MAX_MULTIPLE = 5.5
-"""Ticks up to which increments make the estimate of one."""
+"""Maximum number of ticks in an increment that is used to estimate the tick."""
 TICKED_SHARE, MAX_OFF_TICK = 0.99, 0.05
-"""Share of the increments that are whole ticks, within this share of a tick."""
+"""Minimum share of the increments that are whole ticks, and maximum deviation from them, in ticks."""
 
 
 def fused_motion(
@@ -34,18 +37,18 @@ def fused_motion(
 ) -> WheelIncrements:
     """Return the increments of the wheels less their noise, as far as the reference shows it.
 
-    The slow part of the noise is the smoothed level of a random walk, that of the wheels, seen in the noise of the
-    averaged reference (local-level model; Durbin and Koopman 2012, section 2.4). How much there is of either, the
-    residual says. The fast part is that of encoders which count whole ticks, where the readings are whole ticks.
+    The slow part of the noise is the random walk of the wheels, seen in the noise of the averaged reference.
+    It is smoothed with the local-level model (Durbin and Koopman 2012, section 2.4). The residual determines
+    both variances. The fast part is the rounding of encoder counts, if the readings are whole ticks.
 
     Parameters
     ----------
-    residual : (2 n,) [m], then [rad]; what the model leaves of the rows
-    base : [m] between the wheels
+    residual : (2 n,) [m], then [rad]; residual of the model.
+    base : [m] Wheelbase.
     """
     ends = np.append(wheels.start, wheels.end[-1]) - rows.clock
     tick = turn_of_a_tick(wheels.turn)
-    counting = (tick * base) ** 2 / 24, tick**2 / 6  # of two wheels, each off by a uniform part of a tick
+    counting = (tick * base) ** 2 / 24, tick**2 / 6  # two wheels, each with a uniform error of a tick
     noise = [
         np.diff(_wheel_noise(part, rows, ends, variance))
         for part, variance in zip(both_kinds(residual, rows.n), counting, strict=True)
@@ -54,7 +57,7 @@ def fused_motion(
 
 
 def turn_of_a_tick(turn: Floats) -> float:
-    """Return the turn [rad] of which all increments (n,) are whole multiples; 0 where there is none.
+    """Return the turn [rad] of which all increments (n,) are whole multiples; 0 without such a turn.
 
     A base whose wheels count ticks of q metres, b metres apart, reads turns in steps of q / b.
     """
@@ -69,11 +72,11 @@ def turn_of_a_tick(turn: Floats) -> float:
 
 
 def _wheel_noise(residual: Floats, rows: OdometryRows, ends: Floats, counting: float) -> Floats:
-    """Return the noise of the wheels summed up to the ends of the increments, from a residual (n,).
+    """Return the accumulated noise of the wheels at the ends of the increments, from a residual (n,).
 
     Parameters
     ----------
-    counting : variance of the counting of ticks, in the square of the residual's unit
+    counting : Variance of the rounding of ticks, in squared units of the residual.
     """
     part = np.where(rows.valid, clipped(residual, rows.valid, EVIDENCE.clip_limit, 1e-12), 0.0)
     period = float(np.median(np.diff(rows.stamps)))
@@ -87,7 +90,14 @@ def _wheel_noise(residual: Floats, rows: OdometryRows, ends: Floats, counting: f
 
 
 def _smoothed_walk(total: Floats, ratio: float) -> Floats:
-    """Return the walk (n,) in a sum (n,), for the variance of one of its steps over that of the noise it is seen in."""
+    """Return the smoothed walk x (n,) in a sum `total` (n,).
+
+        minimise  |total - x|² + |diff x|² / ratio
+
+    Parameters
+    ----------
+    ratio : Variance of one step of the walk over that of the noise of the level.
+    """
     bands = np.full((2, len(total)), -1.0 / ratio)
     bands[1] = 1.0 + 2.0 / ratio
     bands[1, [0, -1]] = 1.0 + 1.0 / ratio
@@ -98,7 +108,10 @@ def _smoothed_walk(total: Floats, ratio: float) -> Floats:
 def _variances(residual: Floats, period: float) -> tuple[float, float]:
     """Return the variances of one step of the walk and of the noise of the level.
 
-    Sums over a block grow with the walk alone; single rows hold two thirds of a step of it and the noise twice.
+        walk = (block - single) / (k - 2/3),   level = (single - 2/3 walk) / 2
+
+    single and block are the mean squares of rows and of sums over k rows. Such a sum grows with the walk
+    only.
     """
     k = max(round(EVIDENCE.cluster / period), 2)
     n = max(len(residual) // k, 1)
@@ -111,10 +124,12 @@ def _variances(residual: Floats, period: float) -> tuple[float, float]:
 
 
 def _lasting_walk(residual: Floats) -> tuple[float, float] | None:
-    """Return the same of a walk whose steps last, as slip does that holds on for some rows; None where they do not.
+    """Return both variances for a walk with correlated steps, such as lasting slip; None if they are not.
 
-    Of steps that form an autoregression of first order, with memory m, variance w, and noise l of the level, rows have the
-    autocovariances w + 2 l, m w - l and m² w. Sums over a block would take it for a walk that is larger by (1 + m) / (1 - m).
+        gamma_0 = w + 2 l,   gamma_1 = m w - l,   gamma_2 = m² w
+
+    The steps are a first-order autoregression with memory m and variance w; l is the variance of the level
+    noise. Sums over blocks would overestimate the walk by a factor (1 + m) / (1 - m).
     """
     if len(residual) < 3:
         return None

@@ -1,7 +1,10 @@
-"""The regression of reference on wheels: effects, slippery patches, structure, and the noise of the rows.
+"""Regression of reference poses on wheels: effects, slippery patches, structure, and the noise of the rows.
 
-All effects but the clock and the place of a patch are linear. Rows are whitened, so that scale factors are judged over
-long stretches and patches and clocks over short ones, as the noise of camera and wheels asks for.
+    y = A theta + noise,   y = reference minus wheels
+
+All effects except the clock and the place of a patch are linear. Rows are whitened, so that scales are
+determined over long stretches and patches and clocks over short ones, as the noise of camera and wheels
+requires.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ class SlipPatch:
     r: float
     """[m, map]"""
     track: float
-    """[m] between the points that slip, each where it is: the wheelbase; 0: the body slips as a whole, by its middle."""
+    """[m] distance between the points that slip separately: the wheelbase; 0: the body slips as a whole, at
+    its middle."""
     covariance: Floats
     """(4, 4) of s, x, y, r from the search."""
 
@@ -46,7 +50,7 @@ class SlipPatch:
 
     @property
     def is_unbounded(self) -> bool:
-        """Whether the disc may be as large as is searched: then its rim is not known, and it may be no disc."""
+        """Whether the disc may have the maximum radius: its rim is then unknown, and it may not be a disc."""
         return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= ODOMETRY.patch.radius_range[1])
 
 
@@ -58,7 +62,7 @@ def clock_sigma(robot: Robot, settings: EvidenceSettings) -> float:
 
 
 class WheelModel:
-    """One run's regression, as far as the search has come: patches and structure are added and taken back."""
+    """Regression of one run at the current state of the search, which adds and removes patches and structure."""
 
     def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
         self.rows, self.wheels, self.robot = rows, wheels, robot
@@ -88,13 +92,13 @@ class WheelModel:
         return np.concatenate(parts, axis=1)
 
     def slip_columns(self, discs: Floats, track: float) -> Floats:
-        """Return what the wheels say inside discs (k, 3), with a minus: it is lost. (2 n, k)
+        """Return the motion of the wheels inside discs (k, 3), with a minus because it is lost: (2 n, k).
 
         Parameters
         ----------
-        track : [m] between the wheels that slip, each inside or not; 0: both are where the body's middle is
+        track : [m] Distance between the wheels that slip separately; 0: both are at the middle of the body.
         """
-        apart = track or self.robot.wheels.base  # of two points at the middle no choice matters
+        apart = track or self.robot.wheels.base  # for two points at the middle, any value gives the same
         middle, phi = self.rows.increment_poses[:, :2], self.rows.increment_poses[:, 2]
         aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
         left, right = self.motion.sides(apart)
@@ -104,26 +108,26 @@ class WheelModel:
     # noise
 
     def fit_noise(self) -> None:
-        """Fit the noise to what the model leaves with all wheel effects free, and whiten the rows with it.
+        """Fit the noise to the residual with all wheel effects free, and whiten the rows with it.
 
-        Structure takes no part in it unless accepted: so many smooth columns would swallow the slow part of the
-        wheels' noise, and the rest would look too good.
+        Structure is included only if accepted. Otherwise its many smooth columns would absorb the slow noise
+        of the wheels, and the rest would seem too accurate.
         """
         self.whitener, self.residual = self._fitted_noise(self.columns)
         self.whiten()
 
     def denoise_motion(self) -> None:
-        """Make all columns of the motion without the wheels' noise, as far as what the model leaves shows it."""
+        """Recompute all columns from the motion without the wheels' noise, as far as the residual shows it."""
         self.motion = fused_motion(self.rows, self.wheels, self.residual, self.robot.wheels.base)
         self.A = self.layout.evaluate(self.rows, self.motion, self.robot.wheels.base)
         self.fit_noise()
 
     def whiten(self) -> None:
-        """Form the regression anew, after the columns or the noise have changed."""
+        """Form the regression again, after a change of the columns or the noise."""
         self.regression = Regression.of(self.whitener(self.columns), self.whitener(self.y))
 
     def _fitted_noise(self, columns: Floats) -> tuple[Whitener, Floats]:
-        """Fit columns and noise in turn, twice, from where the noise stands; return the noise and what is left (2 n,)."""
+        """Fit columns and noise in turn, twice, from the current noise; return the noise and the residual (2 n,)."""
         scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
         settings, valid, whitener = EVIDENCE, self.rows.valid, self.whitener
         for _ in range(2):
@@ -140,7 +144,7 @@ class WheelModel:
         return whitener, residual
 
     def profile_gain(self, column: Floats) -> float:
-        """Return the gain in likelihood of a further column (2 n, 1) if each model has a noise of its own [nats]."""
+        """Return the gain [nats] of a further column (2 n, 1) if both models have separate noise fits."""
         own = self.columns
         with_it, _ = self._fitted_noise(np.concatenate([own, column], axis=1))
         without, _ = self._fitted_noise(own)
@@ -153,7 +157,7 @@ class WheelModel:
         return WheelTerm(WHEEL_SLIP, self.layout.n + i)
 
     def prior(self, terms: Sequence[WheelTerm]) -> BoundedPrior:
-        """Return the prior of the columns with some effects free; other patches are shut out."""
+        """Return the prior of the columns with some effects free; other patches are fixed at 0."""
         sigma = [regressor.tolerance for _, regressor in self.layout.regressors]
         sigma += [clock_sigma(self.robot, EVIDENCE), ODOMETRY.marker_sigma]
         sigma += [SHUT_SIGMA] * len(self.patches)
@@ -166,7 +170,7 @@ class WheelModel:
         return prior.freed([term.column for term in terms]).unbounded_from(k)
 
     def clock_left(self) -> float:
-        """Return how far the assumed clock is still off, all effects free [s]."""
+        """Return the remaining error of the assumed clock offset, with all effects free [s]."""
         most = ODOMETRY.max_clock_shift
         theta = self.regression.solve(self.prior(self.layout.terms)).theta
         return float(np.clip(theta[self.layout.clock], -most, most))
@@ -176,11 +180,11 @@ class WheelModel:
         return self.regression.solve(self.prior(terms)).log_posterior
 
     def evidence(self, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
-        """Return how much the data prefer a set with an effect to the set without it, less its price [nats]."""
+        """Return the evidence of an effect in addition to a set, less its complexity penalty [nats]."""
         rest = [other for other in terms if other != term]
         return self.log_posterior([*rest, term]) - self.log_posterior(rest) - price(term)
 
 
 def price(term: WheelTerm) -> float:
-    """Return the price of an effect's parameters [nats]."""
+    """Return the complexity penalty of an effect [nats]."""
     return EVIDENCE.price * len(term.effect.parameters)

@@ -1,4 +1,4 @@
-"""The search for a slippery patch: discs on a grid, then random steps about the best, then its spread."""
+"""Search for a slippery patch: discs on a grid, then random steps around the best, then its spread."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from sensorgraph.types import Floats
 
 PATCH = ODOMETRY.patch
 PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
-"""[nats] of a patch."""
+"""[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
-"""Rows times discs that are held at a time: 8 MB an array."""
+"""Maximum number of rows times discs in memory: 8 MB per array."""
 
 
 def best_patch(
     model: WheelModel, terms: Sequence[WheelTerm], rng: np.random.Generator
 ) -> tuple[SlipPatch, float] | None:
-    """Return the patch that the data ask for most beside other effects, and its evidence [nats].
+    """Return the most likely patch in addition to other effects, and its evidence [nats].
 
-    Each wheel slips where it stands, or the body as a whole: the likelier. None where the robot hardly moved.
+    Either each wheel slips at its own place, or the body slips as a whole: the more likely of the two. The
+    result is None if the robot hardly moved.
     """
     is_moving = np.abs(model.wheels.distance) > PATCH.min_moving
     positions = model.rows.increment_poses[is_moving, :2]
@@ -59,7 +60,12 @@ def _best_disc(
 def gains_of_discs(
     model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm]
 ) -> tuple[Floats, Floats]:
-    """Return likelihood gained [nats] and share of the motion lost (n_discs,), given a set of effects."""
+    """Return the gain [nats] and the lost share of the motion (n_discs,) of each disc, given a set of effects.
+
+        lost = clip(score / information, 0, max_slip),   gain = lost score - lost² information / 2
+
+    The free effects are projected out of the information.
+    """
     regression = model.regression
     fit = regression.solve(model.prior(terms))
     residual = regression.y - regression.A @ fit.theta
@@ -67,7 +73,7 @@ def gains_of_discs(
     C = fit.covariance[np.ix_(free, free)]
     score, total, information = (np.zeros(len(discs)) for _ in range(3))
     at_a_time = max(1, MAX_VALUES // len(residual))
-    for first in range(0, len(discs), at_a_time):  # a long run has rows by the hundred thousand
+    for first in range(0, len(discs), at_a_time):  # a long run has hundreds of thousands of rows
         some = slice(first, first + at_a_time)
         Z = model.whitener(model.slip_columns(discs[some], track))
         score[some] = residual @ Z
@@ -82,7 +88,7 @@ def gains_of_discs(
 
 
 def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.random.Generator) -> None:
-    """Move a patch to the middle of its likelihood and take its spread from there."""
+    """Move a patch to its posterior mean, and compute its spread there."""
     rest = [term for term in terms if term != model.patch_term(i)]
     track = model.patches[i].track
     discs = _grid_about(model.patches[i].disc)
@@ -99,7 +105,7 @@ def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.
 
 
 def _grid_about(disc: Floats) -> Floats:
-    """Return discs (n, 3) of every size whose centres lie near a disc's, and the disc itself."""
+    """Return discs (n, 3) of all sizes with centres near that of a disc, and the disc itself."""
     reach, radii = PATCH.grid_reach, np.arange(*PATCH.grid_radii)
     steps = np.arange(-reach, reach + 0.01, PATCH.grid_step)
     dx, dy, r = (axis.ravel() for axis in np.meshgrid(steps, steps, radii, indexing="ij"))
@@ -108,9 +114,9 @@ def _grid_about(disc: Floats) -> Floats:
 
 
 def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats:
-    """Return discs (2 n or fewer, 3) about a disc.
+    """Return random discs (2 n or fewer, 3) around a disc.
 
-    Half of them are larger or smaller with their near edge where it was: these fit almost as well.
+    Half of them are larger or smaller with the same near edge, because these fit almost equally well.
     """
     n = PATCH.n_refining
     turn = rng.uniform(-np.pi, np.pi, size=n)
@@ -123,13 +129,13 @@ def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats
 
 
 def _posterior_mean(discs: Floats, gains: Floats, lost: Floats, track: float) -> SlipPatch:
-    """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r about it."""
-    # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
+    """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r around it."""
+    # one disc per cell, because the density of the discs is that of the search, not of the posterior
     best = np.argsort(-gains)
     best = best[gains[best] > gains[best[0]] - PATCH.credible_fall]
     _, first = np.unique(np.round(discs[best] / PATCH.posterior_cell), axis=0, return_index=True)
     best = best[first]
-    # a patch of unknown size: the prior is the same at every magnification, 1 / r³
+    # scale-invariant prior of a patch of unknown size: 1 / r³
     weight = np.exp((gains[best] - gains.max()) / EVIDENCE.temperature) / discs[best, 2] ** 3
     weight /= weight.sum()
     values = np.column_stack([lost, discs])[best]

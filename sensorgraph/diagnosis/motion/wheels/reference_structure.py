@@ -1,4 +1,4 @@
-"""Structure that the reference makes, and no wheel, as families of columns: bent over the place, or jumping."""
+"""Families of structure in the reference poses: distorted over the place, or jumping."""
 
 from __future__ import annotations
 
@@ -13,22 +13,27 @@ from sensorgraph.types import Floats
 
 REFERENCE_YAW, REFERENCE_PLACE = "reference yaw", "reference place"
 BENT_REFERENCE = (REFERENCE_YAW, REFERENCE_PLACE)
-"""Kinds of the families of a reference that is bent over the place."""
+"""Kinds of the families of a reference that is distorted over the place."""
 
 HIGHEST_WAVE = 5
-"""Half waves of a distorted yaw along each axis, 0 to 4."""
+"""Exclusive upper limit of the half waves of a distorted yaw along each axis."""
 HIGHEST_WAVES = 7
-"""Half waves of both axes together, 1 to 6."""
+"""Exclusive upper limit of the half waves of both axes together."""
 HIGHEST_POWER = 4
-"""Powers of a distorted position along each axis and of both together, up to 3."""
+"""Exclusive upper limit of the powers of a distorted position, along each axis and of both together."""
 
 
 def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureFamily]:
     """Return families of a reference that is distorted over the place.
 
+        yaw:       cos(pi a u) cos(pi b v)
+        position:  (u - 1/2)^a (v - 1/2)^b
+
+    u and v are the position in units of the extent of the run. A column is the change over each row.
+
     Parameters
     ----------
-    distance : (n,) [m] of the wheels; steps of the reference itself would bring its noise into the columns
+    distance : (n,) [m] Of the wheels. Steps of the reference itself would bring its noise into the columns.
     """
     xy = (rows.averages[1:, :2] + rows.averages[:-1, :2]) / 2
     low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max())
@@ -57,31 +62,31 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
         StructureFamily(
             kind=REFERENCE_YAW,
             columns=np.stack(yaw, axis=1),
-            labels=["yaw of the reference by place"] * len(yaw),
+            labels=["yaw of the reference over the place"] * len(yaw),
             sigma=ODOMETRY.structure.yaw_sigma,
-            statement="by a yaw of the reference that depends on the place",
+            statement="a yaw error of the reference that depends on the place",
             is_of_reference=True,
         ),
         StructureFamily(
             kind=REFERENCE_PLACE,
             columns=np.stack(position, axis=1),
-            labels=["position of the reference by place"] * len(position),
+            labels=["position of the reference over the place"] * len(position),
             sigma=ODOMETRY.structure.position_sigma,
-            statement="by a position of the reference that is distorted over the place",
+            statement="a position error of the reference that depends on the place",
             is_of_reference=True,
         ),
     ]
 
 
 def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamily]:
-    """Return families of a reference that jumps at one moment, at two, at four and so on: where most is left.
+    """Return families of a reference that jumps at 1, 2, 4, ... moments: those with the largest residual.
 
-    A camera that takes over from another is off by a constant before and after; what a wheel loses on a slippery patch
-    takes as long as the patch.
+    A camera that takes over from another has a constant offset before and after. The loss on a slippery patch
+    lasts as long as the patch.
 
     Parameters
     ----------
-    residual : (2 n,) what a model without patches leaves
+    residual : (2 n,) Residual of a model without patches.
     """
     parts = [residual[: rows.n], residual[rows.n :]]
     spreads = [MAD_TO_SIGMA * float(np.median(np.abs(part[rows.valid]))) + 1e-12 for part in parts]
@@ -97,7 +102,7 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
                 columns=columns,
                 labels=[],
                 sigma=ODOMETRY.structure.jump_sigma,
-                statement="by jumps of the reference at single moments, or by counts of the wheels that were lost then",
+                statement="jumps of the reference at single moments, or wheel counts that were lost then",
                 is_of_reference=True,
                 choice_price=float(gammaln(rows.n + 1) - gammaln(k + 1) - gammaln(rows.n - k + 1)),
             )

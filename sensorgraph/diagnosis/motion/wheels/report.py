@@ -1,4 +1,4 @@
-"""What the odometry channel reports: named effects with their sizes, rivals, deviations, gap, and what was unseen."""
+"""Report of the odometry channel: named effects with sizes, rivals, deviations, gap, unobservable effects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
 RMSE_WINDOW = 1.0
-"""[s] over which the gap is averaged to speeds."""
+"""[s] averaging time of the speeds in the gap."""
 
 
 def odometry_result(
@@ -43,18 +43,18 @@ def odometry_result(
     notes: Mapping[str, object],
     rng: np.random.Generator,
 ) -> ChannelResult:
-    """Report the selected effects.
+    """Return the result of the odometry channel for the selected effects.
 
     Parameters
     ----------
-    aside : what moves the body across its heading
-    deviations : what the bare simulator showed, before any selection
+    aside : Structure that moves the body across its heading.
+    deviations : Of the bare simulator, before any selection.
     """
     fit = model.regression.solve(model.prior(terms))
     covariance = model.regression.clustered_covariance(fit, model.clusters)
     found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
     found.sort(key=lambda a: -(a.evidence or 0.0))
-    if model.structure is not None:  # what structure takes or leaves is nobody's to name
+    if model.structure is not None:  # effects that structure absorbs are not named
         taken = _taken_by_structure(model, terms, fit)
         found = [a for a in found if _is_determined(a) and a.effect not in taken]
     named = [a for a in found if _is_material(a)]
@@ -77,7 +77,7 @@ def odometry_result(
 
 
 def _motion_difference(model: WheelModel, fit: RegressionFit) -> MotionDifference | None:
-    """Return what patches and structure explain; None where there are none."""
+    """Return the motion that patches and structure explain; None without these."""
     more = model.columns[:, model.layout.n :]
     if not more.shape[1]:
         return None
@@ -97,7 +97,7 @@ def _amendment(
     covariance: Floats,
     rng: np.random.Generator,
 ) -> Amendment:
-    """Return an effect with sizes, errors, evidence and probability."""
+    """Return an effect with sizes, standard errors, evidence and probability."""
     evidence = model.evidence(terms, term)
     sure = probability(evidence, _alternatives(model, term, terms, rng).values(), EVIDENCE)
     theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
@@ -111,7 +111,7 @@ def _amendment(
 
 
 def _slip(model: WheelModel, i: int, share: float, error: float) -> Amendment:
-    """Return a patch with its place; the errors are those of the fit and of the search."""
+    """Return a patch with its place; the standard errors combine those of the fit and of the search."""
     patch, settings = model.patches[i], ODOMETRY.patch
     width = np.sqrt(np.diag(patch.covariance))
     stderr = {"s": float(np.hypot(error, width[0]))} | {
@@ -127,22 +127,23 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
 
     Parameters
     ----------
-    gain : of both wheels, true over measured
+    gain : Of both wheels, true over measured.
     """
     key = effect.parameters[0].name
     regressor = effect.diagnostics.wheel_regressor
     if regressor is not None:
         value, stderr = regressor.size(theta, gain), regressor.stderr(error, gain)
-    else:  # the clock: no surer than the mean of the run's stamps
+    else:  # the clock: no more accurate than the mean of the run's stamps
         value = float(model.rows.clock + theta)
         stderr = float(np.hypot(error, model.robot.tolerances.stamp / ODOMETRY.stamp_averaging))
     return replace(effect(**{key: value}), stderr={key: stderr})
 
 
 def _taken_by_structure(model: WheelModel, terms: Sequence[WheelTerm], fit: RegressionFit) -> set[Effect]:
-    """Return effects of the whole run that structure is half as large as: they are the even part of something else.
+    """Return whole-run effects that structure absorbs, because its contribution is at least half of theirs.
 
-    Floor that takes a share of left turns alone is half a wheelbase and half a difference between left and right.
+    They may be the even part of another cause. For example, a floor that takes a share of left turns only is
+    equivalent to half a wheelbase error and half a difference between left and right.
     """
     A, structure = model.regression.A, model.layout.n + len(model.patches)
     size = float(np.linalg.norm(A[:, structure:] @ fit.theta[structure:]))
@@ -155,7 +156,7 @@ def _taken_by_structure(model: WheelModel, terms: Sequence[WheelTerm], fit: Regr
 
 
 def _is_determined(a: Amendment) -> bool:
-    """Tell whether an effect of the whole run has a size beside structure: its error is less than its materiality."""
+    """Tell whether a whole-run effect is determined next to structure: its error is less than its materiality."""
     is_local = a.effect.place is not None
     return is_local or all(a.stderr.get(key, 0.0) < limit for key, limit in a.effect.sizes.items())
 
@@ -167,7 +168,7 @@ def _is_material(a: Amendment) -> bool:
 def _alternatives(
     model: WheelModel, term: WheelTerm, terms: Sequence[WheelTerm], rng: np.random.Generator
 ) -> dict[Effect, float]:
-    """Return the evidence of each effect that could stand in an effect's place [nats]."""
+    """Return the evidence of each effect that could replace an effect [nats]."""
     rest = [other for other in terms if other != term]
     out = {
         other.effect: model.evidence([*rest, other], other)
@@ -194,12 +195,12 @@ def _rivals(
 
 
 def _steady(families: Sequence[StructureFamily]) -> list[StructureFamily]:
-    """Return the families whose columns stand for themselves; the moments of a jump are one choice of many."""
+    """Return the families with a fixed choice of columns; the moments of a jump are one choice among many."""
     return [family for family in families if not family.choice_price]
 
 
 def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
-    """Say where the bare simulator differs, by score tests on the columns of structure."""
+    """Return where the bare simulator differs, by score tests on the columns of structure."""
     regression = model.regression
     motion = fused_motion(model.rows, model.wheels, model.residual, model.robot.wheels.base)
     fit = regression.solve(model.prior([]))
@@ -229,7 +230,7 @@ def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
 
 
 def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | None:
-    """Say what structure entered the model in the stead of effects, or moves the body aside: the more evident."""
+    """Describe the structure with the most evidence, in the model or across the heading."""
     found = sorted(
         [one for one in (model.structure, aside) if one is not None], key=lambda one: -one.evidence
     )
@@ -239,11 +240,11 @@ def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | No
     family, evidence, size = first.family, first.evidence, first.size
     rivals = [one.family.statement for one in found[1:]] + list(first.rivals)
     return Unknown(
-        statement=f"odometry and reference pose differ {family.statement}, which no effect of the library explains; {size.sentence()}",
+        statement=f"odometry and reference pose differ by {family.statement}, which no effect of the library explains; {size.sentence()}",
         deviation=Deviation(
             family="bias",
             partition=family.kind,
-            label=family.statement,
+            label=f"by {family.statement}",
             z=float(np.sqrt(2 * evidence)),
             evidence_nats=evidence,
             size=0.0,
@@ -259,7 +260,7 @@ def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | No
 
 
 def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
-    """Fit on every other 5 s, measure on the rest, and the other way round."""
+    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa."""
     rows, regression, prior, columns = model.rows, model.regression, model.prior(terms), model.columns
     block = ((rows.stamps - rows.stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
     half = np.concatenate([block, block]) % 2
@@ -270,7 +271,7 @@ def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
         after[~train] = (model.y - columns @ fit.theta)[~train]
     nominal = np.zeros(columns.shape[1])
     nominal[model.layout.clock] = -rows.clock
-    # the floor: what is left when all structure is fitted, too
+    # noise floor: the residual with all structure fitted as well
     families = _steady(odometry_families(model.rows, model.motion, model.robot.wheels))
     rich = np.concatenate([columns, *[family.columns for family in families]], axis=1)
     theta = ridge_solution(model.whitener(rich), regression.y)
@@ -285,7 +286,7 @@ def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
 
 
 def _quality(model: WheelModel, residual: Floats) -> FitQuality:
-    """Measure a residual (2 n,): as speed over a second, wheel against body, and in nats."""
+    """Return the quality of a residual (2 n,): RMS speed of body and wheels over a second, log-likelihood [nats]."""
     rows = model.rows
     step = float(np.median(np.diff(rows.stamps)))
     m = max(1, round(RMSE_WINDOW / step))
@@ -298,7 +299,7 @@ def _quality(model: WheelModel, residual: Floats) -> FitQuality:
 
 
 def _not_observable(model: WheelModel, terms: Sequence[WheelTerm]) -> dict[str, str]:
-    """Say which effects could not have been seen at three times their materiality."""
+    """Return the effects that would not show at three times their materiality, with the reason."""
     out = {}
     for term in model.layout.terms:
         if term in terms:
@@ -308,7 +309,7 @@ def _not_observable(model: WheelModel, terms: Sequence[WheelTerm]) -> dict[str, 
         expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
         if expected - EVIDENCE.price < EVIDENCE.threshold:
             out[term.effect.name] = (
-                f"{term.effect.diagnostics.why_unseen}: at three times its materiality it would bring {max(expected, 0):.0f} nats"
+                f"{term.effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is {max(expected, 0):.0f}"
             )
     slips = any(term.effect is WHEEL_SLIP for term in terms)
     if not slips and float(np.abs(model.wheels.distance).sum()) < ODOMETRY.min_distance:

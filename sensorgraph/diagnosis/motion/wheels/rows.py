@@ -1,7 +1,7 @@
-"""Rows of the odometry channel: what the body did from one average pose to the next, against what the wheels say.
+"""Rows of the odometry channel: motion of the body between two average poses, against that of the wheels.
 
-Reference poses are averaged over a tenth of a second. Each row compares the distance along the heading and the turn
-between two averages with the wheels' increments under them, at an assumed offset of the clocks.
+Reference poses are averaged over a tenth of a second. Each row compares the distance along the heading and
+the turn between two averages with the corresponding increments of the wheels, at an assumed clock offset.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from sensorgraph.types import Bools, Floats, Ints
 
 ROWS = ODOMETRY.rows
 CLOCK_STEP = 0.01
-"""[s] to either side, of the difference quotient by the clock offset."""
+"""[s] step to either side, for the difference quotient with respect to the clock offset."""
 MIN_POSES = 10
-"""Poses under the odometry, below which there is nothing to average."""
+"""Minimum number of poses during the odometry."""
 FEW_INCREMENTS = 0.995
-"""Quantile of the increments under a row that rows have room for; rows with more do not count."""
+"""Quantile of the number of increments per row that rows have space for; rows with more are not valid."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,13 +30,13 @@ class OdometryRows:
     """Both sides of the comparison, for one assumed clock offset."""
 
     clock: float
-    """[s] the odometry is taken to be older than its stamp."""
+    """[s] assumed age of the odometry at its stamp."""
     stamps: Floats
     """(n,) [s]"""
     poses: Floats
     """(n, 3) reference pose between both averages."""
     averages: Floats
-    """(n + 1, 3) averaged reference poses, positions smoothed by the wheels, yaw not wrapped."""
+    """(n + 1, 3) averaged reference poses, positions smoothed with the wheels, yaw unwrapped."""
     valid: Bools
     """(n,)"""
     along: Floats
@@ -46,19 +46,19 @@ class OdometryRows:
     yaw: Floats
     """(n,) [rad] of the reference."""
     D_along: sparse.csr_array
-    """(n, n_increments) turns distances of increments into rows along the heading."""
+    """(n, n_increments) maps distances of increments to rows along the heading."""
     D_across: sparse.csr_array
-    """(n, n_increments) turns distances of increments into rows across the heading: the robot turns within a row."""
+    """(n, n_increments) maps distances of increments to rows across the heading, since the robot turns within a row."""
     D_yaw: sparse.csr_array
-    """(n, n_increments) turns turns of increments into rows of yaw."""
+    """(n, n_increments) maps turns of increments to rows of yaw."""
     slopes: Floats
-    """(n, 2) derivative of what the wheels say by the clock [m/s, rad/s]."""
+    """(n, 2) [m/s, rad/s] derivative of the wheels' motion with respect to the clock offset."""
     increment_poses: Floats
     """(n_increments, 3) reference pose in the middle of each increment."""
 
     @property
     def n(self) -> int:
-        """Count of rows of one kind."""
+        """Number of rows of one kind."""
         return len(self.stamps)
 
     @property
@@ -72,7 +72,7 @@ class OdometryRows:
         return self.masked(rows)
 
     def of_sides(self, left: Floats, right: Floats, base: float) -> Floats:
-        """Return the same of the ways of the left and the right wheel (n_increments, ...), `base` [m] apart."""
+        """Return rows of the distances of the left and the right wheel (n_increments, ...), `base` [m] apart."""
         return self.of_wheels((left + right) / 2, (right - left) / base)
 
     def masked(self, rows: Floats) -> Floats:
@@ -82,11 +82,11 @@ class OdometryRows:
 
 
 def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
-    """Average the poses and lay the increments out under them; None where hardly a pose lies under the odometry.
+    """Average the poses and assign the increments to them; None if there are hardly any poses during the odometry.
 
     Parameters
     ----------
-    clock : [s] the odometry is taken to be older than its stamp
+    clock : [s] Assumed age of the odometry at its stamp.
     """
     wheels = signals.wheels
     start, end = wheels.start - clock, wheels.end - clock
@@ -101,7 +101,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     averages = poses[: n * m].reshape(n, m, 3).mean(axis=1)
     centre, middle, ends = t.mean(axis=1), (start + end) / 2, np.append(start, end[-1])
     border = (centre[1:] + centre[:-1]) / 2
-    # headings are the wheels', carried by the reference's over a second
+    # headings follow the wheels, corrected by the reference averaged over a second
     total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
     offset = averages[:, 2] - np.interp(t, ends, total).mean(axis=1)
     offset = _moving_average(offset, ROWS.heading_window / (m * period))
@@ -133,7 +133,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
 def _smooth_positions(
     averages: Floats, wheels: WheelIncrements, heading: Floats, centre: Floats, ends: Floats, period: float
 ) -> Floats:
-    """Return reference positions (n + 1, 2) that follow the wheels in the short run and the reference in the long."""
+    """Return positions (n + 1, 2) that follow the wheels over short times and the reference over long times."""
     steps = wheels.distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     by_wheels = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
@@ -150,7 +150,7 @@ def _moving_average(values: Floats, width: float) -> Floats:
 
 
 def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bools]:
-    """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
+    """Return the share of each increment between two averages: weights (n, o), indices (n, o), validity (n,)."""
     first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
     last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
     room = int(np.quantile(last - first, FEW_INCREMENTS)) + 4
@@ -164,14 +164,14 @@ def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bool
 
 
 def _shares(u: Floats) -> Floats:
-    """Return how much of each of neighbouring increments (n, o) has passed, a mean over moments.
+    """Return the share of neighbouring increments (n, o) that has passed, as a mean over moments.
 
-    The rate changes linearly within an increment, by half the difference of its neighbours: were it constant, a robot
-    that starts to turn would seem to turn early (2 mrad at 3 rad/s² and increments of 50 ms).
+    The rate changes linearly within an increment, by half the difference of its neighbours. With a constant
+    rate, a robot that starts to turn would seem to turn early (2 mrad at 3 rad/s² and increments of 50 ms).
 
     Parameters
     ----------
-    u : (n, o, m) moments, 0 at the start of each increment and 1 at its end
+    u : (n, o, m) Moments, 0 at the start of each increment and 1 at its end.
     """
     u = np.clip(u, 0.0, 1.0)
     out, bend = u.mean(axis=2), (u * (u - 1.0)).mean(axis=2) / 4
@@ -188,7 +188,7 @@ def _sparse(weights: Floats, index: Ints, n: int) -> sparse.csr_array:
 
 
 def _slopes(t: Floats, wheels: WheelIncrements, clock: float, heading: Floats, phi: Floats) -> Floats:
-    """Return the derivative by the clock of what the wheels say (n, 2), from smoothed increments."""
+    """Return the derivative of the wheels' motion (n, 2) with respect to the clock, from smoothed increments."""
     kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
     distance, turn = (
         np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in (wheels.distance, wheels.turn)

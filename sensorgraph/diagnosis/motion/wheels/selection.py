@@ -1,4 +1,4 @@
-"""Which wheel effects a run shows: forward selection by evidence, against structure that no effect makes."""
+"""Select the wheel effects by evidence, in competition with structure that no effect explains."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
 N_REFINED = 2
-"""Times that the moment of a change is looked for more nearly."""
+"""Number of refinements of the moment of a change."""
 
 
 def select(
     model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False
 ) -> list[WheelTerm]:
-    """Add effects to the model while the evidence lasts, then take superfluous ones back.
+    """Add effects to the model while the evidence suffices, then remove superfluous ones.
 
-    Structure that no effect makes competes with them: where it explains more, it enters in their stead; not a reference
-    that is bent over the place, where it is known to be straight.
+    Structure that no effect explains competes with the effects, and replaces them if it explains more. If the
+    reference is known to be straight, a distorted reference is not tried.
     """
     terms: list[WheelTerm] = []
     for _ in range(ODOMETRY.max_effects):
@@ -78,23 +78,24 @@ def select(
 def _patch(
     model: WheelModel, terms: Sequence[WheelTerm], rival_gain: float, rng: np.random.Generator
 ) -> tuple[SlipPatch | None, float]:
-    """Return the best further patch and its evidence [nats]; -inf where there is none."""
+    """Return the best further patch and its evidence [nats]; None and -inf without one."""
     found = best_patch(model, terms, rng) if len(model.patches) < ODOMETRY.patch.max_patches else None
     if found is None:
         return None, -np.inf
     patch, gain = found
     if gain + PATCH_PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
-        # a patch that is not modelled looks like noise to the filter: judge it by a noise of its own
+        # a patch outside the model looks like noise to the filter: compare it with separate noise fits
         alone = model.profile_gain(model.slip_columns(patch.disc[None], patch.track))
         gain = max(gain, alone - PATCH_PRICE - ODOMETRY.patch.noise_price)
     return patch, gain
 
 
 def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator) -> None:
-    """Let one patch stand for several, where that is likelier, or where two of them lie on each other.
+    """Replace several patches by one if that is more likely, or if two of them contain each other's centre.
 
-    A patch that is not in the model yet is noise to the filter, the more so the longer the robot takes through it: a large one
-    is found in pieces. The same floor does not slip twice: a second patch on it mends the rim of the first, which poses blur.
+    The filter absorbs a patch outside the model as noise, and more of it the longer the robot stays there. A
+    large patch is therefore found in pieces. The same floor does not slip twice: a second patch on it only
+    corrects the rim of the first, which the pose errors blur.
     """
     pieces, several = model.patches, list(terms)
     if len(pieces) < 2:
@@ -119,7 +120,7 @@ def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Gene
 
 
 def _lie_on_each_other(patches: Sequence[SlipPatch]) -> bool:
-    """Tell whether the middles of two patches are within both."""
+    """Tell whether two patches contain each other's centre."""
     return any(np.hypot(a.x - b.x, a.y - b.y) < min(a.r, b.r) for a, b in combinations(patches, 2))
 
 
@@ -134,7 +135,7 @@ def _take_back(model: WheelModel, terms: list[WheelTerm]) -> None:
 
 
 def _needed(model: WheelModel, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
-    """Return the evidence that an effect must bring beside the others [nats]."""
+    """Return the evidence that an effect needs in addition to the others [nats]."""
     others = [other for other in terms if other.effect is WHEEL_SLIP and other != term]
     if term.effect is not WHEEL_SLIP or not others:
         return EVIDENCE.threshold
@@ -147,7 +148,7 @@ def _needed(model: WheelModel, terms: Sequence[WheelTerm], term: WheelTerm) -> f
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StructureCandidate:
-    """Structure that could enter the model, beside patches or in their stead."""
+    """Structure that could enter the model, in addition to patches or instead of them."""
 
     family: StructureFamily
     evidence: float
@@ -156,7 +157,7 @@ class StructureCandidate:
 
 
 def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_straight: bool) -> None:
-    """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
+    """Let structure that no effect explains enter the model, in addition to the effects or instead of patches."""
     model.denoise_motion()
     fit = model.regression.solve(model.prior(model.layout.terms))
     families = odometry_families(
@@ -166,7 +167,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
-    # jumps leave something to a patch that stands where they are: they are asked in its stead
+    # a patch at the place of jumps absorbs a part of them, so that jumps are tested without patches
     family, gain = _best_structure(model, test, own, families if model.patches else [*families, *jumps])
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
@@ -206,7 +207,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
 
 
 def _stands_for_clock(model: WheelModel, terms: Sequence[WheelTerm], structure: AcceptedStructure) -> bool:
-    """Tell whether a clock offset that would have a name is none where structure stands: play comes late, too."""
+    """Tell whether structure explains a material clock offset: play also delays the motion."""
     clock = next((term for term in terms if term.effect is POSE_CLOCK_OFFSET), None)
     if clock is None:
         return False
@@ -224,7 +225,7 @@ def _stands_for_clock(model: WheelModel, terms: Sequence[WheelTerm], structure: 
 def _best_structure(
     model: WheelModel, test: StructureTest, own: Floats, families: Sequence[StructureFamily]
 ) -> tuple[StructureFamily, float]:
-    """Return the family that explains most beside columns (2 n, k), and its evidence; a change at its very moment."""
+    """Return the best family in addition to columns (2 n, k), and its evidence; the moment of a change is refined."""
     family, gain = test.best(own, families)
     if gain <= 0:
         return family, gain
@@ -241,7 +242,7 @@ def _best_structure(
 
 
 def _size(model: WheelModel, missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
-    """Return by how much a simulation, or the reference, is off that misses rows (2 n,)."""
+    """Return the error of a simulation, or of a reference, that lacks rows (2 n,)."""
     distance = model.rows.D_along @ model.motion.distance
     turn = model.rows.D_yaw @ model.motion.turn
     if family.is_of_reference:
@@ -257,8 +258,8 @@ def _in_stead_of_patches(
     beside: StructureCandidate,
     families: Sequence[StructureFamily],
 ) -> StructureCandidate:
-    """Return the better candidate of structure beside the patches and structure in their stead."""
-    # patches need not leave what they mimic
+    """Return the better candidate: structure in addition to the patches, or structure instead of them."""
+    # without the patches, which may have absorbed the structure
     family, total = _best_structure(model, test, model.A, families)
     gain = test.lead(model.A, family, own)
     has_rims = not any(patch.is_unbounded for patch in model.patches)
@@ -268,17 +269,17 @@ def _in_stead_of_patches(
 
 
 def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
-    """Return what the models of the effects themselves may leave for structure to explain [nats]."""
+    """Return the evidence for structure that inexact models of the effects may cause [nats]."""
     wheels = [term for term in terms if term.effect is not WHEEL_SLIP]
     patch = max(model.log_posterior(terms) - model.log_posterior(wheels), 0.0)
-    if len(terms) - len(wheels) > 1:  # several patches and still structure: they mimic something else
+    if len(terms) - len(wheels) > 1:  # several patches and still structure: they imitate something else
         patch = 0.0
     gain = model.log_posterior(wheels) - model.log_posterior([])
     return ODOMETRY.structure.wheel_share * gain + ODOMETRY.structure.patch_share * patch
 
 
 def _rim_columns(model: WheelModel, terms: Sequence[WheelTerm]) -> Floats:
-    """Return what small changes of a patch's place and radius would do (2 n, 3 per patch), so that they are no news."""
+    """Return columns (2 n, 3 per patch) for small changes of place and radius, which do not count as structure."""
     parts = [np.zeros((len(model.y), 0))]
     shift = ODOMETRY.patch.rim_shift * np.eye(3)
     for i, patch in enumerate(model.patches):

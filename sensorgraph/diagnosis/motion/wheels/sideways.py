@@ -1,9 +1,10 @@
-"""Motion across the heading: wheels cannot tell of it, and no effect of the library makes it.
+"""Motion across the heading, which the wheels do not measure and no effect of the library explains.
 
-A body that slides outward in a curve, is carried aside by the floor, or a reference whose heading changes: all of them
-move the body to its left or right, which neither distance nor turn shows. A heading of the reference that is off by a
-constant, and a body that turns about a point ahead of or behind `base_link`, are set-up and free in every model of these;
-only an angle larger than markers are put on askew is told.
+A body may slide outward in a curve, the floor may carry it sideways, or the heading of the reference may
+change. All of these move the body to its left or right, which neither distance nor turn shows. A constant
+heading error of the reference, and a centre of rotation ahead of or behind `base_link`, belong to the setup
+and are free in every model here. An angle is reported only if it is larger than the usual misalignment of
+markers.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from sensorgraph.diagnosis.motion.wheels.structure import evidence_needed
 from sensorgraph.types import Floats
 
 CURVE = "curve"
-"""Kind of the family of what slides in curves."""
+"""Kind of the family of sliding in curves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SidewaysRows:
-    """What the body did across its heading, row by row, and what makes it."""
+    """Motion of the body across its heading, row by row, and the variables that explain it."""
 
     y: Floats
-    """(n,) [m] to the left, less what the wheels' way says; 0 where not valid."""
+    """(n,) [m] to the left, less the part that the wheels explain; 0 where not valid."""
     distance: Floats
     """(n,) [m] of the wheels."""
     turn: Floats
@@ -46,7 +47,7 @@ class SidewaysRows:
 
 
 def sideways_rows(model: WheelModel) -> SidewaysRows:
-    """Return the rows across the heading of a model."""
+    """Return the rows of a model across the heading."""
     rows, wheels = model.rows, model.motion
     turn = rows.D_yaw @ wheels.turn
     return SidewaysRows(
@@ -59,11 +60,12 @@ def sideways_rows(model: WheelModel) -> SidewaysRows:
 
 
 def sideways_structure(model: WheelModel, *, heading_is_of_base: bool) -> AcceptedStructure | None:
-    """Return what moves the body aside, if anything does that a user would mind: the most evident.
+    """Return the structure with the most evidence that moves the body sideways; None if none is material.
 
     Parameters
     ----------
-    heading_is_of_base : the reference tells the heading of the base by itself, and not by a laser whose mount may be wrong
+    heading_is_of_base : The reference measures the heading of the base itself, and not that of a laser whose
+        mount may be wrong.
     """
     aside = sideways_rows(model)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
@@ -74,7 +76,7 @@ def sideways_structure(model: WheelModel, *, heading_is_of_base: bool) -> Accept
 def _askew(
     model: WheelModel, aside: SidewaysRows, limits: tuple[NoiseLimits, NoiseLimits]
 ) -> AcceptedStructure | None:
-    """Return a body that goes at an angle to its heading, if that is more than markers are put on askew."""
+    """Return a body that moves at an angle to its heading, if it exceeds the usual misalignment of markers."""
     rows = model.rows
     test = StructureTest(rows.valid, aside.y, LimitedNoiseFitter(limits))
     own, distance = rows.masked(aside.turn[:, None]), rows.masked(aside.distance)
@@ -87,11 +89,9 @@ def _askew(
     if gain < needed or sure_share(gain) * abs(angle) < ODOMETRY.structure.max_askew:
         return None
     side = "left" if angle > 0 else "right"
-    words = (
-        f"by the direction in which the body goes, {np.degrees(abs(angle)):.1f}° to the {side} of its heading"
-    )
+    words = f"a direction of travel {np.degrees(abs(angle)):.1f}° to the {side} of the body's heading"
     return AcceptedStructure(
-        family=replace(family, statement=f"{words}: an axle, or the markers of the reference, are askew"),
+        family=replace(family, statement=f"{words}: the axle or the markers of the reference are misaligned"),
         evidence=gain,
         threshold=needed,
         size=_size(model, aside, missing),
@@ -101,9 +101,9 @@ def _askew(
 def _sliding(
     model: WheelModel, aside: SidewaysRows, limits: tuple[NoiseLimits, NoiseLimits]
 ) -> AcceptedStructure | None:
-    """Return what moves the body aside beside a constant angle, if a user would mind."""
+    """Return sideways motion other than a constant angle, if it matters to a user."""
     rows = model.rows
-    # a reference whose positions are older than its headings slides in curves, too: within the tolerance of a clock
+    # positions older than the headings also look like sliding in curves; allow the tolerance of a clock
     nuisance = clock_sigma(model.robot, EVIDENCE) * (aside.distance * aside.rate)[:, None]
     noise = LimitedNoiseFitter(limits)
     test = StructureTest(rows.valid, aside.y, noise, rows.masked(nuisance))
@@ -114,7 +114,7 @@ def _sliding(
     needed = evidence_needed(dispersion, rows)
     if gain < needed:
         return None
-    # of all that slides: beside the nuisance a part of it would be the clock's
+    # the size of all sliding; with the nuisance, the clock would absorb a part
     missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
     size = _size(model, aside, missing)
     if not size.is_material(model.robot.limits.v, gain) and not _is_late(model, family, missing, gain):
@@ -126,7 +126,7 @@ def _sliding(
 
 
 def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[StructureFamily]:
-    """Return what may move a body aside, with columns (n, k)."""
+    """Return the families of sideways motion, with columns (n, k)."""
     sigma = ODOMETRY.structure.scale_sigma
     backward, to_right = aside.distance < 0, aside.turn < 0
     way = np.abs(aside.distance)
@@ -135,20 +135,24 @@ def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[Structure
     kinds: list[tuple[str, str, list[Floats]]] = [
         (
             CURVE,
-            "by sliding sideways in curves, or by positions that are older than headings",
+            "sideways sliding in curves, or positions that are older than the headings",
             [aside.distance * aside.rate],
         ),
         (
             "direction",
-            "sideways, otherwise forward than backward or to the left than to the right",
+            "a sideways motion that differs forward and backward, or to the left and to the right",
             [aside.distance * backward, aside.turn * to_right],
         ),
         (
             "heading",
-            "sideways, by a way that depends on the heading",
+            "a sideways motion that depends on the heading",
             [-way * np.sin(aside.heading), way * np.cos(aside.heading)],
         ),
-        ("time", "sideways, by a heading that changes in time", [aside.distance * part for part in pieces]),
+        (
+            "time",
+            "a sideways motion from a heading error that changes over time",
+            [aside.distance * part for part in pieces],
+        ),
     ]
     return [
         StructureFamily(
@@ -163,10 +167,10 @@ def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[Structure
 
 
 def _is_late(model: WheelModel, family: StructureFamily, missing: Floats, evidence: float) -> bool:
-    """Tell whether sliding in curves is as if positions were late by more than a user minds.
+    """Tell whether sliding in curves is equivalent to positions that are late by a material amount.
 
-    Sliding outward by k v omega is what positions show that are k older than the headings: however long the robot drives,
-    they are off by k v and no more.
+    Sliding outward by k v omega is equivalent to positions that are k older than the headings. However long
+    the robot drives, their error is at most k v.
     """
     if family.kind != CURVE:
         return False
@@ -176,7 +180,7 @@ def _is_late(model: WheelModel, family: StructureFamily, missing: Floats, eviden
 
 
 def _size(model: WheelModel, aside: SidewaysRows, missing: Floats) -> SimulationError:
-    """Return by how much a simulation is off that misses what is across (n,) [m]."""
+    """Return the error of a simulation that lacks the motion (n,) [m] across the heading."""
     return simulation_error(
         aside.distance,
         aside.turn,

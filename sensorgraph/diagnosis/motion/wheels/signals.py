@@ -1,4 +1,4 @@
-"""Signals of the odometry channel: reference poses of base_link, and the wheels' increments."""
+"""Signals of the odometry channel: reference poses of base_link, and increments of the wheels."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ ROWS = ODOMETRY.rows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionSignals:
-    """The two sides of the comparison, and what was noted on the way."""
+    """Both sides of the comparison, and notes."""
 
     stamps: Floats
     """(n,) [s] of the reference."""
     poses: Floats
-    """(n, 3) reference of base_link, yaw not wrapped."""
+    """(n, 3) reference poses of base_link, yaw unwrapped."""
     wheels: WheelIncrements
     notes: Mapping[str, object]
     """Plain data for the report."""
 
 
 def motion_signals(run: Run) -> MotionSignals:
-    """Take reference poses and odometry from a run.
+    """Return reference poses and odometry of a run.
 
     Raises
     ------
     ChannelSkippedError
-        The run lacks either, one of them does not move, or the poses are the odometry.
+        The run lacks one of them, one of them does not move, or the poses are the odometry.
     """
     require_reference(run)
     wheels = wheel_increments(run)

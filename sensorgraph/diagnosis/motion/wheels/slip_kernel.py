@@ -1,4 +1,4 @@
-"""Compiled: what is lost in slippery discs, which is asked for hundreds of them at a time."""
+"""Compiled kernel for the motion lost in slippery discs; called for hundreds of discs at a time."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from sensorgraph.types import Floats
 def lost_inside(
     left_at: Floats, right_at: Floats, left: Floats, right: Floats, track: float, discs: Floats, rim: float
 ) -> tuple[Floats, Floats]:
-    """Return distance [m] and turn [rad] (n_increments, n_discs) of what two points of the body lose inside discs.
+    """Return distance [m] and turn [rad] (n_increments, n_discs) that two points of the body lose inside discs.
 
-    A point loses all of its way inside a disc, none outside, and a share at the edge.
+        lost     = length clip((r - d) / rim + 1/2, 0, 1)      for each point
+        distance = (lost_left + lost_right) / 2,   turn = (lost_right - lost_left) / track
+
+    d is the distance of the point from the centre of the disc.
 
     Parameters
     ----------
-    left_at, right_at : (n_increments, 2) [m, map] the points
-    left, right : (n_increments,) [m] their ways
-    track : [m] between them
-    discs : (n_discs, 3) x, y, r [m, map]
-    rim : [m] width of the edge
+    left_at, right_at : (n_increments, 2) [m, map] Positions of the points.
+    left, right : (n_increments,) [m] Signed lengths of their paths.
+    track : [m] Distance between them.
+    discs : (n_discs, 3) x, y, r [m, map].
+    rim : [m] Width of the edge.
     """
     n, k = len(left), len(discs)
     x, y = discs[:, 0].copy(), discs[:, 1].copy()
