@@ -179,7 +179,7 @@ def test_a_rival_far_behind_is_asked_about_no_more() -> None:
     result = replace(
         result, not_observable={"mirror": hidden["mirror"]}
     )  # a little wall is little to ask for
-    assert open_questions(result, [own], [other])[0].text.startswith("how large is the effect of latency")
+    assert open_questions(result, [own], [other])[0].text.startswith("what is the size of the latency")
     near = replace(result, effects=(replace(own, evidence=40.0),))
     assert open_questions(near, [own], [other])[0].text == "latency between pose and scan or mounting offset"
 
@@ -197,7 +197,7 @@ def test_there_is_always_a_question() -> None:
     assert open_questions(ChannelResult(channel="scan"), [], [])
     assert (
         open_questions(ChannelResult(channel="scan"), [effect("range_bias", b=0.02)], [])[0].text
-        == "how large is the effect of range bias"
+        == "what is the size of the range bias"
     )
 
 

@@ -1,1 +1,1 @@
-"""The run to make next: which questions are open, and the drive that is expected to answer them best."""
+"""The next run: open questions, and the drive that is expected to answer them best."""

@@ -1,4 +1,4 @@
-"""Where a robot can drive, and the motions that may separate two models: spins, sweeps and shuttles."""
+"""Drivable space of a robot, and motions that may separate two models: spins, sweeps and shuttles."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sensorgraph.world.robot import Robot
 
 
 class MotionKind(StrEnum):
-    """What the robot does at a place."""
+    """Motion of the robot at a place."""
 
     SPIN = "spin"
-    """Full turns both ways."""
+    """Full turns in both directions."""
     SWEEP = "sweep"
     """Fast turns to either side of a heading."""
     SHUTTLE = "shuttle"
-    """Straight there and back."""
+    """Straight back and forth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,41 +34,41 @@ class CandidateMotion:
 
     kind: MotionKind
     place: tuple[float, float]
-    """[m] where it starts."""
+    """[m] start."""
     heading: float
-    """[rad] of a sweep's middle, or of a shuttle."""
+    """[rad] middle of a sweep, or direction of a shuttle."""
     length: float = 0.0
     """[m] of a shuttle."""
 
     @property
     def end(self) -> tuple[float, float]:
-        """[m] where a shuttle turns back."""
+        """[m] turning point of a shuttle."""
         x, y = self.place
         return x + self.length * float(np.cos(self.heading)), y + self.length * float(np.sin(self.heading))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivableSpace:
-    """Where the robot can go."""
+    """Places that the robot can reach."""
 
     arena: Arena
     robot: Robot
     barriers: Barriers
     reach: Reach
     nodes: Floats
-    """(n, 2) [m] reachable places, those with clearance to spare if there are any."""
+    """(n, 2) [m] reachable places; only those with spare clearance, if there are any."""
 
     @classmethod
     def of(cls, arena: Arena, robot: Robot, *, start: Floats | None = None) -> DrivableSpace:
-        """Find the places that can be reached from `start` (3,), or from anywhere.
+        """Find the places that are reachable from `start` (3,), or from anywhere.
 
         Raises
         ------
-        PlanError : the robot cannot turn in place
+        PlanError : The robot cannot turn in place.
         """
         if robot.drive != "diff":
             raise PlanError(
-                f"a next run is planned for robots that turn in place (drive: diff), not for {robot.drive!r}"
+                f"robot.yaml: `drive` is {robot.drive!r}; a next run needs a robot that can turn in place (`diff`)"
             )
         settings = NEXT_RUN.candidates
         barriers = Barriers(arena)
@@ -90,12 +90,12 @@ class DrivableSpace:
         return np.array(chosen[1:] or chosen)
 
     def are_clear(self, a: Floats, b: Floats) -> Bools:
-        """Tell which straight moves (n, 2) -> (n, 2) are free."""
+        """Tell which straight moves (n, 2) -> (n, 2) are free of obstacles."""
         return self.barriers.are_clear(a, b, self.reach.clearance)
 
 
 def candidate_motions(space: DrivableSpace, rng: np.random.Generator) -> list[CandidateMotion]:
-    """List spins and sweeps at places all over the room, and shuttles between them."""
+    """List spins and sweeps at places in the whole room, and shuttles between them."""
     settings = NEXT_RUN.candidates
     places = space.spread_places(settings.n_places, rng)
     out = [CandidateMotion(kind=MotionKind.SPIN, place=_xy(p), heading=0.0) for p in places]

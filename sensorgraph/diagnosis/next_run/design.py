@@ -1,9 +1,11 @@
-"""The next run: a drive made to tell apart what this run could not, chosen by the evidence it is expected to bring.
+"""Plan the next run: a drive that distinguishes what this run could not, chosen by its expected evidence.
 
-1. `candidate_motions` lists motions that may separate two models: spins, sweeps and shuttles all over the room.
-2. `forecast` predicts how much evidence each brings per second; `time_allocation` divides the time among them.
-3. `drives` joins those with most time to closed-form curves, with the planner's moves and turns, in several versions.
-4. The version with the most expected evidence is the next run; random driving is what it is compared with.
+1. `candidate_motions` lists motions that may separate two models: spins, sweeps and shuttles in the whole
+   room.
+2. `forecast` predicts the evidence of each per second; `time_allocation` divides the time among them.
+3. `drives` joins the motions with the most time into closed-form curves of moves and turns, in several
+   versions.
+4. The version with the most expected evidence is the next run. Random drives are the comparison.
 """
 
 from __future__ import annotations
@@ -43,20 +45,20 @@ from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
 
 MAX_DESCRIBED = 3
-"""Motions that the explanation of a run describes."""
+"""Maximum number of motions that the explanation of a run describes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NextRun:
-    """A drive worth making, and why."""
+    """A planned drive, and the reason for it."""
 
     trajectory: Trajectory
     questions: tuple[str, ...]
-    """What it should answer."""
+    """Questions that it should answer."""
     evidence: float
-    """[nats] that it is expected to bring."""
+    """[nats] expected evidence."""
     median_random_evidence: float
-    """[nats] that the median of random drives of the same duration is expected to bring."""
+    """[nats] expected evidence of the median of random drives of the same duration."""
     why: str
     motions: tuple[CandidateMotion, ...]
     min_clearance: float
@@ -65,7 +67,7 @@ class NextRun:
     """[nats] of all versions that were built."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, for report.json."""
+        """Return plain data for report.json."""
         median = self.median_random_evidence
         times_median = self.evidence / median if median >= 1 else None
         return {
@@ -86,7 +88,7 @@ class NextRun:
         }
 
     def save(self, folder: Path, arena: Arena, robot: Robot) -> None:
-        """Write a folder that `sensorgraph record` drives: trajectory.csv, plan.json, arena and robot."""
+        """Write a folder for `sensorgraph record`: trajectory.csv, plan.json, arena and robot."""
         folder.mkdir(parents=True, exist_ok=True)
         self.trajectory.write_csv(folder / "trajectory.csv")
         texts = {
@@ -112,12 +114,12 @@ def next_run(
 
     Parameters
     ----------
-    questions : pairs of models to tell apart (see `open_questions`); the first counts most where they compete
-    start : (3,) [m, m, rad] where the robot stands; None: where it suits the plan
+    questions : Pairs of models to distinguish (see `open_questions`). The first counts most if they compete.
+    start : (3,) [m, m, rad] Where the robot stands; None: where the plan begins best.
 
     Raises
     ------
-    PlanError : there is no question, the robot cannot turn in place, or no motion can be reached
+    PlanError : There is no question, the robot cannot turn in place, or no motion can be reached.
     """
     if not questions:
         raise PlanError("there is no question for a next run; give at least one pair of models")
@@ -146,7 +148,9 @@ def next_run(
         if found.count == 0:
             break
     else:
-        raise PlanError("every plan breaks a limit of the robot; please report the arena and the robot")
+        raise PlanError(
+            "every plan exceeds a limit of the robot; please report this with the arena and robot.yaml"
+        )
     median = float(np.median(nats[0, len(drives) :]))
     return NextRun(
         trajectory=trajectory,
@@ -161,7 +165,7 @@ def next_run(
 
 
 def _parts_by_kind(motions: Sequence[CandidateMotion]) -> list[slice]:
-    """Return the motions of each kind, which stand together."""
+    """Return a slice for each kind of motion; motions of one kind are adjacent."""
     kinds = [motion.kind for motion in motions]
     counts = [kinds.count(kind) for kind in dict.fromkeys(kinds)]
     ends = np.cumsum(counts).tolist()
@@ -171,12 +175,17 @@ def _parts_by_kind(motions: Sequence[CandidateMotion]) -> list[slice]:
 def _rate(
     questions: Sequence[OpenQuestion], curves: Sequence[Curve], arena: Arena, robot: Robot, duration: float
 ) -> tuple[Floats, Floats]:
-    """Return the expected nats (n_questions, n_curves) of drives, and their scores (n_curves,) over all questions."""
+    """Return the expected evidence (n_questions, n_curves) [nats] of drives, and their scores (n_curves,).
+
+        score = sum over questions of log(1 + nats / half_weight_nats)
+
+    The evidence of a drive that exceeds the duration is reduced in proportion.
+    """
     nats = expected_evidence(questions, [_drive_samples(c) for c in curves], arena, robot, duration)
     length = np.array([c.duration for c in curves])
-    nats = nats * np.minimum(duration / length, 1.0)  # a drive that takes longer counts no more for that
-    score = np.log1p(nats / NEXT_RUN.forecast.half_weight_nats).sum(axis=0)  # no question is forgotten
-    score -= 1e3 * (length > NEXT_RUN.drives.max_overtime * duration)  # only if no other is left
+    nats = nats * np.minimum(duration / length, 1.0)  # a longer drive gets no credit for the extra time
+    score = np.log1p(nats / NEXT_RUN.forecast.half_weight_nats).sum(axis=0)  # each question counts
+    score -= 1e3 * (length > NEXT_RUN.drives.max_overtime * duration)  # only as a last resort
     return nats, score
 
 
@@ -187,7 +196,7 @@ def expected_evidence(
     robot: Robot,
     duration: float,
 ) -> Floats:
-    """Return the nats (n_questions, n_drives) that whole drives are expected to bring."""
+    """Return the expected evidence (n_questions, n_drives) [nats] of whole drives."""
     out, scans = np.zeros((len(questions), len(drives))), planned_scans(drives, arena, robot, duration)
     for i, question in enumerate(questions):
         forecast = EvidenceForecast(question, scans)
@@ -199,7 +208,7 @@ def expected_evidence(
 
 
 def _motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
-    """Return some moments of a motion, there and back, spread over the run."""
+    """Return sample moments of a motion, back and forth, spread over the run."""
     limits, settings = robot.limits, NEXT_RUN.candidates
     n_samples = settings.n_samples
     x, y = motion.place
@@ -217,13 +226,13 @@ def _motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> M
         poses = np.stack([np.full(n, x), np.full(n, y), phi], axis=1)
         omega = np.where(np.arange(n) % 2, -1.0, 1.0) * limits.omega
         twists = np.stack([np.zeros(n), omega], axis=1)
-    golden = 0.618  # multiples of it modulo 1 fill 0 ... 1 evenly: a motion comes early and late in the run
+    golden = 0.618  # multiples of it modulo 1 fill 0 ... 1 evenly: samples are early and late in the run
     times: Floats = np.asarray(duration * ((np.arange(len(poses)) * golden) % 1.0))
     return MotionSamples(poses=poses, twists=twists, times=times, duration=1.0)
 
 
 def _drive_samples(curve: Curve) -> MotionSamples:
-    """Return moments of a whole drive, evenly in time."""
+    """Return sample moments of a whole drive, evenly spaced in time."""
     n = max(int(curve.duration / NEXT_RUN.drives.sample_interval), NEXT_RUN.drives.min_samples)
     stamps = (np.arange(n) + 0.5) / n * curve.duration
     poses, twists, _ = curve.sample(stamps)
@@ -233,34 +242,34 @@ def _drive_samples(curve: Curve) -> MotionSamples:
 def _explanation(
     question: OpenQuestion, motions: Sequence[CandidateMotion], arena: Arena, robot: Robot
 ) -> str:
-    """Say what the run does and why."""
+    """Return what the run does and why, in words."""
     phrases = [_phrase(motion, arena, robot) for motion in motions[:MAX_DESCRIBED]]
     more = f" and {len(motions) - MAX_DESCRIBED} more" if len(motions) > MAX_DESCRIBED else ""
     return f"{'; '.join(phrases)}{more}: {question.text}? {question.hint}"
 
 
 def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
-    """Say what one motion does."""
+    """Return what one motion does, in words."""
     at = f"({motion.place[0]:.1f}, {motion.place[1]:.1f})"
     if motion.kind is MotionKind.SPIN:
-        return f"spins both ways at {at}"
+        return f"spins in both directions at {at}"
     facing = _faced_wall(arena, motion)
     if motion.kind is MotionKind.SWEEP:
         degrees = np.degrees(NEXT_RUN.candidates.sweep_angle)
         return f"turns fast {degrees:.0f} degrees to either side at {at}, facing {facing}"
     x, y = motion.end
-    return f"drives to and fro at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {facing}"
+    return f"drives back and forth at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {facing}"
 
 
 def _remark_if_easy(median: float) -> str:
-    """Say so if any run would decide the question."""
+    """Return a remark if any run would decide the question."""
     if median < NEXT_RUN.forecast.decided_nats:
         return ""
-    return f" (any lively run would tell: a median random one is expected to bring {median:,.0f} nats)"
+    return f" (most random drives would also decide this: their median expected log Bayes factor is {median:,.0f})"
 
 
 def _faced_wall(arena: Arena, motion: CandidateMotion) -> str:
-    """Return the name of the wall that the robot looks at."""
+    """Return the name of the wall that the robot faces."""
     pose = np.array([[*motion.place, motion.heading]])
     _, wall = cast_laser(arena.walls, pose, np.zeros(1), 1e4)
     index = int(wall[0, 0])

@@ -1,4 +1,4 @@
-"""Motions become one closed-form curve, with the ways between them; and random driving, to compare with."""
+"""Join motions into one closed-form curve, with the paths between them; generate random drives for comparison."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def build_drives(
     start: Floats | None,
     seed: int,
 ) -> list[Drive]:
-    """Build drives of the motions with most time, in versions that differ in how many motions and rounds they have.
+    """Build drives from the motions with the most time, in versions with different numbers of motions and rounds.
 
     Parameters
     ----------
-    allocations : each (n_motions,) [s], one way of dividing the time among the motions
-    duration : [s] of a drive
-    start : (3,) [m, m, rad] where the robot stands; None: at the first motion
+    allocations : (n_motions,) [s] each, divisions of the time among the motions.
+    duration : [s] Of a drive.
+    start : (3,) [m, m, rad] Where the robot stands; None: at the first motion.
 
     Raises
     ------
-    PlanError : no motion can be reached from the start
+    PlanError : No motion can be reached from the start.
     """
     settings = NEXT_RUN.drives
     out: list[Drive] = []
@@ -63,7 +63,7 @@ def build_drives(
 
 
 class DriveBuilder:
-    """Builds a drive of motions one after another, with the ways between them."""
+    """Builds a drive from consecutive motions, with the paths between them."""
 
     def __init__(self, space: DrivableSpace, duration: float, start: Floats | None, seed: int) -> None:
         self.space, self.duration, self.start, self.seed = space, duration, start, seed
@@ -71,7 +71,7 @@ class DriveBuilder:
         self.curve_builder = CurveBuilder(np.zeros(3), self.limits)
 
     def add(self, motions: Sequence[CandidateMotion], share: Floats, rounds: int) -> list[CandidateMotion]:
-        """Add the motions by their shares (n,) of the time, as long as time is left; return those that were added."""
+        """Add motions by their shares (n,) of the time, until no time is left; return those that were added."""
         tour = _nearest_neighbour_tour([m.place for m in motions], self.start)
         first = motions[tour[0]]
         begin = np.array([*first.place, first.heading]) if self.start is None else self.start
@@ -133,14 +133,14 @@ class DriveBuilder:
                 return
 
     def _reach(self, speed: float, acceleration: float) -> float:
-        """Return how far [m, rad] a motion may go in the time that is left; a little, if there is none."""
+        """Return the extent [m, rad] of a motion in the remaining time; at least a small one."""
         return max(
             speed * (self.duration - self.curve_builder.clock - speed / acceleration),
             0.2 * speed,  # [s] times speed
         )
 
     def _drive_to(self, place: Floats) -> bool:
-        """Drive to a place (2,) [m]; False if there is no way."""
+        """Drive to a place (2,) [m]; return False if there is no path."""
         builder = self.curve_builder
         if np.hypot(*(place - builder.pose[:2])) < 1e-6:
             return True
@@ -156,7 +156,7 @@ class DriveBuilder:
         return True
 
     def _path(self, here: Floats, there: Floats) -> Floats | None:
-        """Return the shortest path (n, 2) over places that see each other; by OMPL if there is none."""
+        """Return the shortest path (n, 2) over mutually visible places; without one, a path of OMPL."""
         space, settings = self.space, NEXT_RUN.drives
         if space.are_clear(here[None], there[None])[0]:
             return np.array([here, there])
@@ -180,7 +180,7 @@ class DriveBuilder:
 
 
 def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats | None) -> list[int]:
-    """Order places by going to the nearest one next."""
+    """Order places by always going to the nearest one next."""
     here = np.array(places[0] if start is None else start[:2])
     left, out = list(range(len(places))), []
     while left:
@@ -192,7 +192,7 @@ def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats
 
 
 def random_drive(space: DrivableSpace, rng: np.random.Generator, duration: float) -> Curve:
-    """Drive between random places at random speeds for `duration` [s], with a spin or a pause now and then."""
+    """Drive between random places at random speeds for `duration` [s], with occasional spins and pauses."""
     settings, limits, nodes = NEXT_RUN.random, space.robot.limits, space.nodes
     builder = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
     while builder.clock < duration:

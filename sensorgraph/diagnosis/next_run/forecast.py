@@ -1,9 +1,12 @@
-"""How much evidence between two models a drive is expected to bring, before it is driven.
+"""Predict the evidence between two models that a drive will bring.
 
-Per ray: half the squared difference of what both models expect, over the variance, after poses, nuisances and the
-smooth parameters of the wrong model are refitted; plus the Kullback-Leibler divergence of the chances of a return.
-For given refitted values the sum over scans is linear in time, so that the best allocation of time among motions is a
-concave problem (`time_allocation`).
+    nats = min over x of  constant + (squares - 2 right'x + x'matrix x) / 2 + |g / tau|² / 2,   x = (g, p)
+
+The nuisances g, with prior standard deviations tau, and the smooth parameters p of the wrong model are
+refitted; pose errors are eliminated. Each ray contributes half the squared difference of the two expected
+readings over the variance, and the Kullback-Leibler divergence of the return probabilities. At fixed x, the
+sum over scans is linear in time, so that the best allocation of time among motions is a concave problem
+(`time_allocation`).
 """
 
 from __future__ import annotations
@@ -32,20 +35,20 @@ Model = tuple[Amendment, ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenQuestion:
-    """Two models that the next run should tell apart."""
+    """Two models that the next run should distinguish."""
 
     truth: Model
-    """The model that is taken for true."""
+    """Model that is taken as true."""
     alternative: Model
     text: str
-    """What is asked: `latency or mounting offset`."""
+    """The question: `latency or mounting offset`."""
     hint: str = ""
-    """What tells them apart."""
+    """What distinguishes them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionSamples:
-    """Some moments of a motion."""
+    """Sample moments of a motion."""
 
     poses: Floats
     """(n, 3) [m, m, rad]"""
@@ -54,12 +57,17 @@ class MotionSamples:
     times: Floats
     """(n,) [s] since the start of the run."""
     duration: float
-    """[s] that these moments stand for."""
+    """[s] duration that these moments represent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EvidenceQuadratic:
-    """Evidence [nats] as a quadratic function of the refitted values x (k,): of a second of a motion, or of a drive."""
+    """Evidence [nats] of a second of a motion, or of a drive, as a function of the refitted values x (k,).
+
+        constant + (squares - 2 right'x + x'matrix x) / 2
+
+    All coefficients are proportional to time.
+    """
 
     matrix: Floats
     """(k, k) normal matrix."""
@@ -68,7 +76,7 @@ class EvidenceQuadratic:
     squares: float
     """Sum of the weighted squared residuals at x = 0."""
     constant: float
-    """[nats] that no refit takes away."""
+    """[nats] part that no refit reduces."""
 
     def __mul__(self, factor: float) -> EvidenceQuadratic:
         return EvidenceQuadratic(
@@ -87,18 +95,18 @@ class EvidenceQuadratic:
         )
 
     def at(self, x: Floats) -> float:
-        """Return the nats that remain at refitted values x (k,)."""
+        """Return the evidence [nats] that remains at refitted values x (k,)."""
         return self.constant + 0.5 * float(self.squares - 2 * self.right @ x + x @ self.matrix @ x)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedScans(ScanData):
-    """Scans that nobody has taken: each at its own pose, with its own twist. Questions share them, and what is cast."""
+    """Planned scans, each with its own pose and twist. Questions share them and their casts."""
 
     motions: Sequence[MotionSamples]
-    """Whose moments they are, one motion after the other."""
+    """Motions that they sample, one after the other."""
     rays_per_cast: float
-    """Rays of the sensor that each ray stands for."""
+    """Number of sensor rays that each ray represents."""
 
     def motion(self, times: Floats) -> Floats:
         """Return poses (..., 3) at times (n_scans, ...) [s] near the stamps of the scans."""
@@ -111,7 +119,7 @@ class PlannedScans(ScanData):
 
 
 class EvidenceForecast:
-    """The expected evidence of many motions between the two models of a question."""
+    """Expected evidence of many motions between the two models of a question."""
 
     def __init__(self, question: OpenQuestion, scans: PlannedScans) -> None:
         self.motions, self.rate = scans.motions, scans.sensor.rate
@@ -152,7 +160,7 @@ class EvidenceForecast:
         return out
 
     def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
-        """Return the nuisances and parameters (k,) with which the alternative does best."""
+        """Return the nuisances and parameters (k,) at which the alternative fits best."""
         g, p = boxed(
             quadratic.matrix, quadratic.right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked
         )
@@ -168,11 +176,11 @@ class EvidenceForecast:
 def planned_scans(
     motions: Sequence[MotionSamples], arena: Arena, robot: Robot, run_duration: float
 ) -> PlannedScans:
-    """Return scans at all moments, with fewer rays.
+    """Return scans at all sample moments, with fewer rays.
 
     Parameters
     ----------
-    run_duration : [s] of the whole run, over which effects that change with time change
+    run_duration : [s] Of the whole run, over which time-dependent effects change.
     """
     poses = np.concatenate([m.poses for m in motions])
     v, omega = np.concatenate([m.twists for m in motions]).T
@@ -199,7 +207,7 @@ def planned_scans(
 
 
 def _noise_free_readings(expected: ExpectedReadings, data: ScanData) -> Floats:
-    """Return the readings (n_scans, n_rays) [m] without noise; inf where no return is the likelier outcome."""
+    """Return the readings (n_scans, n_rays) [m] without noise; inf where no return is more likely."""
     with np.errstate(invalid="ignore"):
         seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
     return np.where(seen, expected.reading, np.inf)
@@ -208,12 +216,12 @@ def _noise_free_readings(expected: ExpectedReadings, data: ScanData) -> Floats:
 def _weights(
     solver: Solver, truth: ExpectedReadings, data: ScanData, same_wall: Bools, variance_ratio: Floats
 ) -> tuple[Floats, Floats]:
-    """Return weights [1/m²] of the rays with a small difference, and the nats of those with a large one.
+    """Return weights [1/m²] of rays with a small difference, and the evidence [nats] of those with a large one.
 
     Parameters
     ----------
-    same_wall : (n_scans, n_rays) both models see the same wall, along a straight ray
-    variance_ratio : variance of the readings under the true model over that under the alternative
+    same_wall : (n_scans, n_rays) Both models see the same wall, along a straight ray.
+    variance_ratio : Variance of the readings under the true model over that under the alternative.
     """
     settings, expected = NEXT_RUN.forecast, solver.expected
     sigma = expected.sigma
@@ -233,7 +241,7 @@ def _weights(
 
 
 def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
-    """Return the chance of a return (n_scans, n_rays), never quite 0 or 1."""
+    """Return the probability of a return (n_scans, n_rays), limited away from 0 and 1."""
     p_lost = NEXT_RUN.forecast.p_lost
     aimed = np.isfinite(expected.reading)
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)

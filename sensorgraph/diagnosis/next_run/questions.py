@@ -1,4 +1,4 @@
-"""Which questions the next run should answer: two models each, of which one is taken for true."""
+"""Questions for the next run: pairs of models, of which one is taken as true."""
 
 from __future__ import annotations
 
@@ -18,16 +18,20 @@ LONGER_THAN_ANY_WALL = 1e3
 def open_questions(
     result: ChannelResult, model: Sequence[Amendment], rivals: Sequence[Amendment]
 ) -> list[OpenQuestion]:
-    """Return what a run leaves open in the scan channel, the most important question first.
+    """Return the open questions of the scan channel, most important first.
 
-    In this order: whether a rival within `decided_nats` explains the scans instead; whether an effect is there that
-    this run could not have shown anywhere; how large the least certain effect is; whether an effect is there that
-    this run could not have shown at some places.
+    The first of these that applies:
+
+    1. Does a rival within `decided_nats` explain the scans instead?
+    2. Is an effect present that this run could not have shown anywhere?
+    3. What is the size of the least certain effect?
+    4. Is an effect present that this run could not have shown at some places?
+    5. Is one of the usual effects (`question_rank`) present?
 
     Parameters
     ----------
-    model : the accepted effects
-    rivals : of each effect the second best explanation, in the order of `result.rivals`
+    model : The accepted effects.
+    rivals : Second-best explanation of each effect, in the order of `result.rivals`.
     """
     most = NEXT_RUN.forecast.max_questions
     accepted = tuple(model)
@@ -43,7 +47,7 @@ def open_questions(
     if accepted:
         worst = max(accepted, key=_relative_stderr)
         rest = tuple(a for a in accepted if a is not worst)
-        text, hint = f"how large is the effect of {_called(worst)}", f"it varies with {worst.effect.varies}"
+        text, hint = f"what is the size of the {_called(worst)}", f"it varies with {worst.effect.varies}"
         return [OpenQuestion(truth=accepted, alternative=rest, text=text, hint=hint)]
     somewhere = [_is_there(one, accepted, why) for _, why, one in hidden if one is not None]
     if somewhere:
@@ -58,7 +62,7 @@ def open_questions(
 def _undecided(
     result: ChannelResult, accepted: tuple[Amendment, ...], rivals: Sequence[Amendment]
 ) -> list[OpenQuestion]:
-    """Return the questions of rivals that the run does not decide against, the closest first."""
+    """Return the questions about rivals that the run does not exclude, closest first."""
     evidence = {a.name: a.evidence or 0.0 for a in result.effects}
     found = []
     for named, rival in zip(result.rivals, rivals, strict=True):
@@ -71,14 +75,14 @@ def _undecided(
 
 
 def _is_there(unseen: Amendment, accepted: tuple[Amendment, ...], why: str) -> OpenQuestion:
-    """Ask whether a further effect is there, of a size that should show."""
-    hint = f"this time {why}" if why else f"it varies with {unseen.effect.varies}"
+    """Return the question whether a further effect of observable size is present."""
+    hint = f"in this run: {why}" if why else f"it varies with {unseen.effect.varies}"
     text = f"is there any {_called(unseen)}"
     return OpenQuestion(truth=(*accepted, unseen), alternative=accepted, text=text, hint=hint)
 
 
 def between(truth: Sequence[Amendment], alternative: Sequence[Amendment]) -> OpenQuestion:
-    """Ask which of two models holds; they differ in their last effect."""
+    """Return the question which of two models holds; they differ in their last effect."""
     one, other = truth[-1], alternative[-1]
     return OpenQuestion(
         truth=tuple(truth),
@@ -89,11 +93,11 @@ def between(truth: Sequence[Amendment], alternative: Sequence[Amendment]) -> Ope
 
 
 def typical_effect(name: str, why: str = "") -> Amendment | None:
-    """Return an effect at a size that should show; None where it has no such size, or its place is not known.
+    """Return an effect of observable size; None if it has no such size or its place is unknown.
 
     Parameters
     ----------
-    why : why a run could not show it, as `not_observable` says; the effect sits at the first place that it names
+    why : Reason from `not_observable`. The effect is placed at the first place in it.
     """
     effect = EFFECTS[name]
     values = effect.typical(SCAN.observability.size)
@@ -107,7 +111,7 @@ def typical_effect(name: str, why: str = "") -> Amendment | None:
 
 
 def _relative_stderr(a: Amendment) -> float:
-    """Return the largest standard error of its sizes, over their materiality."""
+    """Return the largest standard error of the sizes of an effect, divided by their materiality."""
     sizes = a.effect.sizes
     return max((a.stderr.get(k, 0.0) / m for k, m in sizes.items()), default=0.0)
 

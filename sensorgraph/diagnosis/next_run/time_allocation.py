@@ -1,4 +1,10 @@
-"""How much of the time of a run each motion gets, so that together they bring the most evidence."""
+"""Allocate the time of a run among motions, so that together they bring the most evidence.
+
+    maximise  sum over questions of log(half_weight_nats + nats)   subject to   sum of time = duration, time >= 0
+
+The evidence nats of a question is the minimum, over the refitted values, of functions that are linear in time
+(`forecast`). It is therefore concave in time, and so is the sum.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +24,17 @@ def allocate_time(
     duration: float,
     allowed: slice,
 ) -> Floats:
-    """Allocate the time of a run (n,) [s] among the `allowed` motions.
+    """Allocate the time of a run (n,) [s] among the `allowed` motions, by the Frank-Wolfe method.
 
-    Maximises the sum over questions of log(half_weight_nats + nats) by Frank and Wolfe's method (Naval Research
-    Logistics Quarterly 3, 1956), so that no question is forgotten for another.
+        time <- (1 - size) time + size duration e_best,   size = 2 / (step + 3)
+
+    e_best is the motion with the steepest gain (Frank and Wolfe, Naval Research Logistics Quarterly 3, 1956).
+    The logarithm in the objective gives each question a share of the time.
 
     Parameters
     ----------
-    per_second : the evidence of one second of each motion, for each question
-    duration : [s] of the run
+    per_second : Evidence of one second of each motion, for each question.
+    duration : [s] Of the run.
     """
     out = np.zeros(len(per_second[0].squares))
     time = out[allowed]  # a view
@@ -38,7 +46,7 @@ def allocate_time(
         for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
             x = forecast.refitted(total)
             slope += quadratics.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(total.at(x), 0.0))
-        size = 2.0 / (step + 3.0)  # of Frank and Wolfe
+        size = 2.0 / (step + 3.0)
         best = int(slope.argmax())
         time *= 1 - size
         time[best] += size * duration
@@ -51,7 +59,7 @@ def allocate_time(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class QuadraticsOfMotions:
-    """The quadratics of n motions as arrays with n as the first axis."""
+    """Quadratics of n motions, as arrays with n as the first axis."""
 
     matrix: Floats
     """(n, k, k)"""
@@ -100,5 +108,5 @@ class QuadraticsOfMotions:
         )
 
     def at(self, x: Floats) -> Floats:
-        """Return the nats per second (n,) at refitted values x (k,)."""
+        """Return the evidence per second (n,) [nats] at refitted values x (k,)."""
         return np.asarray(self.constant + 0.5 * (self.squares - 2 * self.right @ x + (self.matrix @ x) @ x))
