@@ -19,7 +19,7 @@ def test_a_base_with_a_clock_of_its_own_is_one_doubt_and_no_two_names(shift: flo
     assert odometry.effects == drive.effects == ()
     assert odometry.unknown is not None and drive.unknown is None
     when = "after" if shift < 0 else "before"
-    assert f"the poses come 100 ms {when} both" in odometry.unknown.statement
+    assert f"the poses come 100 ms {when} commands and odometry" in odometry.unknown.statement
     assert odometry.unknown.families[0].startswith("the clock of the base")
 
 

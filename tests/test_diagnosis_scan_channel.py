@@ -83,7 +83,7 @@ def test_a_mount_that_the_reference_may_be_is_neither_found_nor_within_tolerance
     found = diagnose(run, hall, parse_robot("sensor: {n_rays: 61}"), plan_next=False).channels["scan"]
     assert [a.name for a in found.effects] == (["mount_xy"] if evidence > 12 else [])
     assert "mount_xy" not in [a.name for a in found.within_tolerance]
-    assert ("wanders" in found.not_observable.get("mount_xy", "")) is (evidence < 12)
+    assert ("drifts" in found.not_observable.get("mount_xy", "")) is (evidence < 12)
 
 
 def test_without_a_robot_file_nothing_is_stated_and_the_height_is_the_logs() -> None:

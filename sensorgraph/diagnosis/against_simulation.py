@@ -1,4 +1,4 @@
-"""Diagnose a run against a log of the user's own simulator: what differs between the two."""
+"""Diagnose a run against a log of the user's own simulator: the differences between the two."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def diagnose_against_simulation(
     progress: ProgressBars = no_progress,
     **options: Any,
 ) -> Finding:
-    """Name what a run of the robot shows and a run of the user's simulator does not.
+    """Name the effects that a run of the robot shows and a run of the user's simulator does not.
 
     Parameters
     ----------
-    simulation : driven in the user's simulator, in the same arena, along any way
-    name : of the simulation's log, for messages
-    known : effects that are part of the model already
-    options : of `diagnose`
+    simulation : A run in the user's simulator, in the same arena, along any path.
+    name : Of the simulation's log, for messages.
+    known : Effects that are already part of the model.
+    options : Of `diagnose`.
 
     Raises
     ------
     SensorgraphError
-        Either run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
+        A run is too short, has no returns or no poses, has poses that jump, or is of another sensor or place.
     """
     try:
         theirs = diagnose(
@@ -63,7 +63,7 @@ def diagnose_against_simulation(
         raise SensorgraphError(f"{name}: {exc}") from exc
     if theirs.explained is None:
         raise SensorgraphError(
-            f"{name}: {theirs.intake['arena']}; give a simulation that was driven in the same arena"
+            f"{name}: {theirs.intake['arena']}; give a simulation recorded in the same arena"
         )
     ours = diagnose(
         run, arena, robot, known=known, simulated=theirs.effects, force=force, progress=progress, **options
@@ -97,7 +97,7 @@ def compared_with(ours: Finding, theirs: Finding, name: str) -> SimulationCompar
 
 
 def _with_comparison(finding: Finding, compared: SimulationComparison) -> Finding:
-    """Return the finding with its comparison; a doubt that both share is no difference."""
+    """Return the finding with its comparison; unmodelled structure that both show is not a difference."""
     channels = {
         name: replace(one, unknown=None) if is_same_unknown(one.unknown, compared.unknown) else one
         for name, one in finding.channels.items()

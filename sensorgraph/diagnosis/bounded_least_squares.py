@@ -1,12 +1,14 @@
-"""Least squares with bounds: the minimum of a convex quadratic over a box.
+"""Least squares with bounds: minimise a convex quadratic over a box.
 
     minimise  x'Hx / 2 - c'x   subject to   low <= x <= high
 
-Block principal pivoting, which changes all bounds at once that should be changed: Júdice and Pires (1994), "A block principal
-pivoting algorithm for large-scale strictly monotone linear complementarity problems", Computers & Operations Research 21.
-Where that does not come nearer, a primal active-set method, which ends for certain: Stark and Parker (1995),
-"Bounded-variable least squares: an algorithm and applications", Computational Statistics 10; Björck (1996), Numerical
-Methods for Least Squares Problems, section 5.2.
+At the optimum, the slope c - Hx is zero for free unknowns and points outward at active bounds.
+
+Block principal pivoting exchanges all wrong bounds at once: Júdice and Pires (1994), "A block principal
+pivoting algorithm for large-scale strictly monotone linear complementarity problems", Computers & Operations
+Research 21. If it does not converge, a primal active-set method takes over, which terminates: Stark and
+Parker (1995), "Bounded-variable least squares: an algorithm and applications", Computational Statistics 10;
+Björck (1996), Numerical Methods for Least Squares Problems, section 5.2.
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ from scipy.linalg.lapack import dposv
 from sensorgraph.types import Bools, Floats
 
 PATIENCE = 3
-"""Exchanges of bounds in a row that may leave no fewer wrong ones than the best before."""
+"""Maximum number of successive exchanges of bounds that do not reduce the number of wrong ones."""
 ROUND_OFF = 64 * float(np.finfo(np.float64).eps)
-"""A slope below this share of the terms it is summed from is zero."""
+"""Share of the terms of a slope, below which their sum counts as zero."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoundedOptimum:
-    """Where a convex quadratic is least within bounds."""
+    """Minimum of a convex quadratic within bounds."""
 
     x: Floats
     """(k,)"""
@@ -40,20 +42,21 @@ def solve_bounded(
 ) -> BoundedOptimum:
     """Minimise x'Hx / 2 - c'x within bounds.
 
-    Solve without bounds, clamp all that lies beyond them and release all whose multiplier has the wrong sign, and solve
-    again, until nothing does: a few solutions. Should that go in circles, what lies beyond is clamped, and bounds are
-    released one at a time, where every step descends, so that the method ends at the optimum after finitely many steps.
+    Solve without bounds, clamp all unknowns beyond a bound, release all with a multiplier of the wrong sign,
+    and repeat until none remains. This takes a few solutions. If the exchange cycles, clamp first, and then
+    release one bound at a time. Each step then descends, so that the method ends at the optimum after
+    finitely many steps.
 
     Parameters
     ----------
-    H : (k, k) symmetric, positive definite; if it is singular, c must lie in its range, as in least squares
+    H : (k, k) Symmetric, positive definite. If it is singular, c must lie in its range, as in least squares.
     c : (k,)
-    low, high : (k,) may be infinite; an unknown with low == high is held there
-    start : optimum of a similar problem with the same bounds, whose active bounds are tried first
+    low, high : (k,) May be infinite. An unknown with low == high is fixed.
+    start : Optimum of a similar problem with the same bounds. Its active bounds are tried first.
 
     Returns
     -------
-    BoundedOptimum with x (k,) and is_free (k,)
+    BoundedOptimum with x (k,) and is_free (k,).
     """
     can_move = low < high
     x = np.where(can_move, 0.0 if start is None else start.x, high)
@@ -69,8 +72,8 @@ def solve_bounded(
         free &= ~beyond
     if (free == can_move).all():
         return BoundedOptimum(x=x, is_free=free)
-    stuck = np.zeros_like(free)  # released, but round-off sent them back: left alone until another one moves
-    for _ in range(10 * len(c)):  # exact arithmetic needs no limit: no set of bounds comes twice
+    stuck = np.zeros_like(free)  # released, but returned by round-off: skipped until another one moves
+    for _ in range(10 * len(c)):  # exact arithmetic needs no limit: no set of bounds occurs twice
         worst = _wrongly_held(H, c, x, low, can_move & ~free & ~stuck)
         if worst is None:
             break
@@ -84,14 +87,14 @@ def solve_bounded(
 
 
 class BorderedProblem:
-    """A bounded problem that is solved once, then with a few unknowns without bounds beside its own.
+    """A bounded problem that is solved once, and then with a few additional unknowns without bounds.
 
-    Where they leave the active bounds as they are, an answer costs a solution with the factor at hand instead of a
-    new factor (the Schur complement of the border); elsewhere all is solved again, from those bounds.
+    If these do not change the active bounds, the existing factor gives the solution (Schur complement of the
+    border). Otherwise the problem is solved again, starting from the active bounds.
 
     Parameters
     ----------
-    H, c, low, high : as `solve_bounded` takes them
+    H, c, low, high : As in `solve_bounded`.
     """
 
     def __init__(self, H: Floats, c: Floats, low: Floats, high: Floats) -> None:
@@ -104,13 +107,15 @@ class BorderedProblem:
             self._factor = None
 
     def with_border(self, across: Floats, corner: Floats, d: Floats) -> Floats:
-        """Return the optimum of all unknowns, the further ones last.
+        """Return the optimum (x, z) of all unknowns, the additional ones z last.
+
+            minimise  x'Hx / 2 + x' across z + z' corner z / 2 - c'x - d'z
 
         Parameters
         ----------
-        across : (n, k) products of the problem's own n unknowns with the k further ones
-        corner : (k, k) products of the further ones with each other
-        d : (k,) continues c
+        across : (n, k) Products of the n own unknowns with the k additional ones.
+        corner : (k, k) Products of the additional ones with each other.
+        d : (k,) Continues c.
         """
         k = across.shape[1]
         x, free = self.optimum.x.copy(), self.optimum.is_free
@@ -130,7 +135,7 @@ class BorderedProblem:
         return solve_bounded(H, np.concatenate([self.c, d]), low, high, start).x
 
     def _is_optimal(self, x: Floats, c: Floats) -> bool:
-        """Return whether x lies within the bounds and none that is active should be released."""
+        """Return whether x lies within the bounds and no active bound should be released."""
         if (x < self.low).any() or (x > self.high).any():
             return False
         held = ~self.optimum.is_free & (self.low < self.high)
@@ -140,9 +145,9 @@ class BorderedProblem:
 def _exchange_blocks(
     H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Floats, can_move: Bools
 ) -> bool:
-    """Clamp and release all unknowns that ask for it, time and again; x and free change in place.
+    """Exchange all wrong bounds, repeatedly; x and free change in place.
 
-    Returns whether that has come to the optimum.
+    Returns whether this reached the optimum.
     """
     fewest, patience = len(c) + 1, PATIENCE
     while True:
@@ -165,14 +170,14 @@ def _exchange_blocks(
 
 
 def _solve(H: Floats, c: Floats, x: Floats, free: Bools) -> Floats:
-    """Return the optimum of the free unknowns, the others where they are in x."""
+    """Return the optimum of the free unknowns; the others keep their values in x."""
     some, rest = np.flatnonzero(free), np.flatnonzero(~free)
     rows = H[some]
     left, right = rows[:, some], c[some] - rows[:, rest] @ x[rest]
     _, solution, failed = dposv(left, right, lower=1)
     if failed == 0:
         if not np.isfinite(solution).all():
-            raise ValueError("the normal equations hold numbers that are not finite")
+            raise ValueError("the normal equations contain values that are not finite")
         return np.asarray(solution, dtype=np.float64)
     return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], dtype=np.float64)
 
@@ -185,7 +190,7 @@ def _wrongly_held(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> 
 
 
 def _gains_of_release(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> Floats:
-    """Return what the release of each unknown (k,) at a bound gains to first order; 0 where it would go beyond."""
+    """Return the first-order gain (k,) of releasing each unknown at a bound; 0 where it would leave the box."""
     if not held.any():
         return np.zeros(len(c))
     slope = c - H @ x  # minus the gradient; the multiplier of an active bound
@@ -195,7 +200,7 @@ def _gains_of_release(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools)
 
 
 def _descend(H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Floats) -> None:
-    """Move x to the optimum of the free unknowns, stopping at each bound on the way; x and free change in place."""
+    """Move x to the optimum of the free unknowns, stopping at each bound; x and free change in place."""
     while free.any():
         target = x.copy()
         target[free] = _solve(H, c, x, free)

@@ -1,9 +1,13 @@
-"""Commissioning: learn the baseline of a site from runs that are known to be good.
+"""Commissioning: learn the baseline of a site from known-good runs.
 
-A map made of scans, poses made of the same scans and a room full of chairs leave residuals that no robot.yaml
-describes. A run from the day when all was well has them too: how noisy readings are, how many are lost or stray, how
-far its poses jitter, how much evidence each effect of the library picks up from clutter alone, and how large it seems.
-All that becomes the `SiteBaseline`, so that a later run is asked only for the difference.
+A map built from scans, poses located with the same scans and a room full of chairs leave residuals that no
+robot.yaml describes. Known-good runs have the same residuals. They show
+
+- the noise of the readings, and the shares of missing returns and outliers,
+- the jitter of the poses,
+- the evidence and the size that clutter alone gives to each effect of the library.
+
+The `SiteBaseline` holds these values, so that only differences from them are reported for a later run.
 """
 
 from __future__ import annotations
@@ -44,16 +48,16 @@ logger = logging.getLogger(__name__)
 def commission_all(
     runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0, progress: Progress | None = None
 ) -> SiteBaseline:
-    """Learn the baseline of a site from one run that is known to be good, or from several.
+    """Learn the baseline of a site from one or several known-good runs.
 
     Parameters
     ----------
-    seed : of the replicates
+    seed : Of the simulated replicates.
 
     Raises
     ------
     SensorgraphError
-        A run is too short, has no returns or no poses, or another sensor than the robot.
+        A run is too short, has no returns or no poses, or has another sensor than the robot.
     """
     if len(runs) == 1:
         return commission(runs[0], arena, robot, seed=seed, progress=progress)
@@ -80,18 +84,18 @@ def commission(
     known: Sequence[Amendment] | None = None,
     progress: Progress | None = None,
 ) -> SiteBaseline:
-    """Learn the baseline of a site from a run that is known to be good.
+    """Learn the baseline of a site from a known-good run.
 
     Parameters
     ----------
-    seed : of the replicates
-    known : what several runs show together, part of the simulator; None: this run is alone, so that what it shows
-        itself is, and its halves tell the tolerances
+    seed : Of the simulated replicates.
+    known : Effects that several runs share, as part of the simulator. None: there is only this run. Its own
+        effects become part of the simulator, and its halves determine the tolerances.
 
     Raises
     ------
     SensorgraphError
-        The run is too short, has no returns or no poses, or another sensor than the robot.
+        The run is too short, has no returns or no poses, or has another sensor than the robot.
     """
     return learnt(prepared(run, arena, robot), robot, seed=seed, known=known, progress=progress)
 
@@ -104,7 +108,7 @@ def learnt(
     known: Sequence[Amendment] | None,
     progress: Progress | None,
 ) -> SiteBaseline:
-    """Learn the baseline from `prepared` scans."""
+    """Learn the baseline from scans of `prepared`."""
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
     cuts = SCAN.site.windows[:2] if known is None else SCAN.site.windows[:1]
     n_windows = sum(
@@ -146,7 +150,7 @@ def learnt(
 
 
 def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
-    """Return the scans of a good run, with the lattice of its readings and the tolerances of its poses."""
+    """Return the scans of a known-good run, with the resolution of its readings and its pose tolerances."""
     pixels = RasterMap.of(arena) if is_raster(arena) else None
     if pixels is not None:
         arena, robot = pixels.arena, pixels.widened(robot)
@@ -162,7 +166,7 @@ def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
 
 
 def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
-    """Put together what several good runs of a site show, all with the same effects known."""
+    """Merge the baselines of several known-good runs, all with the same known effects."""
     first = several[0]
     tolerances = [b.robot.tolerances for b in several]
     merged_tolerances = replace(
@@ -199,7 +203,7 @@ def _hull(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def window_estimate(data: ScanData, bounds: NoiseBounds, rng: np.random.Generator) -> WindowEstimate:
-    """Look at one window of a good run as if it were a run under test."""
+    """Evaluate one window of a known-good run like a run under test."""
     null = fit(data, (), start_state(data, bounds), bounds, outer=1, inner=7)
     gains, sizes = clutter_gains(data, null, bounds)
     smooth, stderrs = single_effects(null)
@@ -214,7 +218,7 @@ def window_estimate(data: ScanData, bounds: NoiseBounds, rng: np.random.Generato
 
 
 def hidden_by_scraps(arena: Arena) -> tuple[str, ...]:
-    """Return the effects of whole walls and of true edges, where the map is made of scraps; else none."""
+    """Return the effects of whole walls and of edges if the map consists of short fragments; otherwise none."""
     size = np.hypot(*(arena.walls[:, 1] - arena.walls[:, 0]).T)
     if len(size) == 0 or np.median(size) > SCAN.site.min_wall:
         return ()
@@ -224,7 +228,7 @@ def hidden_by_scraps(arena: Arena) -> tuple[str, ...]:
 
 
 def site_effects(data: ScanData) -> tuple[Amendment, ...]:
-    """Fit the effects that a site may always show, one after another, as long as each is worth its price."""
+    """Fit the effects that a site may always show, one after another, while the evidence suffices."""
     noise = SCAN.site.wide_noise
     current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
     left = site_starts()
@@ -240,9 +244,9 @@ def site_effects(data: ScanData) -> tuple[Amendment, ...]:
 
 
 def range_effects(data: ScanData) -> tuple[Amendment, ...]:
-    """Fit the bias and the scale that a site may always show, together.
+    """Fit the range bias and the range scale that a site may always show, jointly.
 
-    Not the noise: a mean over runs would hide what a calm run can tell.
+    The noise is not included: a mean over runs would hide the small noise of a calm run.
     """
     noise = SCAN.site.wide_noise
     current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
@@ -253,13 +257,13 @@ def range_effects(data: ScanData) -> tuple[Amendment, ...]:
 
 
 def site_starts() -> list[Amendment]:
-    """Return the effects that a site may always show, where their fit starts."""
+    """Return the effects that a site may always show, at the start values of their fit."""
     starts = {name: effect.diagnostics.site_start for name, effect in EFFECTS.items()}
     return [EFFECTS[name](**values) for name, values in starts.items() if values is not None]
 
 
 def with_site_effect(data: ScanData, current: Fitted, start: Amendment) -> Fitted:
-    """Add an effect to a fit of a good run."""
+    """Add an effect to the fit of a known-good run."""
     noise = SCAN.site.wide_noise
     got = fit(data, (*current.model, start), current.state, noise, outer=3, inner=4)
     if is_rough(got.model[-1]):
@@ -268,7 +272,7 @@ def with_site_effect(data: ScanData, current: Fitted, start: Amendment) -> Fitte
 
 
 def mean_of(shown: Sequence[Sequence[Amendment]]) -> tuple[Amendment, ...]:
-    """Return the same effects of several runs, each with the mean of its parameters."""
+    """Return effects that several runs share, each with the mean of its parameters."""
     return tuple(
         same[0].effect(**{k: float(np.mean([a[k] for a in same])) for k in same[0].parameters})
         for same in zip(*shown, strict=True)
@@ -276,7 +280,7 @@ def mean_of(shown: Sequence[Sequence[Amendment]]) -> tuple[Amendment, ...]:
 
 
 def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
-    """Return the bounds of the noise levels that windows of the good run span, a little widened."""
+    """Return bounds of the noise: its range over the windows of a known-good run, slightly widened."""
     site, noises = SCAN.site, [f.state.noise for f in fits]
 
     def span(name: str) -> tuple[float, float]:
@@ -291,10 +295,10 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
 def clutter_gains(
     data: ScanData, null: Fitted, bounds: NoiseBounds
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return, per effect, the most that clutter brings it beyond its price [nats], and sizes of effects of the whole sensor.
+    """Return the largest evidence of each effect due to clutter [nats], and the sizes of whole-sensor effects.
 
-    Each of the latter is fitted in every window, whether or not the window proposes it: sizes of the windows that do
-    are those of the worst, and tell nothing of the spread.
+    Each whole-sensor effect is fitted in every window, even if the window does not propose it. The windows
+    that propose it have the most extreme sizes, which do not represent the spread.
     """
     gains: dict[str, float] = {}
     sizes: dict[str, tuple[float, dict[str, float]]] = {}
@@ -319,7 +323,12 @@ def clutter_gains(
 
 
 def unproposed(data: ScanData, names: Set[str]) -> list[Amendment]:
-    """Return the effects of the whole sensor, not among the names, that have a size and no nuisance, at their materiality."""
+    """Return further whole-sensor effects that have a size and no nuisance, at their materiality.
+
+    Parameters
+    ----------
+    names : Effects that are excluded.
+    """
     return [
         effect(**{q.name: effect.sizes.get(q.name, 0.0) for q in effect.parameters})
         for name, effect in EFFECTS.items()

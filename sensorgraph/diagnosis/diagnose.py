@@ -1,4 +1,4 @@
-"""Diagnose a run: where simulation and measurement disagree, which effects are missing, how sure that is."""
+"""Diagnose a run: where simulation and measurement differ, which effects are missing, with what confidence."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from sensorgraph.world.robot import Robot
 logger = logging.getLogger(__name__)
 
 LEAST_SIGMA = 2e-4
-"""[m, rad, m/s, rad/s] no reference and no wheel is better."""
+"""[m, rad, m/s, rad/s] lower limit of the noise of reference poses and wheels."""
 
 
 def diagnose(
@@ -69,25 +69,26 @@ def diagnose(
     simulated: Sequence[Amendment] = (),
     progress: ProgressBars = no_progress,
 ) -> Finding:
-    """Compare a run with the simulator of its arena and robot, and name what is missing.
+    """Compare a run with the simulation of its arena and robot, and name the missing effects.
 
     Parameters
     ----------
-    second : a further run of the same robot and place, used for nothing but the gap
-    known : effects that are part of the model already
-    noise_bounds : limits of the estimated noise; default: those of a careful set-up
-    threshold : [nats] of evidence that a name takes
-    baseline : what good runs of the site show (`commissioning`); the diagnosis is of the difference to it
-    seed : of the replicates and of the next run
-    plan_next : plan the run that would tell more
-    force : take a run whose poses jump, too; False: refuse it, as the commands do
-    simulated : effects that a simulation of the run shows; what this run shows with the same size is no difference
-    progress : opens a bar for each of the STAGES, and for what is counted within
+    second : A further run of the same robot and place; used only to measure the gap.
+    known : Effects that are already part of the model.
+    noise_bounds : Limits of the estimated noise; default: those of a careful setup.
+    threshold : [nats] Evidence that an effect needs to be named.
+    baseline : What known-good runs of the site show (`commissioning`). Only differences from it are reported.
+    seed : Of the simulated replicates (parametric bootstrap) and of the next run.
+    plan_next : Plan a run that could answer the open questions.
+    force : Accept a run whose poses jump; False: reject it, as the commands do.
+    simulated : Effects that a simulation of the run shows. The same effect with the same size is not a
+        difference.
+    progress : Opens a bar for each of the STAGES and for their counted steps.
 
     Raises
     ------
     SensorgraphError
-        A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
+        A run is too short, has no returns or no poses, has poses that jump, or is of another sensor or place.
     """
     _check_motion(run, second, force=force)
     rng, clock, noise_bounds = np.random.default_rng(seed), StageClock(progress), noise_bounds or SCAN.noise
@@ -103,9 +104,9 @@ def diagnose(
         held = held_out(laid.data)
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
         train, unseen = fitted_and_held_out(laid.data, held, noise_bounds)
-        run, second = _without_scans(run), None  # from here on a long log's scans would only take memory
+        run, second = _without_scans(run), None  # the scans of a long log are no longer needed
     motion = partial(diagnose_motion, run, laid.robot, known, seed, progress)
-    with clock.stage("odometry and drive"):  # first: both this and the scans need much memory in a long run
+    with clock.stage("odometry and drive"):  # before the scans, since both need much memory in a long run
         odometry, drive = motion()
     scans = diagnose_scans(
         train,
@@ -138,25 +139,25 @@ def diagnose(
 def _channels(
     scans: ScanDiagnosis, odometry: ChannelResult, drive: ChannelResult, simulated: Sequence[Amendment]
 ) -> dict[str, ChannelResult]:
-    """Return what each channel names beside the others, and beside a simulation."""
+    """Return the channels, adjusted for what the scans and a simulation show."""
     odometry = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
     return {one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)}
 
 
 def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:
-    """Refuse runs whose poses jump or never move."""
+    """Reject runs whose poses jump or never move."""
     for one in [run] if second is None else [run, second]:
         check_jumps(one, pair(one), force=force)
         check_moves(one)
 
 
 def _without_scans(run: Run) -> Run:
-    """Return the motion of a run alone."""
+    """Return a run without its scans."""
     return replace(run, stamps=run.stamps[:0], ranges=run.ranges[:0])
 
 
 def _max_effects(alignment: Alignment) -> int:
-    """Return how many effects a model may have: few where the arena matches the run only in part."""
+    """Return the maximum number of effects in a model; smaller if the arena matches only a part of the run."""
     is_partial = alignment.matching < SCAN.alignment.partly_matching
     selection = SCAN.selection
     return selection.max_effects_if_partly_matching if is_partial else selection.max_effects
@@ -170,7 +171,7 @@ def _prepare(
     baseline: SiteBaseline | None,
     pixels: RasterMap | None,
 ) -> tuple[ScanData, dict[str, Any]]:
-    """Return the scans of a run, to be judged against the baseline if there is one, and notes for the report."""
+    """Return the scans of a run, prepared for the baseline if there is one, and notes for the report."""
     data, notes = prepare_scans(run, arena, robot, known)
     if pixels is not None:
         data, notes["map_of_pixels"] = pixels.judged(data)
@@ -185,7 +186,7 @@ def _prepare(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Laid:
-    """A run laid on its arena."""
+    """A run, prepared for comparison with its arena."""
 
     data: ScanData
     notes: dict[str, Any]
@@ -193,7 +194,7 @@ class _Laid:
     alignment: Alignment
     arena: Arena
     robot: Robot
-    """Both as the run is diagnosed with: walls instead of pixels, and tolerances that allow for that."""
+    """As used in the diagnosis: walls instead of grid cells, and tolerances that account for this."""
     pixels: RasterMap | None
 
 
@@ -205,7 +206,7 @@ def _laid_on_arena(
     baseline: SiteBaseline | None,
     rng: np.random.Generator,
 ) -> _Laid:
-    """Prepare the scans of a run, and look whether they fit the arena."""
+    """Prepare the scans of a run, and measure how well they fit the arena."""
     pixels = RasterMap.of(arena) if is_raster(arena) else None
     if pixels is not None:
         arena, robot = pixels.arena, pixels.widened(robot)
@@ -217,7 +218,7 @@ def _laid_on_arena(
 
 
 def _with_free_poses(laid: _Laid, noise_bounds: NoiseBounds) -> _Laid:
-    """Return a located run with poses that are free by what an effect may have pulled them, where they are of its scans."""
+    """Widen the pose tolerances of a run that its own scans located, by the shift that an effect can cause."""
     data = freed_of_scans(laid.data, noise_bounds)
     return replace(laid, data=data, notes={**laid.notes, "poses_of_its_own_scans": data.from_scans})
 
@@ -229,7 +230,7 @@ def _prepare_second(
     noise_bounds: NoiseBounds,
     rng: np.random.Generator,
 ) -> ScanData:
-    """Return the scans of a further run, and note what was assumed of it; refuse one of another place than the first."""
+    """Return the scans of a second run, and add its notes; reject a run of another place."""
     first.notes["log_notes"] += log_notes(run)
     data, _ = _prepare(run, first.data.arena, first.robot, first.data.known, baseline, first.pixels)
     if first.data.from_scans and is_located(run):
@@ -238,7 +239,7 @@ def _prepare_second(
     if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * first.alignment.share):
         raise SensorgraphError(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
-            f"{100 * first.alignment.share:.0f} % of the first run's; give a run of the same place"
+            f"compared with {100 * first.alignment.share:.0f} % in the first run; give a run of the same place"
         )
     return at_likely_poses(replace(data, corners=first.data.corners), noise_bounds, even_rays=True)
 
@@ -252,11 +253,11 @@ def diagnose_motion(
     *,
     is_reference_straight: bool = False,
 ) -> tuple[ChannelResult, ChannelResult]:
-    """Return what the odometry channel and the drive channel show.
+    """Return the results of the odometry channel and the drive channel.
 
     Parameters
     ----------
-    is_reference_straight : the scans have shown that the reference is not bent over the place
+    is_reference_straight : The scans have shown that the reference poses are not distorted over the place.
     """
     model = motion_model(robot, known)
     with progress("comparing wheels with poses", ""):
@@ -275,7 +276,7 @@ def diagnose_motion(
 
 
 def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:
-    """Return the robot with the motors that known effects describe, and with noise that is never zero."""
+    """Return the robot with the known motor effects included, and with noise that is never zero."""
     actuators, pose, wheels = robot.actuators, robot.pose, robot.wheels
     return replace(
         robot,
@@ -296,7 +297,7 @@ def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:
 
 
 def _planned(scans: ScanDiagnosis, laid: _Laid, seed: int, clock: StageClock) -> NextRun | None:
-    """Plan the next run; None where the room or the robot does not allow one."""
+    """Plan the next run; return None if the room or the robot does not allow one."""
     with clock.stage("next run"):
         try:
             questions = open_questions(scans.result, scans.names.accepted, scans.names.rivals)

@@ -1,4 +1,4 @@
-"""Finding: all that a diagnosis says, channel by channel, and what its pictures need."""
+"""Finding: the results of a diagnosis, channel by channel, and the data for its pictures."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from sensorgraph.effects import Amendment
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
-    """What a diagnosis says of one run."""
+    """Results of the diagnosis of one run."""
 
     channels: dict[str, ChannelResult]
     """`scan`, `odometry`, `drive`."""
     intake: dict[str, Any]
-    """What came in, what was used, what was dropped, what this run excites; plain data."""
+    """Input, used and dropped scans, and excitation of the run; plain data."""
     data: ScanData
     explained: Explained | None = None
-    """The accepted model of the scan channel; None where the arena does not fit the run."""
+    """The accepted model of the scan channel; None if the arena does not fit the run."""
     goodness_of_fit: GoodnessOfFit | None = None
-    """Of that model."""
+    """Of the accepted model."""
     second_gap: Gap | None = None
-    """On a further run that no fit has seen, where one was given."""
+    """On a second run, which no fit has used; None without one."""
     shared: tuple[Amendment, ...] = ()
-    """Effects that a simulation shows, too, with the same size and as it has them: part of the simulator."""
+    """Effects that a simulation shows with the same size, with its parameters. They are part of the simulator."""
     driving: DrivingFinding | None = None
-    """Wheels and mount from driving alone, where the run has no reference but its own scans; in place of the odometry
-    channel, which such poses would flatter."""
+    """Calibration of wheels and mount from driving alone, for a run that was located with its own scans. It
+    replaces the odometry channel, which such poses would bias towards agreement."""
     next_run: NextRun | None = None
-    """A drive that would tell more; None where none was asked for, or none can be made."""
+    """A drive that could answer open questions; None if none was requested or is possible."""
     simulation: SimulationComparison | None = None
-    """How the run differs from one of the user's own simulator, where one was given."""
+    """Comparison with a run of the user's own simulator; None without one."""
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """[s] of CPU time per stage."""
+    """[s] CPU time per stage."""
 
     @property
     def effects(self) -> tuple[Amendment, ...]:
@@ -53,42 +53,42 @@ class Finding:
 
     @property
     def undecided(self) -> tuple[Amendment, ...]:
-        """Effects of all channels that a rival explains as well."""
+        """Effects of all channels with an equally likely rival."""
         return tuple(a for channel in self.channels.values() for a in channel.undecided)
 
     @property
     def pose_tolerance_factor(self) -> float | None:
-        """By how much the reference is worse than its tolerances, as the accepted model fits it; 1 is as stated."""
+        """Ratio of the fitted to the specified tolerance of the reference poses."""
         return None if self.explained is None else self.explained.final.state.pose_scale
 
     @property
     def map_tolerance_factor(self) -> float | None:
-        """The same of the map."""
+        """The same ratio for the map."""
         return None if self.explained is None else self.explained.final.state.map_scale
 
     @cached_property
     def stamp_tolerance_factor(self) -> float | None:
-        """The same of the stamps of the scans; 1 also where the run does not tell."""
+        """The same ratio for the stamps of the scans; 1 also if the run does not determine it."""
         return None if self.explained is None else tolerance_scale(self.explained.final, "stamp")
 
     @cached_property
     def heading_tolerance_factor(self) -> float | None:
-        """The same of the reference's heading alone, where stamps are as stated."""
+        """The same ratio for the heading of the reference; 1 if the stamps are worse than specified."""
         if self.explained is None or self.data.from_scans or (self.stamp_tolerance_factor or 1.0) > 1.0:
             return None if self.explained is None else 1.0
         return tolerance_scale(self.explained.final, "pose_yaw")
 
     @property
     def unknown(self) -> Unknown | None:
-        """What no effect of the library explains."""
+        """Unmodelled structure: a difference that no effect of the library explains."""
         return next((channel.unknown for channel in self.channels.values() if channel.unknown), None)
 
 
 def misaligned(
     data: ScanData, intake: dict[str, Any], problem: Unknown, seconds: Mapping[str, float]
 ) -> Finding:
-    """Return the finding of a run that the arena does not fit: nothing is named before that is mended."""
-    skipped = "the arena does not fit the run; move it first"
+    """Return the finding of a run that the arena does not fit; no effect is named until this is corrected."""
+    skipped = "the arena does not fit the run; correct the arena first"
     return Finding(
         channels={
             "scan": ChannelResult(channel="scan", unknown=problem),

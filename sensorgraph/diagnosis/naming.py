@@ -1,4 +1,4 @@
-"""Which effects of an accepted model get a name, and how sure that is."""
+"""Name the effects of an accepted model, with a probability each."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
 AT_MOST = 0.99
-"""Share of the largest scale of map and poses from which they have been widened as far as they may be."""
+"""Share of the maximum scale of map and poses, above which they count as widened to the limit."""
 CANCELS = 4.0
-"""Standard errors that a clock offset has at least which a dead time cancels; by chance one of two cancels the other rarely."""
+"""Minimum ratio of a clock offset to its standard error; below it, a dead time may cancel it by chance."""
 WRONG_BY_HALF = 0.5
-"""Scale error of a wheel beyond which odometry and reference do not belong together."""
+"""Absolute scale error of a wheel, above which odometry and reference poses do not belong together."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanNames:
-    """What is named in the scan channel."""
+    """Result of the scan channel, and the effects that it accepts."""
 
     result: ChannelResult
     accepted: tuple[Amendment, ...]
-    """Effects as fitted that are material and that no doubt concerns, in the order of the model."""
+    """Fitted effects that are material and not contradicted by unmodelled structure, in the order of the model."""
     rivals: tuple[Amendment, ...]
     """The second-best explanations, in the order of `result.rivals`."""
 
     @property
     def named(self) -> list[Amendment]:
-        """Accepted effects that no rival explains as well."""
+        """Accepted effects without an equally likely rival."""
         undecided = {(a.name, a.place) for a in self.result.undecided}
         return [a for a in self.accepted if (a.name, a.place) not in undecided]
 
@@ -61,13 +61,15 @@ def name_scan_effects(
     *,
     echoes: Set[int] = frozenset(),
 ) -> ScanNames:
-    """Turn the accepted model into names, sizes within tolerance, rivals and what is left unexplained.
+    """Sort an accepted model into named effects, effects within tolerance, rivals and unmodelled structure.
+
+    An effect is *named* if it is reported as the cause of a difference.
 
     Parameters
     ----------
-    fit : how well the accepted model fits
-    deviations : from the simulator without any effect
-    echoes : indices in the model of numbers of the whole sensor that stand for something local
+    fit : Goodness of fit of the accepted model.
+    deviations : From the simulator without any effect.
+    echoes : Indices in the model of whole-sensor effects that only reflect something local.
     """
     final = explained.final
     complete = [
@@ -85,7 +87,7 @@ def name_scan_effects(
         and is_material(final, a)
         and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
     }
-    # the mean of a reference that wanders is a rival, too
+    # the mean error of a drifting reference is a rival as well
     margin = SCAN.naming.rival_margin
     imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
     material -= imitated
@@ -97,7 +99,7 @@ def name_scan_effects(
         effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
         not_observable={
-            a.name: f"{brief(a)} is what the mean of a reference that wanders may be off by"
+            a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
             for a in (complete[i] for i in sorted(imitated))
         },
         unknown=_unknown(fit),
@@ -123,11 +125,11 @@ def name_scan_effects(
 
 
 def without_close_calls(result: ChannelResult, margins: Mapping[str, float] | None = None) -> ChannelResult:
-    """Take the name from effects that a rival explains as well, unless the rival is itself named.
+    """Move effects with an equally likely rival to the undecided ones, unless the rival is named itself.
 
     Parameters
     ----------
-    margins : effect -> [nats] by which it must be ahead of its rival; default: `SCAN.naming.rival_margin`
+    margins : Effect -> [nats] required lead over its rival; default: `SCAN.naming.rival_margin`.
     """
     names = {a.name for a in result.effects}
     margins = margins or {}
@@ -138,22 +140,28 @@ def without_close_calls(result: ChannelResult, margins: Mapping[str, float] | No
 
 
 def _is_close(a: Amendment, rival: Rival, margins: Mapping[str, float]) -> bool:
-    """Tell whether evidence does not choose; where a rival is well ahead, something else chose with reason."""
+    """Tell whether the evidence does not decide between an effect and its rival.
+
+    A rival that is far ahead was rejected for another reason, and is not close.
+    """
     margin = abs((a.evidence or 0.0) - rival.evidence_nats)
     return rival.instead_of == a.name and margin < margins.get(a.name, SCAN.naming.rival_margin)
 
 
 def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
-    """Return by how much evidence must choose [nats]: at a site known by good runs, by more than its clutter brings."""
+    """Return the lead [nats] that an effect needs over its rival.
+
+    At a commissioned site, the lead must also exceed the evidence that clutter brings.
+    """
     usual = data.baseline_intervals.get(rival.name)
-    is_special = n_parameters(rival) > n_parameters(a)  # a warm-up that is over at once is a bias
+    is_special = n_parameters(rival) > n_parameters(a)  # as a warm-up, which is a bias if it ends at once
     if a.name not in data.clutter_leads or usual is None or usual.contains(rival, usual.stderr) or is_special:
         return SCAN.naming.rival_margin
     return max(SCAN.naming.rival_margin, data.clutter_leads[a.name], data.clutter_leads.get(rival.name, 0.0))
 
 
 def located(amendment: Amendment, data: ScanData) -> Amendment:
-    """Return an effect with its point moved to where its fitted parameters put it."""
+    """Return an effect at the place that its fitted parameters give."""
     values = amendment.parameters
     if amendment.effect.place == "spot":
         return amendment.at("", (values["x"], values["y"]))
@@ -165,7 +173,7 @@ def located(amendment: Amendment, data: ScanData) -> Amendment:
 
 
 def is_material(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect is large enough for a name, and surely so."""
+    """Tell whether an effect is large enough to be named, with sufficient probability."""
     return not (
         _is_blurred_corner(amendment)
         or is_within_baseline(fitted, amendment)
@@ -185,14 +193,14 @@ def _is_blurred_corner(amendment: Amendment) -> bool:
 
 
 def is_measured(amendment: Amendment) -> bool:
-    """Tell whether the run says how large an effect is: no size is less than its own standard error."""
+    """Tell whether the run determines the size of an effect: the size exceeds its standard error."""
     sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
     error = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
     return not sizes or error < size_ratio(amendment.effect, amendment.parameters)
 
 
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
-    """Tell whether an effect loses its name because too much of its own kind, or the room as a whole, is left unexplained."""
+    """Tell whether an effect loses its name to unmodelled structure, of the same kind or of the whole room."""
     if index in fit.failed or _fits_nowhere(explained.final):
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
@@ -205,7 +213,7 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
 
 
 def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
-    """Return the chance that a name is right and its size material, calibrated on development cases."""
+    """Return the probability that a name is right and its size material, calibrated on development cases."""
     naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
@@ -216,7 +224,7 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
 
 
 def _fits_nowhere(fitted: Fitted) -> bool:
-    """Tell whether map and poses were both widened as far as they may be: then no name tells what the room is."""
+    """Tell whether map and poses were both widened to the limit, so that no effect can be named."""
     return min(fitted.state.pose_scale, fitted.state.map_scale) > AT_MOST * SCAN.noise.max_scale
 
 
@@ -237,19 +245,20 @@ def _unknown(fit: GoodnessOfFit) -> Unknown | None:
 
 
 def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
-    """Leave names that are known already, implausible or doubtful out of the result of a motion channel."""
+    """Remove effects of a motion channel that are known, implausible or contradicted by unmodelled structure."""
     is_absurd = any(
         a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > WRONG_BY_HALF
         for a in result.effects
     )
     if is_absurd:
-        words = "odometry and reference do not belong together: way or turn differ in sign or by half"
+        words = "odometry and reference poses do not belong together: distance or turn differ in sign or by more than half"
         return without_close_calls(replace(result, effects=(), unknown=Unknown(statement=words)))
-    if result.unknown is not None:  # what brings less than that may be a part of it
+    if result.unknown is not None:  # an effect with less evidence may be a part of it
         least = result.unknown.statistic
         result = replace(result, effects=tuple(a for a in result.effects if (a.evidence or 0.0) > least))
     slips = [a for a in result.effects if a.effect.place == "spot"]
-    mimics = slips if len(slips) > 1 and result.unknown is not None else []  # of the unknown, patch by patch
+    # several patches may imitate the unknown
+    mimics = slips if len(slips) > 1 and result.unknown is not None else []
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     as_known = {a.name for a in result.effects if _is_expected(a, expected)}
     named = tuple(a for a in result.effects if a not in mimics and a.name not in as_known)
@@ -258,38 +267,43 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
 
 
 def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
-    """Leave out names of the motors that the wheels may make where these are doubted.
+    """Remove motor effects that unexplained wheel errors may imitate.
 
-    Wheels that misread at speed look like a limit of the speed, and whatever is doubted of them with more evidence (a clock
-    that wanders, one encoder that is late) may look like a lag or a dead time.
+    Wheels that misread at speed resemble a speed limit. A wheel error with more evidence than the effect
+    (clock drift, one late encoder) may resemble a lag or a dead time.
     """
     unknown = odometry.unknown
     if unknown is None or "reference_m" in unknown.size:
         return drive
-    why = {SPEED_SATURATION: "the odometry is doubted itself: wheels that misread at speed look like a limit"}
+    why = {
+        SPEED_SATURATION: "the odometry has an unexplained error: wheels that misread at speed resemble a speed limit"
+    }
     weak = {a.effect for a in drive.effects if (a.evidence or 0.0) <= unknown.statistic}
-    why |= dict.fromkeys(weak - why.keys(), "the odometry is doubted itself, with more evidence")
+    why |= dict.fromkeys(weak - why.keys(), "the odometry has an unexplained error with more evidence")
     return _without(drive, why)
 
 
 def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> ChannelResult:
-    """Leave out names of the wheels for which the evidence is too little beside a reference as bad as the scans show it.
+    """Remove wheel effects whose evidence is too small for a reference as inaccurate as the scans show.
 
-    Evidence is half of a chi square of what differs over what the reference may be off: it falls with the square of that.
+    Evidence is half a chi-square statistic, in which the error of the reference is the scale. It falls with
+    the square of that scale.
 
     Parameters
     ----------
-    pose_scale : how many times worse than stated the scans show the reference
+    pose_scale : Ratio of the reference error that the scans show to the specified one.
     """
     if pose_scale < SCAN.nuisance.stretched_scale:
         return odometry
     least = EVIDENCE.threshold * pose_scale**2
-    why = f"the scans show the reference {pose_scale:.1f} times worse than stated, which may be this"
+    why = (
+        f"the scans show a reference error of {pose_scale:.1f} times the specified one, which may cause this"
+    )
     return _without(odometry, {a.effect: why for a in odometry.effects if (a.evidence or 0.0) < least})
 
 
 def _without(result: ChannelResult, why: Mapping[Effect, str]) -> ChannelResult:
-    """Return a channel without names of some effects, which this run does not show for a reason each."""
+    """Return a channel without some effects; each becomes not observable, for the given reason."""
     kept = tuple(a for a in result.effects if a.effect not in why)
     if len(kept) == len(result.effects):
         return result
@@ -298,9 +312,10 @@ def _without(result: ChannelResult, why: Mapping[Effect, str]) -> ChannelResult:
 
 
 def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
-    """Leave no name to a clock of the odometry and a dead time that cancel: wheels then follow commands as robot.yaml says.
+    """Replace an odometry clock offset and a dead time that cancel by one unknown cause.
 
-    Whatever lets both come before the reference is one cause, and the effects are two.
+    If they cancel, the wheels follow the commands as robot.yaml specifies. One cause then shifts commands and
+    odometry relative to the poses.
     """
     clocks = [a for a in odometry.effects if a.effect is POSE_CLOCK_OFFSET]
     delays = [a for a in drive.effects if a.effect is DEAD_TIME]
@@ -310,16 +325,16 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
     error = float(np.hypot(clock.stderr["tau"], delay.stderr["L"]))
     if abs(clock["tau"] + delay["L"]) > 2 * error or abs(clock["tau"]) < CANCELS * error:
         return odometry, drive
-    words = f"poses come {1000 * abs(clock['tau']):.0f} ms {'after' if clock['tau'] < 0 else 'before'} both"
+    words = f"poses come {1000 * abs(clock['tau']):.0f} ms {'after' if clock['tau'] < 0 else 'before'} commands and odometry"
     unknown = Unknown(
-        statement=f"wheels follow the commands as robot.yaml says, and the {words}, which no single effect of the library explains",
+        statement=f"the wheels follow the commands as robot.yaml specifies, but the {words}, which no single effect of the library explains",
         statistic=clock.evidence or 0.0,
         threshold=EVIDENCE.threshold,
         consequence=words,
         families=(
             "the clock of the base, which stamps commands and odometry",
             "wheels that slip while the speed changes",
-            "poses that are filtered",
+            "a filter on the poses",
         ),
     )
     rest = tuple(a for a in odometry.effects if a is not clock)
@@ -330,7 +345,7 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
 
 
 def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:
-    """Tell whether an effect is known already, with a size that differs by less than its materiality."""
+    """Tell whether an effect is already known, with a size that differs by less than its materiality."""
     if amendment.name not in known:
         return False
     values = known[amendment.name]

@@ -1,4 +1,4 @@
-"""Diagnosis in a map of pixels: unknown space is not judged, changes of the building are grouped into things."""
+"""Diagnosis in an occupancy-grid map: exclude unknown space, and group changes of the building into objects."""
 
 from __future__ import annotations
 
@@ -21,49 +21,52 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot
 
 LOOK_PAST = 3.0
-"""[pixel] within which a wall takes a ray before unknown space does."""
+"""[pixel] minimum distance from a border of unknown space to the wall behind it, for a ray to count as
+entering unknown space."""
 CELL = 0.2
-"""[m] of the raster in which changes are grouped."""
+"""[m] cell size of the raster in which changes are grouped."""
 MIN_OFF = 0.3
-"""[m] by which a reading must differ to show a change of the building."""
+"""[m] minimum difference of a reading that shows a change of the building."""
 NEAR_WALL = 0.2
-"""[m] from mapped walls, within which nothing stands free."""
+"""[m] distance from mapped walls, within which no new object is detected."""
 MIN_SHARE = 0.001
-"""Of all readings, that a change must explain."""
+"""Minimum share of the readings that a change must explain."""
 MAX_CHANGED = 1 / 3
-"""Of all readings, above which it is not the building that has changed."""
+"""Share of the readings, above which the cause is not a change of the building."""
 MIN_SCANS = 5
-"""That show it."""
+"""Minimum number of scans that show a change."""
 MAX_SMALL = 0.6
-"""[m] of something new, above which no disc stands for it."""
+"""[m] maximum size of a new object that a disc represents."""
 MIN_MIRRORED = 0.8
-"""Of the rays that pass a wall, that read what the room mirrored in it has: then it is a mirror, and no opening."""
+"""Minimum share of the rays through a wall that read the room mirrored in it; above it, the wall is a mirror
+and not an opening."""
 MIN_SHOWN = {"new": 0.5, "open": 0.95}
-"""Of the rays aimed at its fullest cell, that show it: the edge of a thing stops half, a pane lets most pass."""
+"""Minimum share of the rays aimed at the fullest cell that show the change. The edge of an object stops half
+of them; a pane lets most pass."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapChange:
-    """One place where the building is not as its map."""
+    """One place where the building differs from its map."""
 
     kind: str
-    """`new`: something stands where the map has free space; `open`: rays pass where the map has a wall."""
+    """`new`: an object where the map has free space; `open`: rays pass where the map has a wall."""
     xy: tuple[float, float]
-    """[m, map] its middle."""
+    """[m, map] centre."""
     size: tuple[float, float]
     """[m] along x and y."""
     share: float
     """Of the readings."""
     is_named: bool = False
-    """Whether effects have a name for it: something small that is new, a thing that is gone, a mirror."""
+    """Whether an effect of the library describes it: a small new object, a missing object, a mirror."""
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the change in words."""
         x, y = self.xy
         w, h = self.size
         if self.kind == "new":
-            return f"something of about {w:.1f} x {h:.1f} m at ({x:.1f}, {y:.1f}) m that the map lacks"
-        return f"an opening, or a wall that is gone, at ({x:.1f}, {y:.1f}) m, {max(w, h):.1f} m wide"
+            return f"an object of about {w:.1f} x {h:.1f} m at ({x:.1f}, {y:.1f}) m that the map lacks"
+        return f"an opening or a removed wall at ({x:.1f}, {y:.1f}) m, {max(w, h):.1f} m wide"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for the report."""
@@ -78,22 +81,22 @@ class MapChange:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RasterMap:
-    """A map of pixels as diagnosis takes it."""
+    """An occupancy-grid map, prepared for the diagnosis."""
 
     arena: Arena
-    """With straight walls."""
+    """With straightened walls."""
     pixel: float
-    """[m]"""
+    """[m] size of a cell."""
     tolerance: float
-    """[m] standard deviation of its walls: half a pixel either way, and what straight walls leave."""
+    """[m] standard deviation of the walls: half a cell to either side, and the residual of the straightening."""
     borders: Floats
-    """(n, 2, 2) [m] where free space ends without a wall: beyond is unknown."""
+    """(n, 2, 2) [m] ends of free space without a wall; the space beyond is unknown."""
     drawn: Arena
-    """With the borders of the cells as walls."""
+    """With the outlines of the cells as walls."""
 
     @classmethod
     def of(cls, arena: Arena) -> RasterMap:
-        """Straighten the walls of an arena of pixels."""
+        """Straighten the walls of an occupancy-grid arena."""
         pixel = pixel_of(arena)
         straight, rms = straightened(arena)
         tolerance = float(np.hypot(pixel / np.sqrt(12), rms))
@@ -106,15 +109,15 @@ class RasterMap:
         )
 
     def widened(self, robot: Robot) -> Robot:
-        """Return the robot with a tolerance of the map that such a map holds at best."""
+        """Return the robot with at least the map tolerance of this map."""
         t = robot.tolerances
         return replace(robot, tolerances=replace(t, map=max(t.map, self.tolerance)))
 
     def judged(self, data: ScanData) -> tuple[ScanData, dict[str, Any]]:
-        """Leave out rays into unknown space and those that show a change; return what to say of them."""
+        """Exclude rays into unknown space and rays that show a change; return the scans and notes for the report."""
         if data.sensor.is_composite or measures_cones(
             data.sensor
-        ):  # rays from several places, and no thin ones
+        ):  # rays that start at several places, or are not thin
             return data, {
                 "pixel_m": self.pixel,
                 "walls": self.arena.n_walls,
@@ -122,7 +125,7 @@ class RasterMap:
             }
         _, wall = data.plain_cast
         at_gap = self._at_gap(data)
-        if at_gap.any():  # else its cast of the plain walls is kept
+        if at_gap.any():  # otherwise the cached cast stays valid
             data = replace(data, ranges=np.where(at_gap, np.nan, data.ranges), memo={})
         data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
@@ -134,7 +137,7 @@ class RasterMap:
         }
 
     def _at_gap(self, data: ScanData) -> Bools:
-        """Tell which rays (n_scans, n_rays) end at a gap between cells, or pass it though the map closes it."""
+        """Tell which rays (n_scans, n_rays) end at a gap between cells, or pass a gap that the map closes."""
         out = np.zeros(data.ranges.shape, dtype=np.bool_)
         expected, wall = data.plain_cast
         scan, ray = np.nonzero(wall >= 0)
@@ -146,13 +149,18 @@ class RasterMap:
 
 
 def _ends(lasers: Floats, bearings: Floats, scan: Ints, ray: Ints, r: Floats) -> Floats:
-    """Return where some rays are at ranges r, (n, 2) [m]; lasers (n_scans, 3), bearings (n_rays,)."""
+    """Return the points (n, 2) [m] of some rays at ranges r; lasers (n_scans, 3), bearings (n_rays,)."""
     angle = lasers[scan, 2] + bearings[ray]
     return np.asarray(lasers[scan, :2] + r[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def _most_met(walls: Floats, wall: Ints) -> Corners:
-    """Return the corners of the walls that most rays meet, as many as may shift; `wall` is the index of each ray's, -1: none."""
+    """Return the corners of the walls that most rays meet, up to the maximum number of corners that may shift.
+
+    Parameters
+    ----------
+    wall : (n_scans, n_rays) Index of the wall that each ray meets; -1 for none.
+    """
     count = np.bincount(wall[wall >= 0], minlength=len(walls))
     for least in range(1, int(count.max(initial=1)) + 1):
         corners = Corners.of(walls, count >= least)
@@ -164,14 +172,14 @@ def _most_met(walls: Floats, wall: Ints) -> Corners:
 def known_and_unchanged(
     data: ScanData, borders: Floats, *, few: int, left_in: Literal["all", "named"] = "all"
 ) -> tuple[ScanData, dict[str, Any]]:
-    """Leave out rays into unknown space, beyond borders (n, 2, 2) [m], and those that show a change; say which they were.
+    """Exclude rays into unknown space, beyond borders (n, 2, 2) [m], and rays that show a change; return notes.
 
-    Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
+    If the changes would exclude more than a third of the readings, no change is reported.
 
     Parameters
     ----------
-    few : changes that are left in where there are no more, to be found and sized as effects
-    left_in : all of these, or only those that effects have a name for
+    few : If there are no more changes than this, they stay in the scans, to be found and sized as effects.
+    left_in : Which of them stay: all, or only those that an effect of the library describes.
     """
     border, unknown = looks_into_unknown(data, borders)
     found = changes(data, border)
@@ -192,7 +200,10 @@ def known_and_unchanged(
 
 
 def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:
-    """Return where rays (n_scans, n_rays) enter unknown space [m], inf for never, and which do before they meet a wall."""
+    """Return the range (n_scans, n_rays) [m] at which rays enter unknown space before a wall, and which rays do.
+
+    The range is inf for rays that do not.
+    """
     if not len(borders):
         shape = data.ranges.shape
         return np.full(shape, np.inf), np.zeros(shape, dtype=np.bool_)
@@ -205,14 +216,14 @@ def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:
 
 
 def changes(data: ScanData, border: Floats) -> list[tuple[MapChange, Bools]]:
-    """Group readings that are far from what the map makes them into things; return each with its rays (n_scans, n_rays).
+    """Group readings that differ strongly from the map into objects; return each with its rays (n_scans, n_rays).
 
-    What stands there stops most of the rays that are aimed at it, and nearly all pass an opening: else it is somebody who
-    walks by, or the sensor, or the outline of a thing.
+    A new object stops most of the rays aimed at it, and an opening lets nearly all pass. Otherwise the cause
+    is a person who walks by, the sensor, or the outline of an object.
 
     Parameters
     ----------
-    border : (n_scans, n_rays) [m] where unknown space begins: beyond it nothing is said
+    border : (n_scans, n_rays) [m] Range at which unknown space begins; nothing is detected beyond it.
     """
     seen = _Sight(data, border)
     found = [one for kind in ("new", "open") for one in _grouped(seen, kind)]
@@ -220,7 +231,7 @@ def changes(data: ScanData, border: Floats) -> list[tuple[MapChange, Bools]]:
 
 
 class _Sight:
-    """What every ray of a run reads beside what the map makes it; arrays (n_scans, n_rays)."""
+    """Readings of all rays of a run, and the readings expected from the map; arrays (n_scans, n_rays)."""
 
     def __init__(self, data: ScanData, border: Floats) -> None:
         self.data, self.lasers = data, laser_poses(data.poses, data.sensor.mount)
@@ -239,14 +250,14 @@ class _Sight:
             self.is_open = (self.expected < border) & np.isfinite(self.expected) & (past > MIN_OFF)
 
     def points(self, scan: Ints, ray: Ints, r: Floats) -> Floats:
-        """Return where some rays are at ranges r, (n, 2) [m]."""
+        """Return the points (n, 2) [m] of some rays at ranges r."""
         return _ends(self.lasers, self.data.sensor.bearings, scan, ray, r)
 
     def is_mirror(self, own: Bools) -> bool:
-        """Tell whether rays (n_scans, n_rays) that pass a wall read what the room mirrored in it has."""
+        """Tell whether rays (n_scans, n_rays) that pass a wall read the room mirrored in it."""
         ways = self.expected[own] + reflected(self.data.arena.walls, self.data.scene().shoot(), own)
         read, most = self.z[own], self.data.sensor.range_max
-        says = np.isfinite(read) | (ways < most)  # what is out of reach in a mirror is so behind an opening
+        says = np.isfinite(read) | (ways < most)  # beyond range_max, mirror and opening look alike
         fits = np.isfinite(read) & (np.abs(self.got[own] - ways) < MIN_OFF)
         return 2 * int(says.sum()) > len(says) and float(fits[says].mean()) >= MIN_MIRRORED
 
@@ -258,23 +269,23 @@ class _Sight:
             y * np.cos(self.angle) - x * np.sin(self.angle),
         )
         aimed = (np.abs(beside) < CELL / 2) & (ahead > 0) & ~np.isnan(self.z)
-        if kind == "new":  # whatever stops the ray earlier says nothing
+        if kind == "new":  # a ray that is stopped earlier carries no information
             aimed &= (ahead < self.reach - MIN_OFF) & (self.got > ahead - CELL)
             shows = self.is_new & (self.z < ahead + CELL)
         else:
-            # no answer may be the surface's, or the sensor's
+            # a missing return may be due to the surface or to the sensor
             aimed &= (np.abs(self.expected - ahead) < CELL) & np.isfinite(self.z)
             shows = self.is_open
         return float((aimed & shows).sum() / max(aimed.sum(), 1))
 
 
 def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
-    """Cluster the points of one kind; return what is large enough and is surely there, and its rays."""
+    """Cluster the points of one kind; return the clusters that are large and certain enough, with their rays."""
     some, r = (seen.is_new, seen.z) if kind == "new" else (seen.is_open, seen.expected)
     n_readings = some.size
     scan, ray = np.nonzero(some)
     points = seen.points(scan, ray, r[scan, ray])
-    if kind == "new":  # what stands free; near a mapped wall it is the wall
+    if kind == "new":  # free-standing objects; near a mapped wall, the wall is the cause
         clear = Barriers(seen.data.arena).distances(points) > NEAR_WALL
         scan, ray, points = scan[clear], ray[clear], points[clear]
     if not len(scan):

@@ -1,4 +1,4 @@
-"""What one channel of a diagnosis shows: names, deviations, rivals, the gap, and what is left unknown."""
+"""Result of one channel of a diagnosis: named effects, deviations, rivals, gap and unmodelled structure."""
 
 from __future__ import annotations
 
@@ -12,38 +12,40 @@ from sensorgraph.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """One place, bearing, range, time … at which measured and simulated differ more than chance allows."""
+    """A place, bearing, range, time, ... at which measurement and simulation differ by more than chance."""
 
     family: str
     """`bias`, `spread`, `outliers` or `misses`."""
     partition: str
     """`wall`, `bearing`, `range`, `incidence`, `time`, `omega`, `speed`, `hit place`, `robot place`, …"""
     label: str
-    """Which part of it, readable: `arena/edge_3`, `30 to 40 degrees`."""
+    """Readable part of the partition: `arena/edge_3`, `30 to 40 degrees`."""
     z: float
-    """How many standard errors, clustered by scan."""
+    """Difference in standard errors, clustered by scan."""
     size: float
-    """Of the difference: [m] for bias, ratio for spread, share for outliers and misses; in the other channels, of the
-    column it is about."""
+    """Of the difference: [m] for bias, ratio for spread, share for outliers and misses; in the other
+    channels, the coefficient of the column."""
     n_rays: int
     xy: tuple[float, float] | None = None
-    """[m, map] where it has a place."""
+    """[m, map] None if it has no place."""
 
     channel: str = "scan"
-    """Whose readings differ."""
+    """Channel whose readings differ."""
     evidence_nats: float | None = None
-    """Where models were compared, rather than a mean with zero: by how much the one that differs is likelier."""
+    """Log Bayes factor [nats] where two models were compared; None where a mean was compared with zero."""
 
     def sentence(self) -> str:
-        """Say it in words."""
+        """Return the deviation in words."""
         if self.channel != "scan":
-            who = {"odometry": "odometry and reference", "drive": "commands and odometry"}[self.channel]
-            how = f"by {self.partition}: {self.label}" if self.evidence_nats is None else self.label
+            who = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}[self.channel]
+            how = (
+                f"in the test by {self.partition}: {self.label}" if self.evidence_nats is None else self.label
+            )
             return f"{who} differ {how} ({self.strength()})"
         what = {
             "bias": f"readings are {abs(self.size) * 100:.1f} cm too {'long' if self.size > 0 else 'short'}",
             "spread": f"readings scatter {100 * self.size:.0f} % more than the noise",
-            "outliers": f"{100 * self.size:.1f} % more strays than expected",
+            "outliers": f"{100 * self.size:.1f} % more outliers than expected",
             "misses": f"{100 * self.size:.1f} % more rays without a return than expected",
         }[self.family]
         return (
@@ -51,36 +53,36 @@ class Deviation:
         )
 
     def about(self) -> str:
-        """Say where a wall is whose name says nothing."""
+        """Return the position of a wall, whose name does not contain it; empty for other partitions."""
         if self.xy is None or not self.partition.startswith("wall"):
             return ""
         return f" about ({self.xy[0]:.1f}, {self.xy[1]:.1f}) m"
 
     def strength(self) -> str:
-        """Say how sure the difference is, in the unit of its test."""
+        """Return the significance of the difference, in the unit of its test."""
         if self.evidence_nats is not None:
-            return f"{self.evidence_nats:.0f} nats of evidence"
+            return f"log Bayes factor {self.evidence_nats:.0f}"
         return f"{abs(self.z):.1f} standard errors"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """An error of the laser over bearing or range, as a run tells it."""
+    """Error of the laser as a function of bearing or range."""
 
     of: str
-    """"bearing" [rad], to the left, or "reading" [m]."""
+    """"bearing" [rad], positive to the left, or "reading" [m]: the quantity with the error."""
     over: str
-    """"bearing" [rad] or "range" [m]."""
+    """"bearing" [rad] or "range" [m]: the quantity that the error depends on."""
     at: tuple[float, ...]
-    """Where it is told, ascending."""
+    """Values of `over` at which the error is given, ascending."""
     error: tuple[float, ...]
-    """Less its mean over all rays."""
+    """Error at these values, less its mean over all rays."""
     stderr: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unknown:
-    """Something that no effect of the library explains."""
+    """Unmodelled structure: a difference that no effect of the library explains."""
 
     statement: str
     """One sentence: what differs, where, by how much."""
@@ -88,37 +90,38 @@ class Unknown:
     statistic: float = 0.0
     threshold: float = 0.0
     size: Mapping[str, float] = field(default_factory=dict)
-    """By how much a simulation without it is off, each number named with its unit."""
+    """Error of a simulation without it; each key contains its unit."""
     consequence: str = ""
     """The same in words."""
     families: tuple[str, ...] = ()
-    """What it may be, in the words of a robot engineer, the likeliest first."""
+    """Possible causes, in the words of a robotics engineer, most likely first."""
     profile: Profile | None = None
-    """Its shape, where it is an error over bearing or range."""
+    """Its shape, if it is an error over bearing or range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
-    """How far the simulator is from what was measured."""
+    """Difference between simulation and measurement."""
 
     rmse_m: float
     """[m] over returns; in the odometry and drive channels [m/s]."""
     normalised: float
-    """RMS of the gap over its nominal noise."""
+    """RMS of the gap, divided by its nominal noise."""
     nats_per_ray: float
-    """Mean negative log-likelihood of a reading."""
+    """[nats] mean negative log-likelihood of a reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """The gap on rays that no fit and no choice has seen."""
+    """Gap on rays that no fit and no selection has used."""
 
     before: FitQuality
     after: FitQuality
     noise_floor: FitQuality
     n_rays: int
     stated_floor: FitQuality | None = None
-    """The noise floor if map and reference are as good as robot.yaml states; None where only one floor is known."""
+    """Noise floor if map and reference poses are as accurate as robot.yaml specifies; None if only one floor
+    is known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,40 +132,40 @@ class Rival:
     instead_of: str
     evidence_nats: float
     separates: str
-    """What would tell them apart."""
+    """What would distinguish the two."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionDifference:
-    """What the body did beyond what the wheels say, where a patch or structure explains it."""
+    """Motion of the body that the wheels do not report, as a slippery patch or structure explains it."""
 
     stamps: Floats
-    """(n,) [s] of the reference's clock."""
+    """(n,) [s] on the clock of the reference poses."""
     rates: Floats
     """(n, 2) [m/s, rad/s]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelResult:
-    """What one channel shows."""
+    """Result of one channel."""
 
     channel: str
     effects: tuple[Amendment, ...] = ()
     """Named, strongest evidence first."""
     undecided: tuple[Amendment, ...] = ()
-    """Material, but a rival explains the readings as well: no name."""
+    """Material effects with an equally likely rival; they are not named."""
     within_tolerance: tuple[Amendment, ...] = ()
-    """Evidence, but too small to be called an effect."""
+    """Effects with sufficient evidence, but too small to matter."""
     unknown: Unknown | None = None
     rivals: tuple[Rival, ...] = ()
     deviations: tuple[Deviation, ...] = ()
-    """Before any naming."""
+    """Differences from the simulator without effects."""
     gap: Gap | None = None
     not_observable: Mapping[str, str] = field(default_factory=dict)
-    """Effect -> why this run could not have shown it."""
+    """Effect -> reason why this run could not have shown it."""
     skipped: str = ""
-    """Why the channel was not looked at; empty if it was."""
+    """Reason why the channel was not evaluated; empty if it was."""
     notes: Mapping[str, Any] = field(default_factory=dict)
-    """What else is worth knowing, plain data."""
+    """Further results, as plain data."""
     motion: MotionDifference | None = None
-    """Of the odometry channel: what other channels are to know of its finding."""
+    """From the odometry channel, for the other channels."""

@@ -1,4 +1,4 @@
-"""Scans against map and pose: search for effects, doubt what was found, measure the gap, say what could not be seen."""
+"""Scan channel: search for effects, test for unmodelled structure, measure the gap, list unobservable effects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from sensorgraph.types import Progress
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanDiagnosis:
-    """All that the scan channel says."""
+    """Results of the scan channel."""
 
     result: ChannelResult
     names: ScanNames
@@ -39,7 +39,7 @@ class ScanDiagnosis:
     goodness_of_fit: GoodnessOfFit
     second_gap: Gap | None
     shared: tuple[Amendment, ...]
-    """Effects that a simulation shows with the same size, as it has them; part of the simulator from then on."""
+    """Effects that a simulation shows with the same size, with its parameters; they become part of the simulator."""
     cannot_tell_apart: list[dict[str, Any]]
 
 
@@ -56,13 +56,13 @@ def diagnose_scans(
     rng: np.random.Generator,
     clock: StageClock,
 ) -> ScanDiagnosis:
-    """Explain scans, and prove it on scans that no fit has seen.
+    """Explain the scans, and measure the gap on scans that no fit has used.
 
     Parameters
     ----------
-    second : of a further run, for a further proof
-    most : effects that a model may have
-    simulated : effects that a simulation shows; what has the same size here is no difference
+    second : Scans of a further run, for a second gap.
+    most : Maximum number of effects in a model.
+    simulated : Effects that a simulation shows. The same effect with the same size is not a difference.
     """
     with clock.stage("explain"):
         explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=clock.progress)
@@ -105,7 +105,7 @@ def judge(
     *,
     tick: Progress | None = None,
 ) -> tuple[GoodnessOfFit, ScanNames]:
-    """Ask what an accepted model leaves unexplained, and name what deserves it."""
+    """Test an accepted model for unmodelled structure, and name its effects."""
     null, final = explained.null, explained.final
     settings = SCAN.goodness_of_fit
     found = check(
@@ -137,7 +137,7 @@ def judge(
 def shared_effects(
     data: ScanData, explained: Explained, simulated: Sequence[Amendment]
 ) -> tuple[Amendment, ...]:
-    """Return those of a simulation's effects that an accepted model has with the same size, as the simulation has them."""
+    """Return the effects of a simulation that an accepted model contains with the same size."""
     pairs = [(a, counterpart(located(a, data), simulated)) for a in explained.final.model]
     return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
 
@@ -145,11 +145,11 @@ def shared_effects(
 def given(
     data: ScanData, explained: Explained, known: Sequence[Amendment], noise_bounds: NoiseBounds
 ) -> Explained:
-    """Return a model without effects that `data` knows already, fitted beside them.
+    """Return a model without the effects that `data` now contains, refitted.
 
     Parameters
     ----------
-    known : by what they were found to share
+    known : These effects.
     """
     model = explained.final.model
     kept = [k for k, a in enumerate(model) if counterpart(located(a, data), known) is None]
@@ -172,10 +172,11 @@ def given(
 
 
 def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:
-    """Tell whether scans fit the arena with poses far better than the bend of the reference that odometry claims.
+    """Tell whether the scans contradict a distorted reference that the odometry channel reports.
 
-    Wheels whose slip adds up over a minute may look as a reference that is bent over the place. Scans see its poses one by
-    one: where they leave no doubt and no tolerance has stretched, it is not.
+    Wheel slip that adds up over a minute may resemble a reference that is distorted over the place. The scans
+    test each pose separately. The reference is straight if the scans show no unmodelled structure and no
+    widened tolerance, and pose errors far below the reported distortion.
     """
     state, told = scans.explained.final.state, scans.explained.final.solver.data.tolerances
     unknown = odometry.unknown

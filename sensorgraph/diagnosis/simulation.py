@@ -1,7 +1,10 @@
-"""What a log of the robot and one of the user's own simulator have in common, and where they differ.
+"""Common and different effects in a log of the robot and a log of the user's own simulator.
 
-Both are diagnosed against the same arena and robot file, which so drop out: an effect that both show is part of the
-user's simulator already, one that only the robot shows is missing there, one that only the simulation shows is wrong.
+Both are diagnosed against the same arena and robot file, which therefore cancel:
+
+- An effect that both show is already part of the user's simulator.
+- An effect that only the robot shows is missing in the simulator.
+- An effect that only the simulation shows is wrong.
 """
 
 from __future__ import annotations
@@ -18,51 +21,51 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 
 MAX_STDERRS = 3.0
-"""Standard errors by which two sizes of an effect must differ at least to be called different."""
+"""Minimum difference between two sizes of an effect, in standard errors, to be called different."""
 MAX_SHARE = 0.1
-"""The same of a parameter that has no materiality, as a share of it."""
+"""Minimum relative difference of a parameter without materiality, to be called different."""
 MAX_DISTANCE = 0.3
-"""[m] between two spots that are the same."""
+"""[m] maximum distance between two spots that count as the same."""
 NOISE_RATIO = 1.25
-"""Of the scatter of two lasers, above which they are called different."""
+"""Ratio of the scatter of two lasers, above which they are called different."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaserNoise:
-    """What a laser does to its readings, as one log shows it."""
+    """Noise of a laser, as one log shows it."""
 
     scatter: float
     """[m] robust standard deviation of the readings about the model."""
     lost: float
-    """Share of the rays that should have returned, and did not."""
+    """Share of the rays with a missing return."""
     stray: float
-    """Share of the returns that are from elsewhere."""
+    """Share of the returns that are outliers."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulationComparison:
-    """How the log of a robot differs from that of a simulator."""
+    """Differences between the log of a robot and that of a simulator."""
 
     name: str
     """Of the simulator's log."""
     shared: tuple[Amendment, ...] = ()
-    """Effects that both show, as the simulation has them."""
+    """Effects that both show, with the parameters of the simulation."""
     changed: tuple[tuple[Amendment, Amendment], ...] = ()
     """Effects that both show with different sizes: the robot's, the simulation's."""
     only_in_simulation: tuple[Amendment, ...] = ()
     """Effects that the robot does not show."""
     not_observable: Mapping[str, str] = field(default_factory=dict)
-    """Of these, the ones that the robot's log could not have shown -> why."""
+    """Effect of `only_in_simulation` -> reason why the robot's log could not have shown it."""
     unknown: Unknown | None = None
-    """What the simulation has that no effect explains."""
+    """Unmodelled structure in the simulation."""
     shares_unknown: bool = False
-    """The robot's log shows the same, so that it is no difference."""
+    """Whether the robot's log shows the same structure, so that it is not a difference."""
     robot_noise: LaserNoise | None = None
     simulated_noise: LaserNoise | None = None
 
 
 def laser_noise(fitted: Fitted) -> LaserNoise:
-    """Return scatter, losses and strays about an accepted model."""
+    """Return scatter, missing returns and outliers with respect to an accepted model."""
     view = FitResiduals(fitted.solver.data, fitted)
     clear = view.returned & view.aimed & view.valid & ~view.strange
     off = view.residual[clear]
@@ -76,7 +79,7 @@ def laser_noise(fitted: Fitted) -> LaserNoise:
 
 
 def counterpart(a: Amendment, others: Sequence[Amendment]) -> Amendment | None:
-    """Return the effect of the same name at the same place, if it is among others."""
+    """Return the effect with the same name and place, if it is among the others."""
     return next((b for b in others if b.name == a.name and _is_same_place(a, b)), None)
 
 
@@ -91,33 +94,33 @@ def _is_same_place(a: Amendment, b: Amendment) -> bool:
 
 
 def is_same_size(a: Amendment, b: Amendment) -> bool:
-    """Tell whether two effects of one name differ by less than a user would mind, or than anyone can tell."""
+    """Tell whether two sizes of one effect differ by less than their materiality or their standard errors."""
     off = {k: a[k] - b[k] for k in a.parameters if k in b.parameters}
     error = {k: float(np.hypot(a.stderr.get(k, 0.0), b.stderr.get(k, 0.0))) for k in off}
     clear = {k: d for k, d in off.items() if abs(d) > MAX_STDERRS * error[k]}
     sizes = {k: d for k, d in clear.items() if k in a.effect.sizes}
     if sizes and size_ratio(a.effect, sizes) >= 1.0:
         return False
-    places = {"x", "y", "a", "b", "theta1", "theta2"}  # told by the place
+    places = {"x", "y", "a", "b", "theta1", "theta2"}  # compared as the place
     rest = {k: d for k, d in clear.items() if k not in a.effect.sizes and k not in places}
     return all(abs(d) <= MAX_SHARE * max(abs(a[k]), abs(b[k])) for k, d in rest.items())
 
 
 def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[Amendment, ...]:
-    """Return those of a simulation's effects that a channel of the robot names with the same size."""
+    """Return the effects of a simulation that a channel of the robot names with the same size."""
     pairs = [(a, counterpart(a, simulated)) for a in result.effects]
     return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
 
 
 def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
-    """Leave out what is no difference."""
+    """Remove the effects that robot and simulation share."""
     shared = shared_with(result, simulated)
     kept = tuple(a for a in result.effects if counterpart(a, shared) is None)
     return result if len(kept) == len(result.effects) else replace(result, effects=kept)
 
 
 def is_same_unknown(a: Unknown | None, b: Unknown | None) -> bool:
-    """Tell whether two doubts are of the same kind, at the same place, of a similar size."""
+    """Tell whether two unmodelled structures have the same kind and place, and a similar size."""
     if a is None or b is None or a.deviation is None or b.deviation is None:
         return False
     one, other = a.deviation, b.deviation

@@ -1,4 +1,4 @@
-"""The baseline of a site: what good runs show though nothing is wrong, and how a later run is judged against it."""
+"""Baseline of a site: what known-good runs show, and how a later run is compared with them."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from sensorgraph.world.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SiteBaseline:
-    """What runs known to be good say of their site, its poses and its sensor."""
+    """Effects, tolerances and noise that known-good runs of a site show."""
 
     robot: Robot
-    """With the tolerances of the poses, and the resolution of the sensor, that the runs showed."""
+    """With the pose tolerances and the sensor resolution that the runs showed."""
     known: tuple[Amendment, ...]
-    """What the run itself shows: part of the simulator from now on."""
+    """Effects that the runs show; they become part of the simulator."""
     noise_bounds: NoiseBounds
-    """Noise, held near what the runs showed."""
+    """Limits of the noise, close to what the runs showed."""
     not_looked_for: tuple[str, ...]
-    """Effects that a map like this one cannot show."""
+    """Effects that a map of this kind cannot show."""
     runs: tuple[tuple[tuple[WindowEstimate, ...], ...], ...]
-    """Of each run, as a whole and cut finer: what its windows showed though nothing was wrong."""
+    """Estimates of each run, for the whole run and for shorter windows."""
 
     @property
     def n_runs(self) -> int:
-        """Count of good runs, or of stretches of them."""
+        """Number of known-good runs, or of parts of them."""
         return len(self.runs)
 
     def to_dict(self, name: str) -> dict[str, Any]:
-        """Return what was learnt, as plain data for the report; for a run as long as the first.
+        """Return the baseline as plain data for the report, for a run as long as the first.
 
         Parameters
         ----------
-        name : of the runs
+        name : Of the runs.
         """
         first = self.runs[0][0][0]
         windows = self.similar_windows(first.n_scans)
@@ -70,7 +70,7 @@ class SiteBaseline:
         }
 
     def similar_windows(self, n_scans: int) -> list[WindowEstimate]:
-        """Return windows of the good runs that are nearly as long; shorter ones too, where these are few."""
+        """Return windows of the known-good runs of nearly the same length; also shorter ones, if these are few."""
         levels = []
         for cuts in self.runs:
             apart = [abs(np.log(level[0].n_scans / n_scans)) for level in cuts]
@@ -89,11 +89,11 @@ class SiteBaseline:
         n_scans: int,
         n_readings: int,
     ) -> dict[str, float]:
-        """Return, per effect, what clutter may bring it though nothing is wrong [nats], in a run of this length.
+        """Return the evidence [nats] that clutter may give to each effect in a run of this length.
 
-        Smooth effects of the whole sensor with a baseline interval are left out: the interval is the sharper test. An
-        effect that no good run gave a reason to try may still be tried in the next: where clutter has brought others more
-        than a name takes, it pays the least of these.
+        Smooth whole-sensor effects with a baseline interval are omitted: the interval is the sharper test. An
+        effect that no known-good run proposed may be proposed in the next run. If clutter gave other effects
+        more evidence than a name needs, such an effect gets the smallest of these values.
         """
         nats = {
             name: most
@@ -111,7 +111,7 @@ class SiteBaseline:
         return {**dict.fromkeys(looked_for, least), **nats}
 
     def _most_nats(self, windows: Sequence[WindowEstimate], n_readings: int) -> dict[str, float]:
-        """Return, per effect, what clutter may bring it in a run of so many readings though nothing is wrong [nats]."""
+        """Return the evidence [nats] that clutter may give to each effect in a run with this number of readings."""
         gained: dict[str, list[float]] = {}
         for w in windows:
             size = float(np.sqrt(n_readings / w.n_readings))
@@ -123,29 +123,33 @@ class SiteBaseline:
         }
 
     def _clutter_factor(self, name: str, gained: Floats) -> float:
-        """Return what a name takes, over the most that clutter alone has brought: more, where windows differ much.
+        """Return the evidence that a name needs, divided by the largest evidence due to clutter.
+
+        It is larger if the windows differ much.
 
         Parameters
         ----------
-        gained : (n,) [nats] in each of the windows where clutter brought anything
+        gained : (n,) [nats] Evidence in each window in which clutter brought any.
         """
         site = SCAN.site
         if self.n_runs == 1:
             return site.local_clutter_factor if _is_local(name) else site.clutter_factor
-        if EFFECTS[name].place != "sector":  # a run has many walls and spots, and its gain is of the worst
+        if (
+            EFFECTS[name].place != "sector"
+        ):  # a run has many walls and spots, and its gain is that of the worst
             return site.min_clutter_factor
         if len(gained) < site.min_windows or gained.min() <= 0:
             return site.clutter_factor
-        logs = np.log(gained)  # of a further window: a prediction interval
+        logs = np.log(gained)  # prediction interval of a further window
         t = stdtrit(len(logs) - 1, site.confidence)
         far = t * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
         factor = np.exp(logs.mean() + far) / gained.max()
         return float(np.clip(factor, site.min_clutter_factor, site.max_clutter_factor))
 
     def apply_to(self, data: ScanData) -> ScanData:
-        """Return the data of a later run, to be judged against this baseline.
+        """Return the data of a later run, prepared for comparison with this baseline.
 
-        Its poses may be the laser's own: a mount that has moved since shows as a difference.
+        Its poses may be those of the laser itself: a mount that has moved since then shows as a difference.
         """
         windows = self.similar_windows(data.n_scans)
         intervals = baseline_intervals(windows)
@@ -167,7 +171,7 @@ class SiteBaseline:
         )
 
     def discount(self, doubt: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
-        """Take back a doubt that is no larger than the good runs' own, and count only the misfit beyond that."""
+        """Remove unmodelled structure no larger than that of the known-good runs; keep only the excess misfit."""
         site = SCAN.site
         windows = [w for cuts in self.runs for level in cuts[:2] for w in level]
         own = max(w.misfit / w.n_readings for w in windows) * data.ranges.size
@@ -179,10 +183,10 @@ class SiteBaseline:
 
 
 def _has_sharper_test(name: str, intervals: Mapping[str, BaselineInterval]) -> bool:
-    """Tell whether an effect is a smooth one of the whole sensor, whose size is held against those of good runs."""
+    """Tell whether an effect is a smooth whole-sensor effect, whose size is compared with known-good runs."""
     return name in intervals and bool(EFFECTS[name].nuisances)
 
 
 def _is_local(name: str) -> bool:
-    """Tell whether an effect sits at one place of the site: a longer run shows it no more than a shorter one."""
+    """Tell whether an effect has one place in the site, so that its evidence does not grow with the run."""
     return EFFECTS[name].place in ("wall", "obstacle", "spot")

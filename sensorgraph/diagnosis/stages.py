@@ -9,19 +9,19 @@ from contextlib import contextmanager
 from sensorgraph.types import Progress, ProgressBars, no_progress
 
 STAGES = {
-    "intake": "laying scans on the arena",
+    "intake": "aligning scans with the arena",
     "odometry and drive": "",
     "explain": "",
-    "criticise": "looking for what is left",
+    "criticise": "testing for unexplained structure",
     "prove": "measuring the gap",
-    "observable": "asking what the run could show",
+    "observable": "testing what the run could show",
     "next run": "planning the next run",
 }
-"""Name, as timing.json has it -> what its bar says; empty: it opens bars of its own."""
+"""Name, as in timing.json -> label of its progress bar; empty: the stage opens bars itself."""
 
 
 class StageClock:
-    """CPU time per stage, and a bar for each."""
+    """CPU time and progress bar of each stage."""
 
     def __init__(self, progress: ProgressBars) -> None:
         self.seconds: dict[str, float] = {}
@@ -29,7 +29,7 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Progress]:
-        """Say what is done now, and book its time when it has ended."""
+        """Show a progress bar during a stage, and add its CPU time afterwards."""
         begin, label = time.process_time(), STAGES[name]
         with (self.progress if label else no_progress)(
             label, "replicates" if name == "criticise" else ""

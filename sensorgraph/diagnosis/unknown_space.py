@@ -1,4 +1,4 @@
-"""A place known in part, as a graph of one run holds it: rays that leave what was seen there are not judged."""
+"""Exclude rays that leave the known part of a place, such as a graph of one run."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.world.open_borders import open_borders
 
 AROUND = 0.3
-"""[m] about a thing, within which a ray passes it."""
+"""[m] distance from an object, within which a ray counts as passing it."""
 RIM = 0.2
-"""[m] before unknown space, where a reading may be of what stands at its rim: two cells of a graph."""
+"""[m] distance to unknown space, within which a reading may belong to an object at its border: two cells of a graph."""
 
 
 def without_unknown_space(data: ScanData, *, with_changes: bool = True) -> tuple[ScanData, dict[str, Any]]:
-    """Leave out rays that enter unknown space before they meet a wall; return what to say of them.
+    """Exclude rays that enter unknown space before they meet a wall; return the scans and notes for the report.
 
     Parameters
     ----------
-    with_changes : keep what shows that the building has changed since its walls were found; False: leave it out, too, where
-        it is more things than a diagnosis may name
+    with_changes : Keep readings that show a change of the building since its walls were found. False: exclude
+        them as well, if the changes are more than a diagnosis may name.
     """
     if data.sensor.is_composite or measures_cones(data.sensor):
         return data, {"into_unknown_share": 0.0}
@@ -48,10 +48,10 @@ def without_unknown_space(data: ScanData, *, with_changes: bool = True) -> tuple
 
 
 def judged_around_things(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:
-    """Judge rays that leave the map up to there, where they pass a thing that surely stands before it.
+    """Include rays that leave the map, up to its border, if they pass an object that certainly stands there.
 
-    All the rays that pass it are taken, whether it stops them or not. What else stands before the rim stays out: a building
-    has more of that than of what a run can hide.
+    All rays that pass the object are included, whether it stops them or not. Other returns before the border
+    stay excluded: most of them are parts of the building that the run did not map.
     """
     if data.into_unknown is None:
         return data

@@ -1,4 +1,4 @@
-"""Runs without a reference in a known place: their poses are located, and driving alone tells of wheels and mount."""
+"""Runs without reference poses in a known place: locate them, and calibrate them from driving alone."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
 
 STRETCHES = (RANGE_SCALE, MAP_SCALE)
-METRES = "a wall of the map measured with a tape, or wheels whose metre is known"
-"""What tells the laser's metre from the map's, where poses were located in the map."""
+METRES = "a wall of the map measured with a tape, or wheels with a known distance scale"
+"""What distinguishes the length scale of the laser from that of the map, if poses were located in the map."""
 
 
 def located_in(run: Run, walls: Arena | None, robot: Robot | None = None) -> Run:
-    """Return a run with the poses of its own scans, where it has no reference; None: in a place of its own.
+    """Return a run located with its own scans, if it has no reference poses.
 
     Parameters
     ----------
-    robot : says where the laser sits on it
+    walls : Where it is located; None: in a map built from the run itself.
+    robot : Specifies the mount of the laser; None: as logged.
     """
     if needs_locating(run, run.n_scans, None):
         run = located_run(run, locate(run, walls, name="the map" if walls is None else "the arena"))
@@ -44,7 +45,10 @@ def located_in(run: Run, walls: Arena | None, robot: Robot | None = None) -> Run
 
 
 def with_described_mount(run: Run, robot: Robot) -> Run:
-    """Return a located run whose laser sits where robot.yaml says: scans have located the laser, the base's poses follow."""
+    """Return a located run with the laser mount of robot.yaml.
+
+    The scans locate the laser, so that the poses of the base follow from the mount.
+    """
     said, logged = np.asarray(robot.sensor.mount), np.asarray(run.sensor.mount)
     if not is_located(run) or run.sensor.is_composite or np.array_equal(said, logged):
         return run
@@ -54,11 +58,11 @@ def with_described_mount(run: Run, robot: Robot) -> Run:
 
 
 def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
-    """Tell wheels and mount of one run or two without arena and reference.
+    """Calibrate wheels and mount of one or two runs without arena and reference poses.
 
     Raises
     ------
-    SensorgraphError : a run has no odometry, or is too short
+    SensorgraphError : A run has no odometry, or is too short.
     """
     names = ["the run"] if len(runs) == 1 else ["the first run", "the second run"]
     for run, name in zip(runs, names, strict=True):
@@ -70,7 +74,10 @@ def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
 def _wrong_metre(
     driving: DrivingFinding | None, stretch: Amendment, robot: Robot
 ) -> tuple[DrivingFinding | None, Effect | None]:
-    """Return what driving tells in a metre that holds, and what stretches readings; None where the wheels do not choose."""
+    """Return the calibration in a valid length scale, and the effect that stretches the readings.
+
+    The effect is None if the wheels do not decide.
+    """
     if driving is None:
         return None, None
     name, found = list(driving.runs.items())[-1]
@@ -86,17 +93,17 @@ def _wrong_metre(
 
 
 def _agrees(way: float, error: float) -> bool:
-    """Tell whether the wheels differ from a metre by nothing that matters."""
+    """Tell whether a distance scale differs from 1 by no more than its error or its materiality."""
     return abs(way - 1) < max(SURE * error, QUANTITIES["way_scale"].materiality)
 
 
 def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) -> Finding:
-    """Name what stretches readings: the laser's metre or the map's, or neither where nothing chooses."""
+    """Name the effect that stretches the readings: `range_scale` or `map_scale`; if `wrong` is None, neither."""
     if stretch.effect is wrong:
         return finding
     scan = finding.channels["scan"]
     others = tuple(a for a in scan.effects if a is not stretch)
-    if wrong is RANGE_SCALE:  # the same to the readings, once poses have stretched with the map
+    if wrong is RANGE_SCALE:  # same readings, since the located poses stretch with the map
         errors = {"s": (stretch.stderr or {}).get("s", 0.0)}
         named = replace(
             RANGE_SCALE(s=stretch["s"]),
@@ -119,14 +126,14 @@ def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) ->
 def _without_wheels(finding: Finding, why: str) -> Finding:
     if finding.channels["odometry"].skipped:
         return finding
-    why = f"its poses were located with the scans, and driving alone does not tell: {why}"
+    why = f"the poses were located with the scans, and driving alone does not determine the wheels: {why}"
     skipped = ChannelResult(channel="odometry", skipped=why)
     return replace(finding, channels={**finding.channels, "odometry": skipped})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Untold:
-    """Driving alone tells nothing of a located run."""
+    """Reason why a located run is not calibrated from driving alone."""
 
     why: str
 
@@ -134,7 +141,7 @@ class Untold:
 def driving_of(
     run: Run, robot: Robot, *, name: str = "the run", progress: ProgressBars = no_progress
 ) -> DrivingFinding | Untold | None:
-    """Calibrate wheels and mount of a located run; None for a run with a reference."""
+    """Calibrate wheels and mount of a located run; return None for a run with reference poses."""
     if not is_located(run):
         return None
     try:
@@ -144,11 +151,14 @@ def driving_of(
 
 
 def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robot: Robot) -> Finding:
-    """Put what driving alone tells in place of the odometry channel, which compares wheels with poses of their making.
+    """Replace the odometry channel, which compares wheels with poses that depend on them, by the calibration.
 
-    Where it tells nothing, wheels are not looked at: located poses are no reference for them.
-    Where readings are longer or shorter than the map, laser, map and wheels each have a metre: the one that disagrees with the
-    other two is wrong. Poses that were located in the map have stretched with it, so that scans alone cannot tell.
+    If driving alone does not determine the wheels, they are not evaluated: located poses are no reference for
+    them.
+
+    If readings are longer or shorter than the map, the length scales of laser, map and wheels are compared.
+    The one that disagrees with the other two is wrong. Poses that were located in the map have stretched with
+    it, so that the scans alone do not decide.
     """
     if finding.explained is None:
         return finding
@@ -161,7 +171,7 @@ def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robo
     if driving is None:
         return finding
     beside = finding.channels["odometry"]
-    # a patch is of a place, which driving as a whole does not show
+    # a slippery patch is local, which the calibration of a whole run does not show
     slips = [a for a in beside.effects if a.effect is WHEEL_SLIP]
     odometry = ChannelResult(
         channel="odometry",
