@@ -123,7 +123,7 @@ def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
     assert report["channels"]["drive"]["skipped"]
     lines = capsys.readouterr().out.splitlines()
     for channel in ("odometry", "drive"):
-        assert f"{channel}: not looked at, {report['channels'][channel]['skipped']}" in lines
+        assert f"{channel}: not evaluated, {report['channels'][channel]['skipped']}" in lines
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -91,7 +91,7 @@ def test_a_log_without_transforms_is_located_by_the_robots_mount(room: Arena) ->
     unseen = finding.channels["scan"].not_observable
     assert {"mount_xy", "mount_yaw", "latency"} <= set(unseen)
     said = " ".join(summarise(finding).details)
-    assert "so that a mount or a delay of the laser would not show" in said
+    assert "so that an error of the laser's mount or delay would not show" in said
 
 
 # three metres: laser, map, wheels ------------------------------------------------------------------------------------

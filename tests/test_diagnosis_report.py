@@ -60,12 +60,12 @@ def found(room: Arena) -> Finding:
 def test_every_stage_of_a_diagnosis_is_named(found: Finding) -> None:
     named = list(STAGES)
     assert named[:5] == [
-        "laying scans on the arena", "comparing wheels with poses", "comparing commands with wheels",
+        "aligning scans with the arena", "comparing wheels with poses", "comparing commands with wheels",
         "fitting the simulator", "trying effects, round 1",
     ]  # fmt: skip
     assert named[-5:] == [
-        "weighing effects", "looking for what is left", "measuring the gap", "asking what the run could show",
-        "planning the next run",
+        "weighing effects", "testing for unexplained structure", "measuring the gap",
+        "testing what the run could show", "planning the next run",
     ]  # fmt: skip
     for label in ("trying effects, round 1", "weighing effects"):  # what is counted is counted to the end
         done, total = STAGES[label][-1]
@@ -137,7 +137,7 @@ def test_the_page_stands_alone_and_says_it_in_words(saved: Path) -> None:
     assert "z = r + b" in html
     assert re.search(r"b = \+[23]\.\d+ ± 0\.\d+ cm", html)
     assert "lab.mcap" in html
-    assert "no odometry" in html or "not looked at" in html  # the skipped channels are told
+    assert "no odometry" in html or "not evaluated" in html  # the skipped channels are told
 
 
 def test_effects_yaml_reads_back_as_found(found: Finding, room: Arena, saved: Path) -> None:
@@ -233,16 +233,16 @@ def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     )
     said = " ".join(summarise(finding).details)
     assert f"only if the reference pose is {finding.pose_tolerance_factor:.1f} times worse" in said
-    assert "within what a careful set-up holds" not in said
+    assert "within the accuracy of a careful setup" not in said
     save_report(finding, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["pose_scale"] == pytest.approx(finding.pose_tolerance_factor) and report["map_scale"] < 1.3
     floors = [report["gap"][key]["rmse_m"] for key in ("stated_floor", "noise_floor")]
     assert 0.9 * floors[1] < floors[0] <= floors[1]  # poses are fitted to each scan before it is judged
     page = (tmp_path / "report.html").read_text()
-    assert f"those of the reference poses are {finding.pose_tolerance_factor:.2f} times as wide" in page
+    assert f"the reference poses: {finding.pose_tolerance_factor:.2f} times the specified value" in page
     assert all(f"{100 * floor:.2f} cm" in said for floor in floors)
-    assert "careful set-up" in " ".join(summarise(silent).details)
+    assert "careful setup" in " ".join(summarise(silent).details)
 
 
 @pytest.mark.slow
@@ -268,7 +268,7 @@ def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Pa
 def test_a_doubt_of_the_motion_says_what_differs(unknown: Finding) -> None:
     scan = unknown.channels["scan"]
     assert scan.unknown is not None and scan.unknown.deviation is not None
-    label = "by what is lost after a wheel has turned back: play"
+    label = "by a loss of motion after a wheel reverses: play"
     told = replace(scan.unknown.deviation, channel="odometry", partition="reversal", label=label)
     said = replace(unknown, channels={"scan": replace(scan, unknown=replace(scan.unknown, deviation=told))})
     assert summarise(said).headline == f"Something unknown: odometry and reference pose differ {label}."
@@ -395,7 +395,7 @@ def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Pa
         object.__setattr__(found, "next_run", None)
     html = (tmp_path / "report.html").read_text()
     assert "drive near and far" in html
-    assert "340 nats" in html
+    assert "<span>expected log Bayes factor</span>340</div>" in html
     assert (tmp_path / "next_run.png").exists()
     assert json.loads((tmp_path / "report.json").read_text())["next_run"] == plan
 

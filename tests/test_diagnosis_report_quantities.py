@@ -44,7 +44,7 @@ def test_the_gap_is_told_in_nats_where_metres_hardly_change() -> None:
         Gap(before=before, after=after, noise_floor=floor, n_rays=9)
     )
     lost = replace(before, nats_per_ray=-2.9)
-    assert "by 0.9 nats" in gap_sentence(Gap(before=before, after=lost, noise_floor=floor, n_rays=9))
+    assert "by 0.9 per reading" in gap_sentence(Gap(before=before, after=lost, noise_floor=floor, n_rays=9))
     assert gap_sentence(None) == ""
 
 

@@ -14,8 +14,8 @@ from sensorgraph.world.robot import parse_robot
 @pytest.mark.parametrize(
     ("first", "second", "said"),
     [
-        (0.03, 0.03, "On the second run, of which nothing was fitted, it shrinks from "),
-        (0.03, 0.0, "The second run disagrees: with that in the model its readings are less likely, by "),
+        (0.03, 0.03, "On the second run, which was not used in any fit, it shrinks from "),
+        (0.03, 0.0, "The second run disagrees: with the effects in the model its log-likelihood falls by "),
         (0.0, 0.03, "The second run disagrees: its gap is "),
         (0.0, 0.0, ""),
     ],

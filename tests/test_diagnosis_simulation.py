@@ -67,7 +67,7 @@ def test_what_only_the_simulation_shows_is_said(room: Arena) -> None:
     )
     assert not finding.effects and finding.simulation is not None
     assert [a.name for a in finding.simulation.only_in_simulation] == ["range_bias"]
-    assert "the robot lacks" in summarise(finding).headline
+    assert "Only the simulation shows" in summarise(finding).headline
 
 
 def test_the_run_is_searched_once_though_both_share_an_effect(

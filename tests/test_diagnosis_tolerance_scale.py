@@ -113,4 +113,4 @@ def test_a_laser_that_scatters_more_than_stated_has_no_noise_that_grows_with_ran
 def test_a_laser_that_scatters_less_than_stated_is_told() -> None:
     finding = diagnose(driven(noise=0.4), hall_arena(), ROBOT, plan_next=False)
     assert finding.effects == () and finding.unknown is None
-    assert "times what the laser scatters" in " ".join(summarise(finding).details)
+    assert "times the scatter of the laser" in " ".join(summarise(finding).details)
