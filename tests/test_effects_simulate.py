@@ -13,7 +13,7 @@ from planners.arena import wrap
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.walkers import APART, RADIUS
+from sensorgraph.effects.walkers import CLEARANCE, RADIUS
 from sensorgraph.world import simulate as simulation
 from sensorgraph.world.drive import TRUTH_STEP, ExecutedDrive, follow, odometry, replay
 from sensorgraph.world.drivetrain import Drivetrain
@@ -78,7 +78,7 @@ def test_people_take_their_share_of_rays_and_keep_clear(p: float, sensor: RangeS
     share = (beams.wall == DISC_WALL - 1).mean()
     assert p / 1.5 < share < 1.5 * p
     apart = np.linalg.norm(there.movers[..., :2] - motion(stamps)[:, None, :2], axis=-1)
-    assert apart.min() > APART + RADIUS - 1e-9
+    assert apart.min() > CLEARANCE + RADIUS - 1e-9
     assert beams.ranges.min() > 0.1
 
 
