@@ -44,6 +44,16 @@ def unpack(data: bytes, most: int) -> bytes:
     return plain
 
 
+def unpack_start(data: bytes, size: int) -> bytes:
+    """Decompress the intact start of truncated data, at most `size` bytes; empty if nothing is intact."""
+    try:
+        if data.startswith(BZIP2_MAGIC):
+            return bz2.BZ2Decompressor().decompress(data, size)
+        return _unpack(data, size)
+    except Exception:  # each library has its own error class, without a common base
+        return b""
+
+
 def _unpack(data: bytes, size: int) -> bytes:
     if data.startswith(ZSTD_MAGIC):
         import zstandard

@@ -1,4 +1,4 @@
-"""Save every complete message of a truncated or damaged MCAP file, and list every loss; no message is guessed."""
+"""Save every complete message of a truncated or damaged MCAP file or ROS 1 bag, and list every loss; no message is guessed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from pathlib import Path
 
 from logs.errors import LogError
 from logs.files import atomic_file
-from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
+from logs.formats import rosbag1
+from logs.formats.bag_records import BagWalk, check_bag
+from logs.formats.collecting import WalkOf, open_bytes
+from logs.formats.mcap_file import CHUNK_SIZE
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros.cdr import MESSAGE_FIELDS
@@ -24,7 +27,6 @@ OTHER_FORMATS = (
         b"SQLite format 3\x00",
         "a sqlite bag: save its intact messages with `sqlite3 {path} .recover | sqlite3 OUT.db3`",
     ),
-    (b"#ROSBAG V", "a ROS 1 bag: save its intact messages with `rosbag reindex {path}`"),
     (b"\x1f\x8b", "a gzip file: save its intact first part with `zcat {path} > OUT.log`"),
 )
 
@@ -81,7 +83,9 @@ class Recovery:
 
 
 def recover(path: Path | str, out: Path | str, *, progress: Progress | None = None) -> Recovery:
-    """Write every complete message of a damaged MCAP file to `out`, with its attachments and metadata.
+    """Write every complete message of a damaged MCAP file or ROS 1 bag to the MCAP file `out`.
+
+    Attachments and metadata are kept. The messages of a ROS 1 bag keep their encoding (profile `ros1`).
 
     Chunks that do not match their checksum are skipped. After damaged framing, reading resumes at the next plausible
     record. The complete records at the start of a truncated last chunk are kept.
@@ -89,12 +93,12 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     Raises
     ------
     LogError
-        If the file is not MCAP, contains nothing intact, or `out` is a folder or the damaged file itself.
+        If the file is of another format, contains nothing intact, or `out` is a folder or the damaged file itself.
     """
     path, out = Path(path), Path(out)
-    _check(path, out)
+    walk_of = _check(path, out)
     data = open_bytes(path)
-    known = _read_contents(data)
+    known = _read_contents(data, walk_of)
     losses: list[Loss] = []
     if any(name == METADATA_NAME and not is_intact(said) for name, said in known.metadata):
         known.metadata = [(name, said) for name, said in known.metadata if name != METADATA_NAME]
@@ -112,7 +116,7 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         part.open("wb") as stream,
     ):  # a unique name, because NAME.part may be the damaged file
         copy = _RecoveredFile(stream, known)
-        walk = RecordWalk(data, copy.take, lambda loss: _add(losses, loss))
+        walk = walk_of(data, copy.take, lambda loss: _add(losses, loss))
         for step, pos in enumerate(walk.steps()):
             if progress is not None and step % 64 == 0:
                 progress(pos, len(data))
@@ -145,13 +149,13 @@ def _add(losses: list[Loss], loss: Loss) -> None:
         losses.append(loss)
 
 
-def _read_contents(data: bytes | mmap) -> Contents:
+def _read_contents(data: bytes | mmap, walk_of: WalkOf) -> Contents:
     """Read everything except the messages first, because a channel may be described after its messages.
 
     Header and definitions have no checksum. In a damaged file, known definitions are restored.
     """
     losses: list[Loss] = []
-    walk = RecordWalk(data, lambda *_: None, losses.append)
+    walk = walk_of(data, lambda *_: None, losses.append)
     for _ in walk.steps():
         pass
     known = walk.contents
@@ -181,16 +185,16 @@ def _is_quality(text: str) -> bool:
     )
 
 
-def _check(path: Path, out: Path) -> None:
-    """Reject an input that is not MCAP, and an output that is a folder or the input itself."""
+def _check(path: Path, out: Path) -> WalkOf:
+    """Return the walk for the format of the input; reject another format, and an output that is the input or a folder."""
     if out.is_dir():
         raise LogError(f"{out} is a folder; give the name of a file to write")
     if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
+        inside = sorted([*path.glob("*.mcap"), *path.glob("*.bag*")])
         what = (
             f"recover its files one by one: {', '.join(map(str, inside[:3]))}"
             if inside
-            else "it contains no .mcap file"
+            else "it contains no .mcap or .bag file"
         )
         raise LogError(f"{path} is a folder; {what}")
     with path.open("rb") as file:
@@ -199,12 +203,22 @@ def _check(path: Path, out: Path) -> None:
         raise LogError(f"{path} is empty; nothing can be recovered")
     for magic, what in OTHER_FORMATS:
         if head.startswith(magic):
-            raise LogError(f"{path} is {what.format(path=path)}; recover reads only MCAP")
-    looks_alike = sum(a == b for a, b in zip(head, MAGIC, strict=False)) >= 5
-    if not looks_alike and not path.name.removesuffix(".part").endswith(".mcap"):
-        raise LogError(f"{path} is not an MCAP file (it starts with {head[:8]!r}); recover reads only MCAP")
+            raise LogError(
+                f"{path} is {what.format(path=path)}; recover reads only MCAP files and ROS 1 bags"
+            )
     if out.exists() and out.samefile(path):
         raise LogError(f"{out} is the damaged file itself; give another output name")
+    if head.startswith(rosbag1.MAGICS):
+        check_bag(path, open_bytes(path))
+        return BagWalk
+    if path.name.removesuffix(".active").endswith(".bag"):
+        return BagWalk
+    looks_alike = sum(a == b for a, b in zip(head, MAGIC, strict=False)) >= 5
+    if not looks_alike and not path.name.removesuffix(".part").endswith(".mcap"):
+        raise LogError(
+            f"{path} is no MCAP file and no ROS 1 bag (it starts with {head[:8]!r}); recover reads only these"
+        )
+    return RecordWalk
 
 
 class _RecoveredFile:
@@ -237,13 +251,15 @@ class _RecoveredFile:
         self._channels[key], self._topics[made] = made, channel.topic
         self.written.setdefault(channel.topic, 0)
 
-    def take(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+    def take(
+        self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes | memoryview
+    ) -> None:
         """Copy one message."""
         made = self._channels.get(channel)
         if made is None:
             self.orphans += 1
             return
-        self._writer.add_message(made, log_time, payload, publish_time, sequence)
+        self._writer.add_message(made, log_time, bytes(payload), publish_time, sequence)
         self.written[self._topics[made]] += 1
 
     def finish(self) -> None:

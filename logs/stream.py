@@ -11,15 +11,17 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from logs.errors import LogError
-from logs.formats import format_of, mcap_file, read
+from logs.formats import format_of, read
+from logs.formats.collecting import damage_text, type_of
 from logs.mcap.records import Contents, Loss
-from logs.mcap.walk import RecordWalk
+from logs.mcap.walk import MessageSink, RecordWalk
 from logs.no_return import check_no_return
+from logs.notes import notes_of
 from logs.ros import interpret, own_record
 from logs.ros.cdr import Messages
 from logs.ros.laser_scan import ShapeCensus, shape_of
@@ -28,11 +30,13 @@ from logs.ros.recording import (
     KEPT_TYPES,
     RANGE_TYPE,
     SCAN_TYPE,
+    TF_TYPE,
     Recording,
     Topic,
     check_roles,
     choose,
 )
+from logs.ros.stamps import StampCensus, can_be_read_in_pieces, starts_with_header
 from logs.run import Run
 from logs.types import Mounts, Progress
 
@@ -48,7 +52,9 @@ class StreamSettings:
     margin_ns: int = 5_000_000_000
     """[ns] of log time before a piece for which other messages are kept."""
     first_messages: int = 500
-    """Number of messages per topic that the first pass keeps to assign roles to topics."""
+    """Number of messages per topic that the first pass keeps to assign roles to topics ..."""
+    sample: int = 47
+    """... and of /tf every n-th later one, which shows what moves; a prime, as transforms take turns."""
 
 
 SETTINGS = StreamSettings()
@@ -107,7 +113,8 @@ def open_log(
     check_no_return(no_return)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
         stream = McapStream.open(path, topics, progress, no_return, mounts)
-        if not stream.head.sensor.is_composite and not stream.head.sensor.cones.any():
+        sensor = stream.head.sensor
+        if stream.is_plain and not sensor.is_composite and not sensor.cones.any():
             return stream
     return WholeRun(head=read(path, topics=topics, no_return=no_return, mounts=mounts, progress=progress))
 
@@ -126,6 +133,8 @@ class McapStream:
     mounts: Mounts | None
     census: Mapping[str, ShapeCensus]
     """Topic -> number of scans of each shape."""
+    is_plain: bool
+    """Whether each piece can be interpreted without the others."""
     _contents: Contents = field(repr=False)
 
     @classmethod
@@ -141,23 +150,29 @@ class McapStream:
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
         shapes: dict[int, ShapeCensus] = {}
+        times: dict[int, StampCensus] = {}
 
         def keep(
             contents: Contents, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes
         ) -> None:
             counts[channel] = counts.get(channel, 0) + 1
             is_new = counts[channel] == 1 and channel in contents.channels
-            if is_new and mcap_file.type_of(contents, channel) == SCAN_TYPE:
+            if is_new and type_of(contents, channel) == SCAN_TYPE:
                 shapes[channel] = ShapeCensus()
+            if is_new and (census := _stamp_census(contents, channel)) is not None:
+                times[channel] = census
+            if channel in times:
+                times[channel].add(log_time, payload)
             if channel in shapes and (shape := shape_of(payload)) is not None:
                 shapes[channel].add(shape)
-            if counts[channel] <= SETTINGS.first_messages:
+            is_sample = counts[channel] % SETTINGS.sample == 0 and _is_moving_transform(contents, channel)
+            if counts[channel] <= SETTINGS.first_messages or is_sample:
                 kept = look.setdefault(channel, Topic("", ""))
                 kept.log_times.append(log_time)
                 kept.payloads.append(payload)
 
         def refuse(loss: Loss) -> None:
-            raise LogError(mcap_file.damage_text(path, loss))
+            raise LogError(damage_text(path, loss))
 
         contents = _walk(path, keep, refuse, progress)
         recording = _skeleton(contents)
@@ -168,6 +183,9 @@ class McapStream:
                 topic.log_times += look[key].log_times
                 topic.payloads.take(look[key].payloads)
         census = {contents.channels[key].topic: found for key, found in shapes.items()}
+        is_plain = own_record.is_own(recording, topics) or can_be_read_in_pieces({
+            contents.channels[key].topic: found for key, found in times.items()
+        })  # fmt: skip
         head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):
             no_return = head.meta.get("no_return", "inf")
@@ -183,6 +201,7 @@ class McapStream:
             no_return=no_return,
             mounts=mounts,
             census=census,
+            is_plain=is_plain,
             _contents=contents,
         )
 
@@ -200,7 +219,7 @@ class McapStream:
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses from another source than that of the log are dropped."""
         run = interpret.to_run(
-            recording, self.path.name, self.roles, self.no_return, self.mounts, self.census
+            recording, self.path.name, self.roles, self.no_return, self.mounts, self.census, self.head.meta
         )
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
@@ -210,7 +229,8 @@ class McapStream:
                 pose_covariances=np.zeros((0, 3, 3)),
                 pose_frame=self.head.pose_frame,
             )
-        return replace(run, sensor=self.head.sensor)
+        notes = "; ".join(dict.fromkeys((*notes_of(self.head), *notes_of(run))))
+        return replace(run, sensor=self.head.sensor, meta={**run.meta, **({"notes": notes} if notes else {})})
 
 
 class _Window:
@@ -223,7 +243,7 @@ class _Window:
         self.fixed: list[tuple[str, int, bytes]] = []
         self.names: dict[int, str] = {}
         for key, channel in contents.channels.items():
-            kind = mcap_file.type_of(contents, key)
+            kind = type_of(contents, key)
             if (
                 channel.encoding in ENCODINGS
                 and kind in KEPT_TYPES
@@ -236,7 +256,7 @@ class _Window:
     def n_scans(self) -> int:
         return len(self.scans)
 
-    def keep(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+    def keep(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: Any) -> None:
         """Keep a message if its topic is used."""
         name = self.names.get(channel)
         if name is None:
@@ -267,6 +287,25 @@ class _Window:
         return recording
 
 
+def _stamp_census(contents: Contents, channel: int) -> StampCensus | None:
+    """Return an empty census for a channel whose messages have stamps that matter; None for another one."""
+    kind = type_of(contents, channel)
+    is_latched = contents.channels[channel].topic.rstrip("/").endswith("tf_static")
+    if kind not in KEPT_TYPES or is_latched or not (kind == TF_TYPE or starts_with_header(kind)):
+        return None
+    return StampCensus(kind)
+
+
+def _is_moving_transform(contents: Contents, channel: int) -> bool:
+    """Return whether a channel holds transforms that may change."""
+    known = contents.channels.get(channel)
+    return (
+        known is not None
+        and type_of(contents, channel) == TF_TYPE
+        and not known.topic.rstrip("/").endswith("tf_static")
+    )
+
+
 def _skeleton(contents: Contents) -> Recording:
     """Return a recording with the topics of a file but no messages."""
     recording = Recording(format="mcap")
@@ -274,14 +313,14 @@ def _skeleton(contents: Contents) -> Recording:
         recording.metadata.setdefault(name, {}).update(pairs)
     recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
     for key, channel in contents.channels.items():
-        kind = mcap_file.type_of(contents, key)
+        kind = type_of(contents, key)
         recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
     return recording
 
 
 def _walk(
     path: Path,
-    keep: Callable[[Contents, int, int, int, int, bytes], None],
+    keep: Callable[[Contents, int, int, int, int, Any], None],
     on_damage: Callable[[Loss], None],
     progress: Progress | None,
 ) -> Contents:
@@ -304,7 +343,7 @@ def _walk(
         return contents
 
 
-def _steps(path: Path, keep: Callable[[int, int, int, int, bytes], None]) -> Iterator[int]:
+def _steps(path: Path, keep: MessageSink) -> Iterator[int]:
     def changed(loss: Loss) -> None:
         raise LogError(f"{path} changed while it was read: {loss.why}; read it again when it is complete")
 

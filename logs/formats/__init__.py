@@ -84,7 +84,7 @@ def format_of(path: Path) -> str:
     )
     if path.is_dir():
         inside = ", ".join(sorted(child.name for child in path.iterdir())[:5]) or "nothing"
-        raise LogError(f"{path} is a folder without metadata.yaml (it holds {inside}); {expected}")
+        raise LogError(f"{path} is a folder without a log (it holds {inside}); {expected}")
     if head.startswith(ZSTD_MAGIC):
         raise LogError(
             f"{path} is compressed with zstd; give the rosbag2 folder that contains it (with a metadata.yaml), or "

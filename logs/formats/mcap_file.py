@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-import mmap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -15,7 +15,8 @@ from uuid import uuid4
 import numpy as np
 
 from logs.errors import LogError
-from logs.mcap.records import MAGIC, Contents, Loss
+from logs.formats.collecting import collect, damage_text, messages_of, open_bytes, recovered_name
+from logs.mcap.records import MAGIC, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros import cdr
 from logs.ros.definitions import QUALITY, definition, quality
@@ -35,8 +36,6 @@ from logs.ros.messages import (
 from logs.ros.own_record import METADATA_NAME, sensor_facts
 from logs.ros.recording import (
     COVARIANCE_TOPIC,
-    ENCODINGS,
-    KEPT_TYPES,
     ODOMETRY_TYPE,
     POSE_COVARIANCE_TYPE,
     POSE_TYPE,
@@ -44,8 +43,6 @@ from logs.ros.recording import (
     TF_TYPE,
     TWIST_STAMPED_TYPE,
     Recording,
-    Topic,
-    full_type,
 )
 from logs.run import OccupancyMap, RangeSensor, Run, pair
 from logs.transforms import Stamps, compose, interpolate, invert
@@ -54,10 +51,10 @@ from logs.types import Mounts, Progress
 logger = logging.getLogger(__name__)
 
 
+messages = partial(messages_of, walk_of=RecordWalk)
 CHUNK_SIZE = (
     64 * 1024
 )  # [bytes] maximum loss in a crash; 1 MiB would make files 7 % smaller (benchmarks/mcap_speed.py)
-MAPPED = 1 << 30  # [bytes] larger files are memory-mapped
 MEDIA_TYPES = {
     ".geojson": "application/geo+json",
     ".json": "application/json",
@@ -306,85 +303,12 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
     def refuse(loss: Loss) -> None:
         raise LogError(damage_text(path, loss))
 
-    recording, contents = collect(path, refuse, progress)
+    recording, walk = collect(open_bytes(path), RecordWalk, refuse, progress)
+    contents = walk.contents
     if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
         raise LogError(
             f"{path} holds {contents.n_messages} messages, but its statistics state {contents.n_claimed}; "
             f"save the intact messages: sensorgraph recover {path} -o {recovered_name(path)}"
         )
+    recording.again = partial(messages, path)
     return recording
-
-
-def damage_text(path: Path, loss: Loss) -> str:
-    """Describe the damage of a file and the command that recovers it."""
-    return (
-        f"{path} is damaged at byte {loss.start}: {loss.why}; "
-        f"save the intact messages: sensorgraph recover {path} -o {recovered_name(path)}"
-    )
-
-
-def recovered_name(path: Path) -> str:
-    """Suggest a name for the recovered file."""
-    name = path.name.removesuffix(".part").removesuffix(".mcap")
-    return str(path.with_name(f"{name}.recovered.mcap"))
-
-
-def open_bytes(path: Path) -> bytes | mmap.mmap:
-    """Return the bytes of a file; a large file is memory-mapped and must not be truncated during reading."""
-    with path.open("rb") as file:
-        if path.stat().st_size < MAPPED:
-            return file.read()
-        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-
-
-def collect(
-    path: Path, on_damage: Callable[[Loss], None], progress: Progress | None = None
-) -> tuple[Recording, Contents]:
-    """Read a file and sort its messages by topic; only supported types are kept in memory."""
-    logged: dict[int, list[int]] = {}
-    payloads: dict[int, cdr.Messages] = {}
-    counts: dict[int, int] = {}
-    ignored: set[int] = set()
-
-    def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
-        if channel not in logged:
-            logged[channel], payloads[channel], counts[channel] = [], cdr.Messages(), 0
-            if channel in contents.channels and type_of(contents, channel) not in KEPT_TYPES:
-                ignored.add(channel)
-        counts[channel] += 1
-        logged[channel].append(log_time)
-        if channel not in ignored:
-            payloads[channel].append(payload)
-
-    data = open_bytes(path)
-    walk = RecordWalk(data, take, on_damage)
-    contents = (
-        walk.contents
-    )  # `take` must not refer to the walk: a reference cycle would keep the file in memory
-    for done, pos in enumerate(walk.steps()):
-        if progress is not None and done % 64 == 0:
-            progress(pos, len(data))
-    unknown = sum(count for key, count in counts.items() if key not in contents.channels)
-    if unknown:
-        on_damage(Loss(len(data), len(data), f"{unknown} messages have an unknown channel"))
-    recording = Recording(format="mcap")
-    for name, pairs in contents.metadata:
-        recording.metadata.setdefault(name, {}).update(pairs)
-    recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
-    for key, channel in contents.channels.items():
-        kind = type_of(contents, key)
-        topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
-        if topic.type != kind or topic.encoding != channel.encoding:
-            topic = recording.topics.setdefault(f"{channel.topic}#{key}", Topic(channel.topic, kind))
-        topic.n_messages += counts.get(key, 0)
-        topic.log_times += logged.get(key, [])
-        if kind in KEPT_TYPES and channel.encoding in ENCODINGS:
-            topic.payloads.take(payloads.get(key, cdr.Messages()))
-    if progress is not None:
-        progress(len(data), len(data))
-    return recording, contents
-
-
-def type_of(contents: Contents, channel: int) -> str:
-    schema = contents.schemas.get(contents.channels[channel].schema_id)
-    return full_type(schema.name) if schema is not None else "without schema"

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 SEARCH_BLOCK = 1 << 20  # [bytes] searched at a time
 
 
-MessageSink = Callable[[int, int, int, int, bytes], None]
+MessageSink = Callable[[int, int, int, int, bytes | memoryview], None]
 """Called with (channel id, sequence, log time [ns], publish time [ns], payload)."""
 
 

@@ -78,7 +78,7 @@ def to_run(
     command = None
     if cmd_name is not None:
         command = track(recording.topics[cmd_name], "twist", 6)
-    notes = [*scans.notes]
+    notes = [*recording.notes, *scans.notes]
     for part in (pose, odom, command):
         notes += [note for note in (part.notes if part else []) if note not in notes]
     for role, name in (("odom", odom_name), ("cmd", cmd_name)):

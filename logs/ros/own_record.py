@@ -117,6 +117,7 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
     command = _track(recording, "cmd", TWIST_STAMPED_TYPE, "twist", 6)
     meta = {k.removeprefix("meta."): v for k, v in record.items() if k.startswith("meta.")}
     all_notes = _with_sorted([*notes, *pose.notes, *odom.notes, *command.notes], meta.get("notes", ""))
+    all_notes = "; ".join(filter(None, [*recording.notes, all_notes]))
     return Run(
         sensor=sensor,
         stamps=(stamps - zero) / 1e9,

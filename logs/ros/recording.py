@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
@@ -52,6 +52,7 @@ ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
 """Role -> (default topic name, supported types)."""
 COVARIANCE_TOPIC = "/pose_with_covariance"
 """The poses of /pose with their covariances, in the message type of AMCL."""
+Reread = Callable[[str], Iterator[tuple[int, bytes | memoryview]]]
 
 
 @dataclass
@@ -76,6 +77,11 @@ class Recording:
     topics: dict[str, Topic] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    """Notes on the file itself: its container, not its messages."""
+    again: Reread | None = None
+    """Read the messages of one topic again: topic -> log time [ns] and payload of each message.
+    Point clouds are too large to be kept."""
 
     def of_type(self, types: Iterable[str]) -> list[str]:
         """Return the names of topics with messages of these types."""

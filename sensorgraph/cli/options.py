@@ -165,7 +165,10 @@ InspectJson = Annotated[Path | None, typer.Option(help="Also write the findings 
 
 # recover
 RecoverFile = Annotated[
-    Path, typer.Argument(help="Truncated or damaged MCAP file, or the .part file of a killed recorder.")
+    Path,
+    typer.Argument(
+        help="Truncated or damaged MCAP file or ROS 1 bag, also the .part or .active file of a killed recorder."
+    ),
 ]
 RecoverOut = Annotated[Path, typer.Option("-o", "--out", help="MCAP file for the recovered messages.")]
 

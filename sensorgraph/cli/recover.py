@@ -11,11 +11,13 @@ def recover(
     file: RecoverFile,
     out: RecoverOut,
 ) -> None:
-    """Recover every complete message of a truncated or damaged MCAP file and report the losses.
+    """Recover every complete message of a truncated or damaged MCAP file or ROS 1 bag, and report the losses.
 
     Examples:
 
         sensorgraph recover run.mcap.part -o run.mcap
+
+        sensorgraph recover drive.bag.active -o drive.mcap
     """
     from logs.recovery import recover as save
     from sensorgraph.cli.progress import progress
