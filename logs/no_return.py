@@ -189,7 +189,13 @@ def decode(
     is_zero = no_return == "zero" or (
         no_return is None and code is None and detect_no_return(parts, np.inf) == "zero"
     )
-    return code, mask(parts, code, is_zero=is_zero)
+    if no_return == "nan":
+        invalid = nan_text(sum(int(np.isnan(part).sum()) for part in parts), sum(part.size for part in parts))
+        for part in parts:
+            part[np.isnan(part)] = np.inf
+    else:
+        invalid = frequent_nans(parts)
+    return code, [*mask(parts, code, is_zero=is_zero), *filter(None, [invalid])]
 
 
 def mask(parts: Sequence[Floats], code: float | None, *, is_zero: bool = False) -> list[str]:

@@ -240,13 +240,97 @@ def test_gzip_is_told_by_content_and_broken_lines_are_counted(tmp_path: Path) ->
     assert "1 invalid lines left out, the first is line 9" in run.meta["notes"]
 
 
-@pytest.mark.parametrize("stamp", [-1e308, 1e300, float("nan")])
+@pytest.mark.parametrize("stamp", [-1e308, 1e300])
 def test_a_line_with_a_stamp_that_no_clock_shows_is_broken(stamp: float, tmp_path: Path) -> None:
     lines = walk()
     lines.insert(5, flaser(np.full(181, 3.0), stamp))
     run = logs.read(write(tmp_path / "a.log", lines))
     assert run.n_scans == 6
     assert "1 invalid lines left out, the first is line 8" in run.meta["notes"]
+
+
+def ends(kind: str, i: int) -> str:
+    """The words after the ranges in one dialect, for a robot at x = i at 100 + i / 2 s."""
+    pose, at = f"{i} 0 0.1", f"{100 + i / 2}"
+    return {
+        "time host time": f"{pose} {pose} {at} host {at}",
+        "time time host": f"{pose} {pose} {at} {at} host",
+        "host time time": f"{pose} {pose} host {at} {at}",
+        "time": f"{pose} {pose} {at}",
+        "zeros": f"{pose} {pose} 0 0 host",
+        "nan": f"{pose} {pose} nan host nan",
+        "poses": f"{pose} {pose}",
+        "one pose": pose,
+        "time alone": at,
+        "nothing": "",
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "time host time", "time time host", "host time time", "time", "zeros", "nan", "poses", "one pose",
+        "time alone", "nothing",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("with_cut_line", [False, True])
+def test_words_after_the_ranges_may_have_any_order_or_be_absent(
+    kind: str, with_cut_line: bool, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(4)
+    ranges = rng.uniform(1, 9, (12, 181)).round(2)
+    lines = [f"FLASER 181 {' '.join(map(str, row))} {ends(kind, i)}".strip() for i, row in enumerate(ranges)]
+    if with_cut_line:
+        lines[-1] = lines[-1].rpartition(" ")[0]
+        ranges = ranges[:-1]
+    run = logs.read(write(tmp_path / "a.log", lines))
+    np.testing.assert_array_equal(run.ranges, ranges)
+    is_timed = "time" in kind
+    np.testing.assert_allclose(
+        run.stamps, np.arange(len(ranges)) * 0.5 + 100 if is_timed else np.arange(len(ranges)) / 10
+    )
+    assert (
+        "a scan period of 0.1 s was assumed, in the order of the lines" in run.meta.get("notes", "")
+    ) != is_timed
+    has_poses = kind not in ("time alone", "nothing")
+    assert len(run.poses) == (len(ranges) if has_poses else 0)
+    if has_poses:
+        np.testing.assert_allclose(run.poses, [(i, 0, 0.1) for i in range(len(ranges))])
+    assert ("1 invalid lines left out, the first is line 14" in run.meta.get("notes", "")) == with_cut_line
+
+
+def test_a_scan_without_a_time_among_others_lies_between_them(tmp_path: Path) -> None:
+    lines = walk()
+    lines.insert(3, flaser(np.full(181, 3.0), float("nan"), laser=(2.5, 0, 0.1), robot=(2.5, 0, 0.1)))
+    run = logs.read(write(tmp_path / "a.log", lines))
+    np.testing.assert_allclose(run.stamps, [0, 0.5, 1, 1.25, 1.5, 2, 2.5])
+    assert "1 scans have no time: it was interpolated in the order of the lines" in run.meta["notes"]
+
+
+def test_odometry_lines_without_times_or_speeds_are_placed_by_their_lines(tmp_path: Path) -> None:
+    lines = []
+    for i in range(8):
+        lines += [f"ODOM {i} 0 0", f"FLASER 181 {' '.join(['2.5'] * 181)}"]
+    run = logs.read(write(tmp_path / "a.log", lines))
+    np.testing.assert_allclose(np.diff(run.odom_stamps), 0.1)
+    np.testing.assert_allclose(run.odometry[:, 0], np.arange(8))
+    np.testing.assert_allclose(run.odom_twists[1:-1], np.tile([10.0, 0.0], (6, 1)))
+
+
+@pytest.mark.parametrize(("no_return", "want"), [(None, np.nan), ("nan", np.inf)])
+def test_nan_among_the_ranges_is_an_invalid_reading_unless_it_means_no_return(
+    no_return: str | None, want: float, tmp_path: Path
+) -> None:
+    lines = walk()
+    ranges = np.full(181, 3.0)
+    ranges[:40] = np.nan
+    lines[2] = flaser(ranges, 1.0)
+    run = logs.read(write(tmp_path / "a.log", lines), no_return=no_return)
+    np.testing.assert_array_equal(run.ranges[2, :40], np.full(40, want))
+    assert (
+        "40 ranges (3.7%) are nan" in run.meta["notes"]
+        or "ranges of nan are missing returns: 40" in run.meta["notes"]
+    )
 
 
 def test_other_laser_is_read_when_named(tmp_path: Path) -> None:

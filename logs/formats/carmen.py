@@ -1,7 +1,8 @@
 """Read CARMEN logs: FLASER, RLASER, ROBOTLASER1, RAWLASER1, ODOM, TRUEPOS and PARAM lines; plain or gzip.
 
 These logs state neither the code of a missing return nor whether SLAM corrected their poses. Both are inferred from
-the data and recorded in the meta of the run.
+the data and recorded in the meta of the run. The words after the ranges differ between recorders: poses, times and the
+host in any order, or none of them.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ LAYOUTS = {
     361: (-90.0, 0.5), 401: (-50.0, 0.25), 541: (-135.0, 0.5), 682: (-120.0, 0.3515625), 720: (-90.0, 0.25),
     721: (-90.0, 0.25), 1081: (-135.0, 0.25),
 }  # fmt: skip
+ALL_WORDS = {"ODOM": 9, "TRUEPOS": 9, "FLASER": 9, "RLASER": 9, "RAW": 3, "ROBOT": 14}
+"""Number of words of a complete line, after its ranges: poses, and `time host time`."""
 RIGID_TOLERANCE = 0.02
 """[m, rad] maximum apparent motion of a rigid mount, caused by rounded poses."""
 
@@ -50,9 +53,9 @@ class _ParsedLines:
 
     scans: dict[str, list[_ScanLine]] = field(default_factory=dict)
     odom: list[list[float]] = field(default_factory=list)
-    """x, y, phi, v, omega, stamp, line number."""
+    """x, y, phi, v, omega, stamp, line number; nan for what a line does not contain."""
     true: list[list[float]] = field(default_factory=list)
-    """x, y, phi, three values of odometry, stamp, line number."""
+    """x, y, phi, stamp, line number."""
     params: dict[str, str] = field(default_factory=dict)
     is_filtered: bool = False
     """Whether the log has NEFF lines of a particle filter."""
@@ -71,7 +74,7 @@ class _ScanLine:
     robot: tuple[float, ...]
     """Poses (x, y, phi), or empty."""
     times: tuple[float, float]
-    """[s] time of the sensor and of the logger."""
+    """[s] time of the sensor and of the logger; nan without a time."""
 
 
 def read(
@@ -146,6 +149,7 @@ def read(
 
 def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
     lines = _ParsedLines()
+    found: dict[str, list[_Words]] = {}
     for number, line in enumerate(text, 1):
         if progress is not None and number % 1000 == 0:
             progress(number, len(text))
@@ -154,14 +158,9 @@ def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
             continue
         try:
             if word in SCAN_KEYWORDS:
-                scan = _scan(word, rest.split(), number)
-                lines.scans.setdefault(word, []).append(scan)
-            elif word == "ODOM":
-                values = rest.split()
-                lines.odom.append([*map(float, (*values[:5], values[6])), number])
-            elif word == "TRUEPOS":
-                values = rest.split()
-                lines.true.append([*map(float, values[:7]), number])
+                found.setdefault(word, []).append(_scan_words(word, rest.split(), number))
+            elif word in ("ODOM", "TRUEPOS"):
+                found.setdefault(word, []).append(_Words(number, rest.split()))
             elif word == "PARAM":
                 name, value = rest.split()[:2]
                 lines.params[name] = value
@@ -171,11 +170,37 @@ def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
                 lines.others[word] += 1
         except (ValueError, IndexError):
             lines.broken.append(number)
+    for word, parsed in found.items():
+        usual = Counter(len(each.rest) for each in parsed).most_common(1)[0][0]
+        for each in parsed:
+            # a line with fewer words than a complete one is another dialect if most lines are like it, otherwise cut
+            if len(each.rest) != usual and len(each.rest) < ALL_WORDS[_family(word)]:
+                lines.broken.append(each.number)
+                continue
+            try:
+                _add(lines, word, each)
+            except ValueError:
+                lines.broken.append(each.number)
+    lines.broken.sort()
     return lines
 
 
-def _scan(word: str, values: list[str], number: int) -> _ScanLine:
-    """Parse the words after the keyword of a scan line."""
+@dataclass(frozen=True)
+class _Words:
+    """A line, split into its ranges and the words after them."""
+
+    number: int
+    rest: list[str]
+    ranges: Floats = field(default_factory=lambda: np.zeros(0))
+    geometry: tuple[float, float, float, float] = (np.nan,) * 4
+
+
+def _family(word: str) -> str:
+    return word if word in ALL_WORDS else word.partition("LASER")[0]
+
+
+def _scan_words(word: str, values: list[str], number: int) -> _Words:
+    """Split the words after the keyword of a scan line."""
     at, geometry = 0, (np.nan, np.nan, np.nan, np.nan)
     if not word.endswith("LASER"):  # laser_type start_angle fov resolution range_max accuracy remission_mode
         geometry = (float(values[1]), float(values[3]), float(values[4]), float(values[5]))
@@ -185,19 +210,44 @@ def _scan(word: str, values: list[str], number: int) -> _ScanLine:
     if n < 1 or len(values) < end:
         raise ValueError(f"{n} ranges")
     ranges = np.array(list(map(float, values[at + 1 : end])))
-    if not word.endswith("LASER"):
+    if not word.endswith("LASER") and len(values) > end:
         end += 1 + int(values[end])  # remissions
-    n_poses = 0 if word.startswith("RAW") else 6
-    poses = tuple(float(value) for value in values[end : end + n_poses])
-    end += n_poses
-    if word.startswith("ROBOT"):
-        end += 5  # laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis
-    if len(values) < end + 3:
-        raise ValueError("no stamp")
-    times = float(values[end]), float(values[end + 2])
-    if not np.abs(times).max() <= CLOCK.latest:
+    return _Words(number, values[end:], ranges, geometry)
+
+
+def _add(lines: _ParsedLines, word: str, words: _Words) -> None:
+    """Add a line: poses, then other numbers, then times and the host in any order.
+
+    A line with six numbers or more has the poses of laser and robot; with three to five, one pose; with fewer, none.
+    """
+    rest, number = words.rest, words.number
+    is_number = [_number(text) is not None for text in rest]
+    n_leading = is_number.index(False) if False in is_number else len(rest)
+    n_poses = 0 if word.startswith("RAW") else 6 if n_leading >= 6 else 3 if n_leading >= 3 else 0
+    values = [float(text) for text in rest[:n_poses]]
+    n_before = 11 if word.startswith("ROBOT") and n_leading >= 11 else n_poses
+    times = [value for text in rest[n_before:] if (value := _number(text)) is not None] or [np.nan]
+    if any(abs(time) > CLOCK.latest for time in times):
         raise ValueError("a stamp that is out of range")
-    return _ScanLine(number, ranges, geometry, poses[:3], poses[3:], times)
+    if word in ("ODOM", "TRUEPOS"):
+        if n_poses == 0:
+            raise ValueError("no pose")
+        twist = values[3:5] or [np.nan, np.nan]
+        (lines.odom if word == "ODOM" else lines.true).append(
+            [*values[:3], *(twist if word == "ODOM" else []), times[0], number]
+        )
+        return
+    scan = _ScanLine(
+        number, words.ranges, words.geometry, tuple(values[:3]), tuple(values[-3:]), (times[0], times[-1])
+    )
+    lines.scans.setdefault(word, []).append(scan)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _choose(path: Path, lines: _ParsedLines, topics: Mapping[str, str] | None) -> str:
@@ -315,12 +365,14 @@ def _signals(
     odom = odom[np.argsort(odom[:, 5], kind="stable")]
     odom_stamps, odometry, twists = odom[:, 5], odom[:, :3].copy(), odom[:, 3:5]
     odometry[:, 2] = wrap(odometry[:, 2])
+    if np.isnan(twists).any():
+        twists = np.where(np.isnan(twists), twists_of(odom_stamps, odometry), twists)
     frame: PoseFrame = "base_link"
     if source == "slam":
         frame, pose_stamps, poses = "laser", at, lasers
     elif source == "TRUEPOS":
         true = np.array(lines.true, dtype=np.float64)
-        pose_stamps = clock.others(true[:, 7], true[:, 6])
+        pose_stamps = clock.others(true[:, 4], true[:, 3])
         order = np.argsort(pose_stamps, kind="stable")
         pose_stamps, poses = pose_stamps[order], true[order, :3]
     elif source == "odometry":

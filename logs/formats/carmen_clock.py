@@ -61,20 +61,22 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
 
     Parameters
     ----------
-    clocks : (n_scans, 2) [s] times of the sensor and of the logger
+    clocks : (n_scans, 2) [s] times of the sensor and of the logger; nan without a time
     lines : (n_scans,) line numbers
     poses : (n_scans, 3) poses in the lines; nan without a pose
     notes : list to which notes on corrections are appended
     """
-    n_levels = [len(np.unique(clock)) for clock in clocks.T]
+    n_levels = [len(np.unique(clock[np.isfinite(clock)])) for clock in clocks.T]
     stamps, n = clocks[:, 0], len(clocks)
     if n_levels[1] > 2 * n_levels[0]:
         stamps = clocks[:, 1]
         notes.append(f"the sensor clock has only {n_levels[0]} distinct times, so the logger clock was used")
     in_file_order = np.arange(n, dtype=np.intp)
-    if n > 1 and max(n_levels) <= max(1, CLOCK.distinct * n):
+    if max(n_levels) == 0 or (n > 1 and max(n_levels) <= max(1, CLOCK.distinct * n)):
         period = CLOCK.assumed_period
-        shown = "" if max(n_levels) == 1 else f" ({max(n_levels)} distinct times for {n} scans)"
+        shown = {0: " (the lines have no times)", 1: ""}.get(
+            max(n_levels), f" ({max(n_levels)} distinct times for {n} scans)"
+        )
         notes.append(
             f"no clock runs{shown}: a scan period of {period:g} s was assumed, in the order of the lines"
         )
@@ -85,6 +87,10 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
             is_assumed=True,
             lines=lines,
         )
+    absent = ~np.isfinite(stamps)
+    if absent.any():
+        stamps = np.where(absent, np.interp(lines, lines[~absent], stamps[~absent]), stamps)
+        notes.append(f"{int(absent.sum())} scans have no time: it was interpolated in the order of the lines")
     epoch = int(np.floor(stamps.min())) if stamps.min() > CLOCK.first_absolute else 0
     stamps = stamps - epoch
     order = np.argsort(stamps, kind="stable")
