@@ -153,6 +153,26 @@ def write_map(folder: Path, pixels: Any, name: str = "map.pgm", **changes: Any) 
     return path
 
 
+@pytest.mark.parametrize("name", ["map.pgm", "floor.png"])
+def test_the_image_of_a_map_is_read_through_the_yaml_that_names_it(name: str, tmp_path: Path) -> None:
+    path = write_map(tmp_path, HAND, name=name)
+    (tmp_path / "robot.yaml").write_text("name: radix\n")
+    assert_equal(load(tmp_path / name), load(path))
+    other = path.rename(tmp_path / "other.yaml")
+    assert_equal(load(tmp_path / name), load(other))
+    path.write_bytes(other.read_bytes())
+    (tmp_path / "third.yaml").write_bytes(other.read_bytes())
+    if name == "map.pgm":  # that of the same name
+        assert_equal(load(tmp_path / name), load(path))
+    else:
+        with pytest.raises(PlanError, match=r"but map\.yaml, other\.yaml, third\.yaml name it"):
+            load(tmp_path / name)
+    for file in (path, other, tmp_path / "third.yaml"):
+        file.unlink()
+    with pytest.raises(PlanError, match=r"no yaml in its folder names it; give the map_server yaml"):
+        load(tmp_path / name)
+
+
 HAND = [[254, 254, 254], [254, 0, 205], [254, 0, 254]]  # top row first; occupied column, one unknown cell
 
 

@@ -14,6 +14,8 @@ MAPS: dict[str, Callable[[Path], Arena]] = {
     ".json": geojson.read,
     ".yaml": ros_map.read,
     ".yml": ros_map.read,
+    ".pgm": ros_map.read_image,
+    ".png": ros_map.read_image,
 }
 
 

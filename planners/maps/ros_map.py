@@ -69,6 +69,34 @@ def read(path: Path) -> Arena:
     )
 
 
+def read_image(path: Path) -> Arena:
+    """Read the map of an image: that of the yaml in the same folder which names it.
+
+    Raises
+    ------
+    PlanError : No yaml names the image, or several do.
+    """
+    beside = sorted(file for file in path.parent.iterdir() if file.suffix.lower() in (".yaml", ".yml"))
+    naming = [file for file in beside if _names_image(file, path)]
+    own = [file for file in naming if file.stem == path.stem] or naming
+    if len(own) != 1:
+        found = f"{', '.join(file.name for file in own)} name it" if own else "no yaml in its folder names it"
+        raise PlanError(
+            f"{path} is the image of a map, but {found}; give the map_server yaml with its resolution and origin"
+        )
+    return read(own[0])
+
+
+def _names_image(file: Path, image: Path) -> bool:
+    """Return whether a yaml is a map of the image."""
+    try:
+        data = parse_yaml(file.read_text(encoding="utf-8"))
+    except ValueError:
+        return False
+    name = data.get("image") if isinstance(data, dict) else None
+    return isinstance(name, str) and (file.parent / name).resolve() == image.resolve()
+
+
 def _summary(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]) -> str:
     """Return the shares of free, occupied and unknown cells, with their ranges of grey values, as text."""
     grey = pixels[::-1].T
