@@ -81,8 +81,7 @@ def diagnose(
     seed : Of the simulated replicates (parametric bootstrap) and of the next run.
     plan_next : Plan a run that could answer the open questions.
     force : Accept a run whose poses jump; False: reject it, as the commands do.
-    simulated : Effects that a simulation of the run shows. The same effect with the same size is not a
-        difference.
+    simulated : Effects that a simulation of the run shows; the same size is not a difference.
     progress : Opens a bar for each of the STAGES and for their counted steps.
 
     Raises

@@ -128,8 +128,7 @@ def plan(
     priority : Sensorgraph; bins with the highest expected error come first, unobserved ones before all
         others.
     budget : [s] Maximum duration of the drive.
-    battery : [s] Maximum duration of one run; the drive is divided into runs from `dock` (3,) [m, m, rad]
-        back to it.
+    battery : [s] Maximum duration of one run; all runs start and end at `dock` (3,) [m, m, rad].
     duration : [s] Duration of the baselines; None: the reference time of the coverage planner.
     margin : [m] Minimum distance between the footprint and walls.
     join_planner : Name of the OMPL planner that finds paths around obstacles, or your own as `module:Class`.

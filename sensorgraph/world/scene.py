@@ -1,9 +1,8 @@
 """Scene: the state of a run in the simulator, and the rays cast in it.
 
 A scene passes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each
-effect of `sensorgraph.effects` changes one of them, so that any subset can be combined. The result is
-`Beams`. `draw_readings` samples readings from them for simulation. `sensorgraph.diagnose` evaluates the
-likelihood of measured readings with the same physics.
+effect of `sensorgraph.effects` changes one of them, so that any subset can be combined. `draw_readings` samples
+the resulting `Beams`; `sensorgraph.diagnose` evaluates the likelihood of readings with the same physics.
 """
 
 from __future__ import annotations
@@ -74,11 +73,9 @@ class Scene:
     seed: int | None = None
     """Seed of objects that move at random (people); None: they are only a probability of a short reading."""
     caster: Caster | None = None
-    """Another simulator that returns the ranges of rays; the walls then only identify what was hit. None: the
-    walls are cast."""
+    """Another simulator that returns the ranges; the walls only identify what was hit. None: walls are cast."""
     wanted: Bools | None = None
-    """(n_scans, n_rays) Thin rays of the sensor to be cast; the others have no hit. Cones and other fans are
-    always complete. None: all rays."""
+    """(n_scans, n_rays) Thin rays to be cast, the others have no hit; cones are complete. None: all rays."""
     walls: Floats = field(init=False)
     """(n_walls, 2, 2) [m]"""
     discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -112,9 +109,7 @@ class Scene:
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray or cone, rotated by `offset` [rad], at walls, discs and movers, and apply the surfaces.
 
-        Parameters
-        ----------
-        bearings : Bearings of a single laser at the mount; None: the sensor's.
+        `bearings` are those of a single laser at the mount; None: the sensor's.
         """
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
@@ -150,10 +145,9 @@ class Scene:
             rays = self.casts.rays(key, lambda: self._rays(offset, bearings))
             hits = self.casts.hits(key, rays, self.walls, lambda: self._hit(rays))
             ranges, wall = hits.ranges, hits.wall
-        ranges = self._cast_externally(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
-        return self._stop_at_round_obstacles(
-            _beams(self.walls, rays.ox, rays.oy, rays.ux, rays.uy, ranges, wall, self.sensor.sigma)
-        )
+        ranges = self._recast(ranges, rays.ox, rays.oy, rays.ux, rays.uy)
+        beams = _beams(self.walls, rays.ox, rays.oy, rays.ux, rays.uy, ranges, wall, self.sensor.sigma)
+        return self._stop_at_discs(beams)
 
     def _rays(self, offset: float | Floats, bearings: Floats) -> RayPaths:
         """Return origins and directions of rays with these bearings (n,)."""
@@ -214,13 +208,13 @@ class Scene:
         beams.slope = np.where(down, 0.0, stretch) * beams.slope
         beams.bent()[down] = False
 
-    def _cast_externally(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
+    def _recast(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
         """Return the ranges of the external caster, if there is one."""
         if self.caster is None:
             return ranges
         return self.caster(*(np.broadcast_to(part, ux.shape) for part in (ox, oy, ux, uy)))
 
-    def _stop_at_round_obstacles(self, beams: Beams) -> Beams:
+    def _stop_at_discs(self, beams: Beams) -> Beams:
         """Stop rays at discs and movers in front of walls, and apply the surfaces."""
         for centres, index in ((self.discs[None], DISC_WALL), (self.movers, DISC_WALL - 1)):
             if centres.shape[1]:
@@ -241,10 +235,8 @@ class Scene:
         ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
         ux, uy = np.cos(phi), np.sin(phi)
         ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
-        ranges = self._cast_externally(ranges, ox, oy, ux, uy)
-        filled = self._stop_at_round_obstacles(
-            _beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma)
-        )
+        ranges = self._recast(ranges, ox, oy, ux, uy)
+        filled = self._stop_at_discs(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
         nearest = filled.ranges.reshape(n_scans, n, -1).argmin(axis=1)
         at = nearest * len(cones) + np.arange(len(cones))
         out: dict[str, Any] = {}

@@ -6,7 +6,7 @@ There are three frozen dataclasses:
 - `DriveChannelSettings`: commands against odometry,
 - `EvidenceSettings`: what a name requires in both.
 
-`ODOMETRY`, `DRIVE` and `EVIDENCE` are the instances that the modules use.
+`ODOMETRY`, `DRIVE` and `EVIDENCE` are the instances that the modules use. All numbers are in this one table.
 
 Unless a field says otherwise, its value was set on the development cases of the hidden-effects benchmark:
 

@@ -70,7 +70,7 @@ def mixture(
 ) -> Floats:
     """Return the log-likelihood and the responsibilities of n readings.
 
-    A single loop, because this is the innermost loop of every fit and each call from compiled code costs time.
+    It is one loop, because this is the innermost loop of every fit and each call from compiled code costs time.
 
     Parameters
     ----------

@@ -93,7 +93,8 @@ def linearise(
         dr/dx = n_x / cos a,    dr/dy = n_y / cos a,
         dr/dphi = r (n_y u_x - n_x u_y) / cos a + l_x dr/dy - l_y dr/dx.
 
-    Here l is the lever arm from base_link to the laser.
+    Here l is the lever arm from base_link to the laser. The columns of all nuisances are made in one piece, since they
+    share these derivatives.
 
     Parameters
     ----------

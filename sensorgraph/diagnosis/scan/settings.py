@@ -1,7 +1,7 @@
 """Settings of the scan channel: every tuned number of `diagnosis/scan` with its unit, its meaning and its origin.
 
-`ScanSettings` has one group per stage; the modules use its instance `SCAN`. All numbers are in this file,
-which is their only table.
+`ScanSettings` has one group per stage; the modules use its instance `SCAN`. All numbers are in this
+one table.
 
 Unless a group states otherwise, its numbers were tuned on the development cases of the hidden-effects
 benchmark:
