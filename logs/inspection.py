@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
-from logs.jumps import JUMP_LIMITS
 from logs.no_return import check_no_return
-from logs.notes import notes_of
 from logs.ros import cdr
 from logs.ros.interpret import to_run
 from logs.ros.recording import (
@@ -23,43 +22,19 @@ from logs.ros.recording import (
     Recording,
     Topic,
     check_roles,
-    choices,
     transform_tree,
 )
 from logs.run import Run, pair
-from logs.sweep import sweep_line, sweep_warnings
+from logs.run_warnings import warnings_of
+from logs.sweep import sweep_line
 from logs.types import Floats, Mounts, Progress
+from logs.usability import Ground, Use, advice, ground_of, no_use, uses_of
 
 LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
     "mcap": mcap_file.load,
     "rosbag": rosbag.load,
 }
 """Format with topics -> its loader."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class WarningLimits:
-    """Thresholds above which a property of a log is reported; conventions, not fitted to data."""
-
-    clock_offset: float = 0.5
-    """[s] offset between log time and header stamp."""
-    gap_periods: float = 5.0
-    """A step is a gap if it exceeds this number of median steps ..."""
-    gap: float = 0.5
-    """[s] ... and also exceeds this duration."""
-    jump_speed: float = 5.0
-    """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
-    jump: float = 0.1
-    """[m] shorter jumps count as noise of the reference pose."""
-    millimetres: float = 1000.0
-    """[m] a larger median range indicates millimetres."""
-    centimetres: float = 60.0
-    """[m] a larger median range indicates centimetres or millimetres."""
-    still: float = 1e-6
-    """[m, rad] poses that span less are constant."""
-
-
-LIMITS = WarningLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +71,17 @@ class Inspection:
     pairing: str
     """Number of scans with a pose, and why the others have none."""
     meta: Mapping[str, str]
+    use: tuple[Use, ...]
+    """What the log can be used for, and why."""
+    ground: Ground | None
+    """The motion of the robot; None if nothing shows it."""
+    advice: str
+    """What to record in another minute of driving; empty if nothing is missing."""
     run: Run | None = field(repr=False)
     """The run for further checks; None if the file cannot be read as a run."""
 
-    def lines(self) -> list[str]:
-        """Return the inspection as lines of text."""
+    def lines(self, more: Sequence[str] = ()) -> list[str]:
+        """Return the inspection as lines of text, with more lines before the table of uses at the end."""
         out = [f"{self.path}: {self.format}, {self.n_bytes:,} bytes", "topics"]
         width = max((len(topic.name) for topic in self.topics), default=0)
         for topic in self.topics:
@@ -117,14 +98,33 @@ class Inspection:
         ):
             if items:
                 out += [title, *(f"  {item}" for item in items)]
-        return out + (["pairing", f"  {self.pairing}"] if self.pairing else [])
+        out += ["pairing", f"  {self.pairing}"] if self.pairing else []
+        return [*out, *more, *self.use_lines()]
+
+    def use_lines(self) -> list[str]:
+        """Return the table of what the log can be used for."""
+        width = max(len(use.name) for use in self.use)
+        rows = [f"  {use.name:<{width}}  {use.verdict:<7}  {use.why}" for use in self.use]
+        rows.append(
+            f"  {'ground covered':<{width}}  {self.ground or 'unknown: the log has neither odometry nor poses'}"
+        )
+        rows += [f"  {'would help':<{width}}  {self.advice}"] if self.advice else []
+        return ["what this log can be used for", *rows]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the inspection as plain data, without the run."""
-        shown = {
-            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("run", "topics")
+        plain = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in ("run", "topics", "use", "ground")
         }
-        return {**shown, "topics": [asdict(topic) for topic in self.topics], "is_run": self.run is not None}
+        return {
+            **plain,
+            "topics": [asdict(topic) for topic in self.topics],
+            "use": [asdict(use) for use in self.use],
+            "ground": None if self.ground is None else self.ground.to_dict(),
+            "is_run": self.run is not None,
+        }
 
 
 @np.errstate(all="ignore")  # numbers that overflow are reported, not raised
@@ -160,14 +160,17 @@ def inspect(
             missing.append(str(exc))
     else:
         run = FORMATS[kind].read(path, topics, progress, no_return, mounts)
-    warnings = _ros_warnings(recording) if recording is not None else []
+    warnings = [] if recording is None or run is not None else _clock_warnings(recording)
     usable: list[str] = []
     pairing = ""
+    ground, use, wanted = None, no_use(), ""
     if run is not None:
         usable += _usable(run)
-        missing += _missing(run, recording)
+        missing += _missing(run)
         warnings += warnings_of(run)
         pairing = str(pair(run))
+        ground = ground_of(run)
+        use, wanted = uses_of(run, ground), advice(run, ground)
     return Inspection(
         path=str(path),
         format=recording.format if recording is not None else kind,
@@ -177,9 +180,12 @@ def inspect(
         attachments={name: len(data) for name, data in (recording.attachments if recording else {}).items()},
         usable=tuple(usable),
         missing=tuple(missing),
-        warnings=tuple(warnings),
+        warnings=tuple(dict.fromkeys(warnings)),
         pairing=pairing,
         meta=dict(run.meta) if run is not None else {},
+        use=use,
+        ground=ground,
+        advice=wanted,
         run=run,
     )  # fmt: skip
 
@@ -273,13 +279,14 @@ def _usable(run: Run) -> list[str]:
             f"{len(run.pose_stamps):,} poses of {run.pose_frame} from {run.meta.get('pose_source', '/pose')}"
         )
     if len(run.odom_stamps):
-        out.append(f"{len(run.odom_stamps):,} odometry poses and twists")
+        source = f" from {run.meta['odom_topic']}" if "odom_topic" in run.meta else ""
+        out.append(f"{len(run.odom_stamps):,} odometry poses and twists{source}")
     if len(run.cmd_stamps):
         out.append(f"{len(run.cmd_stamps):,} commands")
     return out
 
 
-def _missing(run: Run, recording: Recording | None) -> list[str]:
+def _missing(run: Run) -> list[str]:
     out = []
     if run.n_scans == 0:
         out.append("scans: the file has no scans")
@@ -289,105 +296,18 @@ def _missing(run: Run, recording: Recording | None) -> list[str]:
             "`sensorgraph locate` estimates them from scans and odometry"
         )
     if len(run.odom_stamps) == 0:
-        out.append("odometry (/odom)")
+        out.append("odometry (/odom, or /tf odom -> base_link)")
     if len(run.cmd_stamps) == 0:
         out.append("commands (/cmd_vel)")
-    if recording is not None:
-        out += [
-            f"a selected topic for {role}: {choices(recording, role)}"
-            for role, stamps in (("odom", run.odom_stamps), ("cmd", run.cmd_stamps))
-            if len(stamps) == 0 and choices(recording, role)
-        ]
     return out
 
 
-def _ros_warnings(recording: Recording) -> list[str]:
-    out = []
-    for topic in _topics(recording):
-        if topic.offset is not None and abs(topic.offset) > LIMITS.clock_offset:
-            out.append(
-                f"{topic.name}: log time is {topic.offset:.3f} s after the header stamp; check the clocks"
-            )
-    return out
-
-
-def warnings_of(run: Run) -> list[str]:
-    """Return the warnings about a run, one line each."""
-    out = notes_of(run)
-    source = run.meta.get("pose_source", "")
-    if source == "slam":
-        out.append(
-            "the poses were estimated from these scans, so they absorb errors of the mount and the clock"
-        )
-    if source == "locate":
-        out.append(
-            "the poses were located with these scans, so they absorb errors of the mount and the clock"
-        )
-    if source.startswith("odometry"):
-        out.append(
-            "the poses are odometry, which drifts and distorts a map; "
-            "`sensorgraph locate` estimates better poses"
-        )
-    out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
-    finite = np.isfinite(run.ranges)
-    if finite.any():
-        middle = float(np.median(run.ranges[finite]))
-        if middle > LIMITS.centimetres:
-            unit = "millimetres" if middle > LIMITS.millimetres else "centimetres or millimetres"
-            out.append(f"the median range is {middle:g}, probably in {unit}; expected metres")
-    blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
-    if len(blind):
-        out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")
-    return out
-
-
-def _stamp_warnings(run: Run) -> list[str]:
-    out = []
-    for name, stamps in (("scan", run.stamps), ("pose", run.pose_stamps), ("odom", run.odom_stamps)):
-        steps = np.diff(stamps)
-        if len(steps) < 2:
-            continue
-        same = int((steps == 0).sum())
-        if same and "duplicates" not in run.meta.get("notes", ""):
-            out.append(
-                f"{same} {name} stamps are duplicates; check for two publishers, or a bag recorded during playback"
-            )
-        gaps = steps > max(LIMITS.gap_periods * float(np.median(steps)), LIMITS.gap)
-        if gaps.any():
-            at = float(stamps[int(np.argmax(steps))])
-            out.append(f"{name}: {int(gaps.sum())} gaps, the longest {steps.max():.2f} s at {at:.2f} s")
-    return out
-
-
-def _pose_warnings(run: Run) -> list[str]:
-    poses, stamps = run.poses, run.pose_stamps
-    out: list[str] = []
-    if len(stamps) == 0 or run.n_scans == 0:
-        return out
-    if stamps[0] > run.stamps[-1] or stamps[-1] < run.stamps[0]:
-        apart = max(stamps[0] - run.stamps[-1], run.stamps[0] - stamps[-1])
-        out.append(f"poses and scans do not overlap in time, they are {apart:.1f} s apart; check the clocks")
-    broken = int((~np.isfinite(poses)).any(axis=1).sum())
-    if broken:
-        out.append(f"{broken} poses are not finite")
-    if len(stamps) > 1 and broken == 0:
-        if np.ptp(poses, axis=0).max() < LIMITS.still:
-            out.append("the pose never changes; check that the robot moved and the reference was running")
-        steps = np.diff(stamps)
-        moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
-        if run.meta.get("clock") == "assumed":
-            jumps = moved > JUMP_LIMITS.untimed
-        if jumps.any():
-            at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
-            out.append(
-                f"the pose jumps {int(jumps.sum())} times, at most {moved[jumps].max():.2f} m at {at:.2f} s"
-            )
-    return out
-
-
-def _spans(numbers: np.ndarray) -> str:
-    """Format 3, 4, 5, 9 as `3-5, 9`."""
-    groups = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
-    shown = [f"{group[0]}-{group[-1]}" if len(group) > 1 else f"{group[0]}" for group in groups[:5]]
-    return ", ".join(shown) + (", ..." if len(groups) > 5 else "")
+def _clock_warnings(recording: Recording) -> list[str]:
+    """Return a warning on header stamps that differ from the log times, for a file that is not read as a run."""
+    offsets = {topic.name: topic.offset for topic in _topics(recording) if topic.offset is not None}
+    apart = {name: offset for name, offset in offsets.items() if abs(offset) > CLOCK_LIMITS.offset}
+    if not apart:
+        return []
+    low, high = min(apart.values()), max(apart.values())
+    span = f"{low:,.3f}" if high - low < CLOCK_LIMITS.latency else f"{low:,.3f} to {high:,.3f}"
+    return [f"the log times are {span} s after the header stamps of {', '.join(apart)}"]

@@ -163,7 +163,8 @@ class McapStream:
                 times[channel] = census
             if channel in times:
                 times[channel].add(log_time, payload)
-            if channel in shapes and (shape := shape_of(payload)) is not None:
+            encoding = contents.channels[channel].encoding if channel in shapes else ""
+            if channel in shapes and (shape := shape_of(payload, encoding)) is not None:
                 shapes[channel].add(shape)
             is_sample = counts[channel] % SETTINGS.sample == 0 and _is_moving_transform(contents, channel)
             if counts[channel] <= SETTINGS.first_messages or is_sample:

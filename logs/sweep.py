@@ -17,6 +17,8 @@ class SweepLimits:
     """[rad] minimum span of the bearings of a spinning laser, whose sweep takes the whole scan period."""
     max_periods: float = 1.5
     """Maximum duration of a sweep in scan periods; above it, `time_increment` is wrong."""
+    min_share: float = 0.05
+    """Minimum share of the scan period that a sweep takes; a shorter one is not used to identify a unit."""
     max_difference: float = 0.05
     """Maximum relative difference between two durations of one sweep."""
     most_thinned: float = 10.5
@@ -53,7 +55,9 @@ def sweep_warnings(run: Run) -> list[str]:
     n-th scan. Logs that specify the sensor, such as those of `sensorgraph.record`, are not checked.
     """
     sensor = run.sensor
-    if "scan_time" not in run.meta or run.n_scans < 2 or np.ptp(sensor.bearings) < LIMITS.full_turn:
+    if "scan_time" not in run.meta or run.n_scans < 2 or sensor.is_composite:
+        return []
+    if np.ptp(sensor.bearings) < LIMITS.full_turn:
         return []
     stated = float(run.meta["scan_time"])
     turn, source = (stated, "scan_time") if stated > 0 else (1.0 / sensor.rate, "the rate of the scans")

@@ -65,32 +65,32 @@ def quaternion(yaw: float, roll: float = 0.0) -> list[float]:
 
 def transform(
     stamp: float, parent: str, child: str, x: float, y: float, yaw: float, *,
-    z: float = 0.0, roll: float = 0.0, static: bool = False,
+    z: float = 0.0, roll: float = 0.0, static: bool = False, topic: str = "/tf", log: float | None = None,
 ) -> Message:  # fmt: skip
     strings = {"0.frame_id": parent, "0.child_frame_id": child}
     values = [x, y, z, *quaternion(yaw, roll)]
-    return message(
-        "/tf_static" if static else "/tf", TF_TYPE, stamp, strings, parts=1, **{"0__transform": values}
-    )
+    topic = "/tf_static" if static else topic
+    return message(topic, TF_TYPE, stamp, strings, parts=1, log=log, **{"0__transform": values})
 
 
 def pose(
-    stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE_TYPE
-) -> Message:
-    return message(topic, kind, stamp, {"frame_id": "map"}, pose=[x, y, 0, *quaternion(yaw)])
+    stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE_TYPE,
+    log: float | None = None,
+) -> Message:  # fmt: skip
+    return message(topic, kind, stamp, {"frame_id": "map"}, log=log, pose=[x, y, 0, *quaternion(yaw)])
 
 
 def odometry(
-    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, *, topic: str = "/odom"
-) -> Message:
+    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, *, topic: str = "/odom",
+    log: float | None = None,
+) -> Message:  # fmt: skip
     strings = {"frame_id": "odom", "child_frame_id": "base_link"}
-    return message(
-        topic, ODOMETRY_TYPE, stamp, strings, pose=[x, y, 0, *quaternion(yaw)], twist=[v, 0, 0, 0, 0, 0.5]
-    )
+    columns = {"pose": [x, y, 0, *quaternion(yaw)], "twist": [v, 0, 0, 0, 0, 0.5]}
+    return message(topic, ODOMETRY_TYPE, stamp, strings, log=log, **columns)
 
 
-def command(stamp: float, v: float, omega: float) -> Message:
-    return message("/cmd_vel", TWIST_TYPE, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
+def command(stamp: float, v: float, omega: float, *, topic: str = "/cmd_vel") -> Message:
+    return message(topic, TWIST_TYPE, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
 
 
 def write_bag2(

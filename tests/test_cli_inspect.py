@@ -68,7 +68,7 @@ def test_missing_signals_are_named(tmp_path: Path) -> None:
     found = inspect(tmp_path / "bag")
     for words in (
         "reference poses (/pose, or /tf map -> base_link)",
-        "odometry (/odom)",
+        "odometry (/odom, or /tf odom -> base_link)",
         "commands (/cmd_vel)",
     ):
         assert any(words in line for line in found.missing)
@@ -114,7 +114,12 @@ def test_what_looks_wrong_is_said(tmp_path: Path) -> None:
 def test_two_clocks_are_noticed(tmp_path: Path) -> None:
     bag = [scan(0.1 * i, [1, 2, 3], log=0.1 * i + 2.5) for i in range(5)]
     write_bag2(tmp_path / "bag", bag)
-    assert any("/scan: log time is 2.500 s after" in line for line in inspect(tmp_path / "bag").warnings)
+    note = "the log times are 2.500 s after the header stamps: the header stamps were used"
+    assert inspect(tmp_path / "bag").warnings[0] == note
+    write_bag2(tmp_path / "other", [odometry(t, t, 0, 0, log=t + 2.5) for t in (0.0, 0.1)])
+    assert inspect(tmp_path / "other").warnings == (
+        "the log times are 2.500 s after the header stamps of /odom",
+    )
 
 
 def test_mount_that_is_missing_or_tilted_is_said(tmp_path: Path) -> None:

@@ -63,10 +63,26 @@ def test_a_log_of_which_every_third_scan_may_have_been_kept_is_not_told_that_it_
     assert "unless the log keeps one scan in 3, set sensor.sweep_time: 0.1" in warning
 
 
-def test_sweep_longer_than_the_time_between_scans_is_not_believed(tmp_path: Path) -> None:
-    run = logs.read(spinning(tmp_path, 0.1))
-    assert run.sensor.sweep_time == 0
-    assert "is invalid, 36 rays would take 3.6 s of the 0.1 s between scans" in run.meta["notes"]
+@pytest.mark.parametrize(
+    ("time_increment", "sweep", "words"),
+    [
+        (
+            0.03,
+            0.0,
+            "0.03 s, with which 36 rays would take 1.08 s of the 0.1 s between scans, is invalid: 0 was used",
+        ),
+        (0.1, 0.1, "is the duration of a whole scan: 0.00278 s was used"),
+        (2.5, 0.09, "is in milliseconds: 0.0025 s was used"),
+        (-2500.0, -0.09, "is in microseconds: -0.0025 s was used"),
+        (2.5e6, 0.09, "is in nanoseconds: 0.0025 s was used"),
+    ],
+)
+def test_sweep_longer_than_the_time_between_scans_is_not_believed(
+    time_increment: float, sweep: float, words: str, tmp_path: Path
+) -> None:
+    run = logs.read(spinning(tmp_path, time_increment))
+    assert run.sensor.sweep_time == pytest.approx(sweep, rel=1e-6)  # float32
+    assert words in run.meta["notes"]
 
 
 def test_robot_yaml_overrules_the_log_and_inspect_says_that_they_disagree(

@@ -7,19 +7,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.composite import combine
 from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
-from logs.ros.messages import planar_covariances
+from logs.ros.poses import (
+    BASE_FRAMES,
+    FLOOR_FRAME,
+    RobotFrames,
+    RobotMotion,
+    base_of,
+    find_motion,
+    odometry_of_topic,
+)
 from logs.ros.range_readings import read_ranges
 from logs.ros.recording import (
-    ODOMETRY_TYPE,
-    POSE_COVARIANCE_TYPE,
     RANGE_TYPE,
     ROLES,
     TF_TYPE,
     Recording,
+    ScanSource,
     Track,
     check_roles,
     choices,
@@ -28,17 +36,15 @@ from logs.ros.recording import (
     track,
     transform_tree,
 )
+from logs.ros.stamps import settle_clocks, without_repeats
 from logs.ros.transform_tree import TransformTree
-from logs.run import PoseFrame, RangeSensor, Run
-from logs.transforms import to_planar
-from logs.types import Bools, Floats, Mounts
+from logs.run import RangeSensor, Run
+from logs.transforms import Stamps
+from logs.types import Floats, Mounts
 
-FLOOR_FRAME = "base_footprint"
-"""Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
-MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
-FIXED_FRAMES = (*MAP_FRAMES, "odom")
-"""Words in the names of stationary frames; poses in other frames may not refer to the map."""
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the maximum tilt (11°) of a level laser
+MAX_LISTED = 4
+"""Number of unused sensors that a note lists."""
 
 
 def to_run(
@@ -48,6 +54,7 @@ def to_run(
     no_return: str | None = None,
     mounts: Mounts | None = None,
     census: Mapping[str, ShapeCensus] | None = None,
+    whole: Mapping[str, str] | None = None,
 ) -> Run:
     """Interpret a recording as a run.
 
@@ -56,48 +63,63 @@ def to_run(
     topics : Role -> topic, for non-standard topic names.
     no_return : Encoding of a missing return, one of `NO_RETURNS`; None: Detected from the readings.
     mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
-    census : Topic -> number of scans of each shape in the whole log, if the recording is a piece of it.
+    census : Topic -> number of scans of each shape in the whole log, if the recording holds only some messages of it.
+    whole : Meta of the run of the whole log, if the recording is a piece of it.
 
     Raises
     ------
     LogError
-        If the recording has no scans, or several topics fit a role and none is selected.
+        If the recording has no scans, several lasers are possible and none is selected, or a selected topic is absent.
     """
     check_roles(topics)
     if own_record.is_own(recording, topics):
         return _odometry_as_poses(own_record.to_run(recording, source, no_return))
-    names = choose_scans(recording, source, topics)
-    tree = transform_tree(recording)
-    odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
-    odom = _odometry(recording, odom_name)
-    children = (odom.child,) if odom and odom.child else ()
-    parts, titles = _read_topics(recording, names, no_return, census or {})
-    reading = _mounted(parts, titles, source, tree, children, mounts or {})
-    scans, base = reading.scans, reading.base
-    pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
-    command = None
-    if cmd_name is not None:
-        command = track(recording.topics[cmd_name], "twist", 6)
-    notes = [*recording.notes, *scans.notes]
-    for part in (pose, odom, command):
-        notes += [note for note in (part.notes if part else []) if note not in notes]
-    for role, name in (("odom", odom_name), ("cmd", cmd_name)):
-        if name is None and choices(recording, role):
-            notes.append(f"several topics could be {role}, none was used: {choices(recording, role)}")
+    sources = choose_scans(recording, source, topics)
+    near = sources[0].topic
+    odom_name, cmd_name, pose_name = (
+        choose(recording, role, topics, near) for role in ("odom", "cmd", "pose")
+    )
+    used = [each.topic for each in sources]
+    used += [name for name in (odom_name, pose_name, cmd_name) if name is not None]
+    recording, notes = without_repeats(recording, used)
+    tree = transform_tree(recording, near)
+    recording, tree, clock_notes = settle_clocks(
+        recording, [name for name in used if recording.topics[name].type != TF_TYPE], tree, near
+    )
+    odom = odometry_of_topic(recording, odom_name)
+    parts, titles, unused = _read_topics(recording, sources, no_return, census or {})
+    reading = _mounted(parts, titles, source, tree, odom, mounts or {})
+    scans = reading.scans
+    robot = RobotFrames(tree=tree, base=reading.base, frame=scans.frame, topic=near, whole=whole)
+    motion = find_motion(recording, topics, robot, odom, odom_name)
+    command = None if cmd_name is None else track(recording.topics[cmd_name], "twist", 6)
+    motion, more = _overlapping(motion, scans.stamps) if census is None else (motion, [])
+    notes += [
+        *recording.notes,
+        *clock_notes,
+        *scans.notes,
+        *motion.notes,
+        *more,
+        *_unused_text(recording, sources, unused),
+    ]
+    for part in (motion.poses, motion.odometry, command):
+        notes += part.notes if part else []
+    if cmd_name is None and choices(recording, "cmd"):
+        notes.append(f"several topics could be cmd, none was used: {choices(recording, 'cmd')}")
     if tree.conflicts:
         notes.append(f"frames with two parents: {', '.join(tree.conflicts)}")
     return _assemble(
-        reading, pose, frame, odom, command,
+        reading, motion, command,
         meta={
             "source": source,
             "format": recording.format,
-            "scan_topic": ",".join(names),
-            "pose_source": pose_source,
+            "scan_topic": ",".join(map(str, sources)),
+            "pose_source": motion.pose_source,
             **({"scan_time": f"{scans.scan_time:.6g}"} if np.isfinite(scans.scan_time) else {}),
             **({"no_return": scans.no_return} if scans.no_return != "inf" else {}),
-            **({"odom_topic": odom_name} if odom_name else {}),
+            **({"odom_topic": motion.odom_source} if motion.odom_source else {}),
             **({"cmd_topic": cmd_name} if cmd_name else {}),
-            **({"notes": "; ".join(notes)} if notes else {}),
+            **({"notes": "; ".join(dict.fromkeys(notes))} if notes else {}),
         },
         attachments=recording.attachments,
     )  # fmt: skip
@@ -119,20 +141,60 @@ class SensorReading:
 
 
 def _read_topics(
-    recording: Recording, names: Sequence[str], no_return: str | None, census: Mapping[str, ShapeCensus]
-) -> tuple[list[LaserScans], list[tuple[str, str]]]:
-    """Read the sensors of some topics; also return the topic and frame of each sensor."""
+    recording: Recording,
+    sources: Sequence[ScanSource],
+    no_return: str | None,
+    census: Mapping[str, ShapeCensus],
+) -> tuple[list[LaserScans], list[tuple[str, str]], list[tuple[str, str, int]]]:
+    """Read the sensors of some topics.
+
+    Returns
+    -------
+    The sensors, the topic and frame of each, and topic, frame and number of scans of each sensor that is not selected.
+
+    Raises
+    ------
+    LogError : A selected frame is not in its topic.
+    """
     parts: list[LaserScans] = []
     titles: list[tuple[str, str]] = []
-    for name in names:
+    unused: list[tuple[str, str, int]] = []
+    for name in dict.fromkeys(source.topic for source in sources):
         topic = recording.topics[name]
         is_range = topic.type == RANGE_TYPE
-        found = (
-            read_ranges(topic, no_return) if is_range else [read_scans(topic, no_return, census.get(name))]
-        )
-        parts += found
-        titles += [(name, part.frame) for part in found]
-    return parts, titles
+        found = read_ranges(topic, no_return) if is_range else read_scans(topic, no_return, census.get(name))
+        frames = [source.frame for source in sources if source.topic == name]
+        absent = set(filter(None, frames)) - {part.frame for part in found}
+        if absent:
+            there = ", ".join(f"{name}@{part.frame}" for part in found)
+            raise LogError(f"scan={name}@{absent.pop()}: {name} has no scans in this frame; it has {there}")
+        for part in found:
+            if "" in frames or part.frame in frames:
+                parts.append(part)
+                titles.append((name, part.frame))
+            else:
+                unused.append((name, part.frame, len(part.stamps)))
+    return parts, titles, unused
+
+
+def _unused_text(
+    recording: Recording, sources: Sequence[ScanSource], unused: Sequence[tuple[str, str, int]]
+) -> list[str]:
+    """Report the range sensors of the log that are not read."""
+    read = {source.topic for source in sources}
+    others = [
+        (f"{name}@{frame}", n_scans) for name, frame, n_scans in unused
+    ] + [
+        (name, len(recording.topics[name].payloads))
+        for name in recording.of_type(ROLES["scan"][1]) if name not in read
+    ]  # fmt: skip
+    if not others:
+        return []
+    listed = ", ".join(f"{name} ({n:,} scans)" for name, n in others[:MAX_LISTED])
+    more = f" and {len(others) - MAX_LISTED} more" if len(others) > MAX_LISTED else ""
+    return [
+        f"range sensors that were not used: {listed}{more} (select one with `topics` scan={others[0][0]}, several with commas)"
+    ]
 
 
 def _mounted(
@@ -140,7 +202,7 @@ def _mounted(
     titles: Sequence[tuple[str, str]],
     source: str,
     tree: TransformTree,
-    children: Sequence[str],
+    odom: Track | None,
     stated: Mounts,
 ) -> SensorReading:
     """Determine the mounts of the sensors; several sensors are combined into one in base_link.
@@ -148,21 +210,17 @@ def _mounted(
     Parameters
     ----------
     titles : topic and frame of each sensor
-    children : further names of the base frame
+    odom : odometry, whose child frame is another name of the base frame
     stated : mounts that apply if the transform tree has none
     """
-    bases = [
-        tree.first_ancestor(
-            part.frame, (*(tree.in_namespace_of(part.frame, name) for name in BASE_FRAMES), *children)
-        )
-        for part in parts
-    ]
+    children = (odom.child,) if odom and odom.child else ()
+    bases = [base_of(tree, part.frame, children) for part in parts]
     mounts: list[Floats] = []
     heights: list[float] = []
     lost: list[str] = []
     for part, base, title in zip(parts, bases, titles, strict=True):
         known = next((np.asarray(stated[name]) for name in title if name in stated), None)
-        is_in_tree = part.frame in BASE_FRAMES or (
+        is_in_tree = part.frame in (*BASE_FRAMES, base) or (
             base is not None and tree.place(base, part.frame) is not None
         )
         mount, height, upside_down = (
@@ -181,10 +239,7 @@ def _mounted(
             origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone),
         )  # fmt: skip
     if lost:
-        raise LogError(
-            f"{source}: the mounts of {', '.join(lost)} are unknown; record /tf_static, give a robot.yaml that lists "
-            "them under `sensors` (`robot`), or select one with `topics` scan=NAME"
-        )
+        raise LogError(f"{source}: {_unknown_mounts_text(parts, titles, lost)}")
     names = [topic for topic, _ in titles]
     rays = combine(parts, mounts, [" in ".join(t) if names.count(t[0]) > 1 else t[0] for t in titles])
     base = next(filter(None, bases), None)
@@ -201,21 +256,29 @@ def _mounted(
     )
 
 
-def _odometry(recording: Recording, name: str | None) -> Track | None:
-    if name is None:
-        return None
-    topic = recording.topics[name]
-    pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
-    unoriented = (pose.values[:, 3:] == 0).all(axis=1)
-    if unoriented.any():
-        pose.notes.append(f"{_unoriented_text(name, unoriented)}: their heading was set to 0")
-    pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
-    return pose
+def _unknown_mounts_text(
+    parts: Sequence[LaserScans], titles: Sequence[tuple[str, str]], lost: Sequence[str]
+) -> str:
+    """Describe why several sensors cannot be read as one, and what to do."""
+    names = [name for name, _ in titles]
+    for name in dict.fromkeys(names):
+        mine = [part for part, other in zip(parts, names, strict=True) if other == name]
+        if len(mine) > 1 and not mine[0].cone:
+            frames = ", ".join(f"{len(part.stamps):,} of {part.frame or 'no frame'}" for part in mine)
+            return (
+                f"{name} holds scans of {len(mine)} frames ({frames}) with unknown mounts; select one with `topics` "
+                f"scan={name}@{mine[0].frame}, or record /tf_static, or list the mounts under `sensors` of a robot.yaml "
+                "(`robot`)"
+            )
+    return (
+        f"the mounts of {', '.join(lost)} are unknown; record /tf_static, give a robot.yaml that lists "
+        "them under `sensors` (`robot`), or select one with `topics` scan=NAME"
+    )
 
 
 def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
     """Return the mount (3,) in base_link, the height [m] above the floor if known, and whether it is upside down."""
-    if scans.frame in BASE_FRAMES:
+    if scans.frame in (*BASE_FRAMES, base):
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
     if place is None:
@@ -229,50 +292,36 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         )
     if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
         scans.notes.append("the laser moves on the robot: its first mount was used")
-    # the floor frame may be the root of the tree, above base_link, or a leaf below it
     floor = tree.in_namespace_of(scans.frame, FLOOR_FRAME)
-    below = tree.place(base, floor) if base is not None else None
     above_floor = tree.place(floor, scans.frame) or place
-    return place.poses[0], above_floor.height - (below.height if below else 0.0), place.up < 0
+    return place.poses[0], above_floor.height, place.up < 0
 
 
-def _reference(
-    recording: Recording,
-    topics: Mapping[str, str] | None,
-    tree: TransformTree,
-    base: str | None,
-    scans: LaserScans,
-    odom: Track | None,
-    odom_name: str | None,
-) -> tuple[Track | None, PoseFrame, str]:
-    """Return the poses, their frame and their source: the first of /pose, /tf, any other pose topic, and /odom."""
-    name = choose(recording, "pose", topics)
-    is_named = (topics or {}).get("pose") is not None
-    if name is not None and (is_named or name == ROLES["pose"][0]) and recording.topics[name].type != TF_TYPE:
-        return _pose_topic(recording, name, odom_name)
-    for root in (tree.in_namespace_of(scans.frame, name) for name in MAP_FRAMES):
-        for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
-            place = tree.place(root, frame) if frame else None
-            if place is not None and frame != root and not place.is_static:
-                found = Track(place.stamps, place.poses, root)
-                return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
-    if name is not None and recording.topics[name].type != TF_TYPE:
-        return _pose_topic(recording, name, odom_name)
-    if odom is not None:
-        return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
-    if choices(recording, "pose"):
-        raise LogError(
-            f"several topics could be the reference pose; select one with {choices(recording, 'pose')}"
-        )
-    return None, "base_link", "none"
+def _overlapping(motion: RobotMotion, scans: Stamps) -> tuple[RobotMotion, list[str]]:
+    """Leave out odometry and poses that are at no time recorded together with the scans; also return notes."""
+    notes = list[str]()
 
+    def is_apart(part: Track | None, what: str) -> bool:
+        if part is None or not len(part.stamps) or not len(scans):
+            return False
+        apart = max(int(part.stamps[0] - scans[-1]), int(scans[0] - part.stamps[-1])) / 1e9
+        if apart > CLOCK_LIMITS.offset:
+            notes.append(
+                f"{what} and scans do not overlap in time, by stamps and by log times: they are {apart:,.1f} s apart, "
+                f"the {what} was left out"
+            )
+        return apart > CLOCK_LIMITS.offset
 
-def _pose_topic(recording: Recording, name: str, odom_name: str | None) -> tuple[Track, PoseFrame, str]:
-    """Return the poses of a topic, their frame and their source; the source is `none` if no pose is usable."""
-    found = _poses(recording, name)
-    is_odometry = recording.topics[name].type == ODOMETRY_TYPE and ("odom" in name or name == odom_name)
-    source = f"odometry {name}" if is_odometry else name
-    return found, "base_link", source if len(found.stamps) else "none"
+    if is_apart(motion.odometry, "odometry"):
+        is_pose = motion.pose_source.startswith("odometry")
+        motion = replace(motion, odometry=None, odom_source="")
+        motion = replace(motion, poses=None, pose_source="none") if is_pose else motion
+    if is_apart(motion.poses, "reference"):
+        odom = motion.odometry
+        poses = None if odom is None else Track(odom.stamps, odom.values[:, :3], odom.frame)
+        source = "none" if odom is None else f"odometry {motion.odom_source}"
+        motion = replace(motion, poses=poses, pose_frame="base_link", pose_source=source)
+    return motion, notes
 
 
 def _odometry_as_poses(run: Run) -> Run:
@@ -288,36 +337,15 @@ def _odometry_as_poses(run: Run) -> Run:
     )
 
 
-def _poses(recording: Recording, name: str) -> Track:
-    topic = recording.topics[name]
-    found = track(topic, "pose", 7)
-    if topic.type == POSE_COVARIANCE_TYPE:
-        found.covariances = planar_covariances(track(topic, "covariance", 36).values)
-    if found.frame and not any(word in found.frame.rpartition("/")[2] for word in FIXED_FRAMES):
-        found.notes.append(f"{name} is in the unknown frame {found.frame}, which is assumed to be the map")
-    unoriented = (found.values[:, 3:] == 0).all(axis=1)
-    if unoriented.any():
-        found.notes.append(f"{_unoriented_text(name, unoriented)}: left out")
-        found.stamps, found.values = found.stamps[~unoriented], found.values[~unoriented]
-        found.covariances = found.covariances[~unoriented] if len(found.covariances) else found.covariances
-    found.values = to_planar(found.values)
-    return found
-
-
-def _unoriented_text(name: str, unoriented: Bools) -> str:
-    return f"{name}: {unoriented.sum()} of {len(unoriented)} poses have no orientation (quaternion 0 0 0 0)"
-
-
 def _assemble(
     reading: SensorReading,
-    pose: Track | None,
-    frame: PoseFrame,
-    odom: Track | None,
+    motion: RobotMotion,
     command: Track | None,
     *,
     meta: dict[str, str],
     attachments: Mapping[str, bytes],
 ) -> Run:
+    pose, odom = motion.poses, motion.odometry
     scans = reading.scans
     tracks = [scans.stamps, *(part.stamps for part in (pose, odom, command) if part is not None)]
     epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
@@ -342,6 +370,7 @@ def _assemble(
         ),
         stamps=(scans.stamps - epoch) / 1e9,
         ranges=scans.ranges,
+        intensities=np.zeros((0, 0)) if scans.intensities is None else scans.intensities,
         pose_stamps=((pose.stamps if pose is not None else none) - epoch) / 1e9,
         poses=poses,
         pose_covariances=pose.covariances if pose is not None else np.zeros((0, 3, 3)),
@@ -350,7 +379,7 @@ def _assemble(
         odom_twists=driven[:, 3:],
         cmd_stamps=((command.stamps if command is not None else none) - epoch) / 1e9,
         commands=twists,
-        pose_frame=frame,
+        pose_frame=motion.pose_frame,
         epoch_ns=epoch,
         meta=meta,
         attachments=dict(attachments),

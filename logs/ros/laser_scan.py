@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.clocks import UNITS
+from logs.error_codes import blank_error_codes
 from logs.errors import LogError
 from logs.no_return import CODE_SEARCH, detect_no_return, frequent_nans, nan_text, range_max_text, zero_text
-from logs.resampling import resample, resampled_text
+from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
 from logs.ros.recording import Topic, sort_stamps
-from logs.sweep import LIMITS
+from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
 from logs.types import Floats
 
@@ -68,6 +70,8 @@ class LaserScans:
     """Encoding of a missing return in the log, one of `NO_RETURNS`."""
     cone: float = 0.0
     """[rad] opening angle of each ray."""
+    intensities: Floats | None = None
+    """(n_scans, n_rays) as the driver sent them, nan where it sent none; None: they carry no information."""
 
 
 @dataclass
@@ -76,6 +80,7 @@ class _Group:
 
     index: list[np.ndarray]
     ranges: list[Floats]
+    intensities: list[Floats]
     limits: Floats
     """(7,) angle, time and range fields of the first message."""
     frame: str
@@ -97,19 +102,23 @@ def _bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
     return angle_min + increment * np.arange(n_rays, dtype=np.float64)
 
 
-def shape_of(payload: bytes) -> ScanShape | None:
-    """Return the shape of one LaserScan in CDR; None if the message is too short."""
+def shape_of(payload: bytes, encoding: str = "cdr") -> ScanShape | None:
+    """Return the shape of one LaserScan; None if the message is too short."""
     try:
-        (length,) = _U4.unpack_from(payload, 12)
+        (length,) = _U4.unpack_from(payload, 12)  # in both encodings
         at = 16 + length
-        *limits, n = _LIMITS.unpack_from(payload, at + -(at - 4) % 4)
+        *limits, n = _LIMITS.unpack_from(payload, at if encoding == "ros1" else at + -(at - 4) % 4)
     except struct.error:
         return None
     return ScanShape(n, limits[0], limits[2])
 
 
-def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus | None = None) -> LaserScans:
-    """Decode LaserScan messages; scans of other shapes are resampled to the most common bearings.
+def read_scans(
+    topic: Topic, no_return: str | None = None, census: ShapeCensus | None = None
+) -> list[LaserScans]:
+    """Decode the LaserScan messages of a topic, one result per frame; each frame is a separate sensor.
+
+    Scans of other shapes are resampled to the most common bearings of their sensor.
 
     Parameters
     ----------
@@ -120,9 +129,8 @@ def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus |
     ------
     LogError : If most scans have no rays, or no bearings.
     """
-    n = len(topic.payloads)
     stamps = np.array(topic.log_times, dtype=np.int64)
-    groups: dict[ScanShape, _Group] = {}
+    frames: dict[str, dict[ScanShape, _Group]] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index] = block.stamps_ns
         frame, n_rays = block.strings["frame_id"].strip("/"), block.places["ranges"].count
@@ -133,38 +141,84 @@ def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus |
         for k, i in enumerate(first.tolist()):
             mine = np.flatnonzero(which.ravel() == k)
             shape = ScanShape(n_rays, float(limits[i, 0]), float(limits[i, 2])).rounded()
-            group = groups.setdefault(shape, _Group([], [], limits[i], frame))
+            groups = frames.setdefault(frame, {})
+            group = groups.setdefault(shape, _Group([], [], [], limits[i], frame))
             group.index.append(block.index[mine])
             group.ranges.append(block["ranges"][mine].astype(np.float64))
+            group.intensities.append(_intensities(block, mine))
+    stamps = stamps if topic.stamps is None else topic.stamps
+    return [_sensor_scans(topic, groups, stamps, no_return, census) for groups in frames.values()]
+
+
+def _sensor_scans(
+    topic: Topic,
+    groups: dict[ScanShape, _Group],
+    stamps: Stamps,
+    no_return: str | None,
+    census: ShapeCensus | None,
+) -> LaserScans:
+    """Return the scans of one sensor with common bearings, in order of time.
+
+    Parameters
+    ----------
+    stamps : (n,) [ns] times of all messages of the topic
+    """
     counts = Counter({shape: sum(map(len, group.index)) for shape, group in groups.items()})
     counts = counts if census is None else census.counts
     most = max(counts, key=lambda shape: counts[shape])
     if most.n_rays == 0:
-        raise LogError(f"{topic.name}: most scans have no rays; check the driver, or select another topic")
+        raise LogError(f"{topic.name}: most scans have no rays")
     main = groups.get(most) or next(iter(groups.values()))
     limits = main.limits
     notes: list[str] = []
     parts = [part for group in groups.values() for part in group.ranges]
+    notes += blank_error_codes(parts, limits[5], limits[6])
     range_min, range_max, no_return = clean_ranges(parts, (limits[5], limits[6]), no_return, notes)
     bearings = (
         _bearings(*census.first[most]) if census is not None and most not in groups else main.bearings()
     )
-    ranges = np.empty((n, most.n_rays))
-    for shape, group in groups.items():
-        part = np.concatenate(group.ranges)
-        ranges[np.concatenate(group.index)] = (
-            part if shape == most else resample(part, group.bearings(), bearings)
-        )
-    stamps, order, stamp_notes = sort_stamps(topic.name, stamps, np.array(topic.log_times, dtype=np.int64))
+    index = np.concatenate([part for group in groups.values() for part in group.index])
+    ranges = np.concatenate([
+        np.concatenate(group.ranges)
+        if shape == most
+        else resample(np.concatenate(group.ranges), group.bearings(), bearings)
+        for shape, group in groups.items()
+    ])  # fmt: skip
+    intensities = np.concatenate([
+        np.concatenate(group.intensities)
+        if shape == most
+        else take_nearest(np.concatenate(group.intensities), group.bearings(), bearings)
+        for shape, group in groups.items()
+    ])  # fmt: skip
+    in_file = np.argsort(index)
+    index = index[in_file]
+    at, order, stamp_notes = sort_stamps(
+        topic.name, stamps[index], np.array(topic.log_times, dtype=np.int64)[index]
+    )
     if len(counts) > 1:
         stamp_notes.append(
             f"{topic.name}: {resampled_text([shape.n_rays for shape in counts], list(counts.values()))}"
         )
     time_increment, scan_time = limits[3:5].tolist()
     return LaserScans(
-        stamps, ranges[order], bearings, time_increment, scan_time, range_min, range_max, main.frame,
+        at, ranges[in_file[order]], bearings, time_increment, scan_time, range_min, range_max, main.frame,
         stamp_notes + notes, no_return,
+        intensities=intensities[in_file[order]] if _is_varied(intensities) else None,
     )  # fmt: skip
+
+
+def _intensities(block: cdr.MessageColumns, mine: np.ndarray) -> Floats:
+    """Return the intensities (m, n_rays) of some messages; nan if a message has none, or not one for each ray."""
+    n_rays = block.places["ranges"].count
+    if block.places["intensities"].count != n_rays:
+        return np.full((len(mine), n_rays), np.nan)
+    return np.asarray(block["intensities"][mine], dtype=np.float64)
+
+
+def _is_varied(intensities: Floats) -> bool:
+    """Return whether intensities carry information: simulators and some drivers send a constant."""
+    finite = intensities[np.isfinite(intensities)]
+    return finite.size > 0 and bool(finite.min() < finite.max())
 
 
 def clean_ranges(
@@ -229,16 +283,49 @@ def clean_ranges(
 
 
 def check_sweep(scans: LaserScans) -> None:
-    """Set the `time_increment` of a sweep that is longer than the scan period to 0, in place, with a note."""
+    """Correct the unit of `time_increment` and `scan_time`, in place, with a note.
+
+    A sweep takes at most the scan period. If it does so in milliseconds, microseconds or nanoseconds, the field is in this
+    unit; if `time_increment` itself is the period, it is the duration of the sweep. Any other longer sweep becomes 0.
+    """
     steps = np.diff(scans.stamps)
     period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
-    sweep = abs(scans.time_increment) * len(scans.bearings)
-    if not np.isfinite(sweep) or (period > 0 and sweep > LIMITS.max_periods * period):
+    n = len(scans.bearings)
+    unit = _unit(scans.scan_time, period) if period > 0 else None
+    if unit is not None:
         scans.notes.append(
-            f"time_increment {scans.time_increment:.3g} s is invalid, {len(scans.bearings)} rays would take "
-            f"{sweep:.3g} s of the {period:.3g} s between scans: 0 was used"
+            f"scan_time {scans.scan_time:.6g} is in {UNITS[unit]}, as a scan is taken every {period:.3g} s"
         )
+        scans.scan_time *= unit
+    sweep = abs(scans.time_increment) * n
+    if np.isfinite(sweep) and not (period > 0 and sweep > LIMITS.max_periods * period):
+        return
+    stated, text = (
+        scans.time_increment,
+        f"{n} rays would take {sweep:.3g} s of the {period:.3g} s between scans",
+    )
+    whole = next(
+        (turn for turn in (scans.scan_time, period) if turn > 0 and not differs(abs(stated), turn)), None
+    )
+    unit = _unit(sweep, period) if np.isfinite(sweep) else None
+    if whole is not None:
+        scans.time_increment = stated / n
+        what = f"is the duration of a whole scan: {scans.time_increment:.3g} s was used"
+    elif unit is not None:
+        scans.time_increment = stated * unit
+        what = f"is in {UNITS[unit]}: {scans.time_increment:.3g} s was used"
+    else:
         scans.time_increment = 0.0
+        what = "is invalid: 0 was used"
+    scans.notes.append(f"time_increment {stated:.3g} s, with which {text}, {what}")
+
+
+def _unit(duration: float, period: float) -> float | None:
+    """Return the unit [s] in which a duration is written, from the scan period [s] that it fills; None: the second."""
+    for unit in UNITS:
+        if unit < 1 and LIMITS.min_share < abs(duration) * unit / period < LIMITS.max_periods:
+            return unit
+    return None
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
@@ -259,6 +346,8 @@ def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
             f"{len(scans.bearings) - n_turn} rays repeat others after a full turn and were dropped"
         )
         scans.bearings, scans.ranges = scans.bearings[:n_turn], scans.ranges[:, :n_turn]
+        if scans.intensities is not None:
+            scans.intensities = scans.intensities[:, :n_turn]
 
 
 def _reverse(scans: LaserScans) -> None:
@@ -267,5 +356,7 @@ def _reverse(scans: LaserScans) -> None:
     A time increment of 0 becomes -0.0, which marks a clockwise sweep.
     """
     scans.bearings, scans.ranges = scans.bearings[::-1].copy(), scans.ranges[:, ::-1].copy()
+    if scans.intensities is not None:
+        scans.intensities = scans.intensities[:, ::-1].copy()
     last = round((len(scans.bearings) - 1) * scans.time_increment * 1e9)
     scans.stamps, scans.time_increment = scans.stamps + last, -scans.time_increment

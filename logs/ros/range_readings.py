@@ -22,6 +22,7 @@ def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index], limits[block.index] = block.stamps_ns, block["limits"]
         frames.setdefault(block.strings["frame_id"].strip("/"), []).append(block.index)
+    stamps = stamps if topic.stamps is None else topic.stamps
     logged = np.array(topic.log_times, dtype=np.int64)
     out = []
     for frame, parts in frames.items():

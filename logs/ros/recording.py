@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,8 @@ class Topic:
     """[ns] log time of each message, in the order of the file."""
     payloads: cdr.Messages = field(default_factory=cdr.Messages)
     """The messages, if their type is in `KEPT_TYPES`."""
+    stamps: Stamps | None = None
+    """(n,) [ns] the times of the messages on the common clock of the log (`settle_clocks`); None: as in the headers."""
 
 
 @dataclass
@@ -113,8 +116,11 @@ def full_type(msgtype: str) -> str:
     return f"{package}/msg/{name}" if name else msgtype
 
 
-def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) -> str | None:
-    """Return the topic for a role; None if no topic fits, or if several fit and none is selected."""
+def choose(recording: Recording, role: str, topics: Mapping[str, str] | None, near: str = "") -> str | None:
+    """Return the topic for a role; None if no topic fits, or if several fit and none is selected.
+
+    Of the topics of several robots, that in the namespace of the topic `near` is used.
+    """
     preferred, types = ROLES[role]
     named = (topics or {}).get(role)
     if named is not None:
@@ -123,25 +129,56 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
             if (
                 topic is not None
                 and topic.payloads
-                and topic.type in types + ((TF_TYPE,) if role == "pose" else ())
+                and topic.type in types + ((TF_TYPE,) if role in ("pose", "odom") else ())
             ):
                 return name
         raise LogError(
             f"{role}={named} is not a topic with messages of {' or '.join(types)}; "
             f"the log has {listing(recording) or 'no topics'}"
         )
-    names = recording.of_type(types if role != "pose" else (POSE_TYPE, POSE_COVARIANCE_TYPE))
+    names = candidates(recording, role)
     if preferred in names:
         return preferred
-    if role == "pose":  # a goal and an initial guess are poses too, but not of the robot over time
-        names = [name for name in names if "goal" not in name and "initial" not in name]
+    shared = [common_namespace(name, near) for name in names]
+    names = [name for name, depth in zip(names, shared, strict=True) if depth == max(shared)]
     return names[0] if len(names) == 1 else None
 
 
-def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | None) -> list[str]:
-    """Return the topics of the scans: those selected, otherwise the only LaserScan, otherwise every Range.
+def candidates(recording: Recording, role: str) -> list[str]:
+    """Return the topics that may have a role unless others are selected."""
+    if role != "pose":
+        return recording.of_type(ROLES[role][1])
+    names = recording.of_type((POSE_TYPE, POSE_COVARIANCE_TYPE))
+    # a goal and an initial guess are poses too, but not of the robot over time
+    return [name for name in names if "goal" not in name and "initial" not in name]
 
-    Several topics are selected with commas or a pattern: `scan=/front,/rear`, `scan=/sonar/*`.
+
+def common_namespace(name: str, other: str) -> int:
+    """Return the number of leading namespaces that two names of topics or frames share."""
+    shared = 0
+    for a, b in zip(name.strip("/").split("/")[:-1], other.strip("/").split("/")[:-1], strict=False):
+        if a != b:
+            break
+        shared += 1
+    return shared
+
+
+class ScanSource(NamedTuple):
+    """The scans that are read: those of a topic, or those of one frame in a topic."""
+
+    topic: str
+    frame: str = ""
+    """Frame of the scans; empty: all frames of the topic."""
+
+    def __str__(self) -> str:
+        return f"{self.topic}@{self.frame}" if self.frame else self.topic
+
+
+def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | None) -> list[ScanSource]:
+    """Return the topics of the scans: those selected, otherwise the only laser, otherwise every Range.
+
+    Several topics are selected with commas or a pattern, one frame with an at sign: `scan=/front,/rear`,
+    `scan=/sonar/*`, `scan=/scan@front_laser`.
 
     Raises
     ------
@@ -150,20 +187,22 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
     there = recording.of_type(ROLES["scan"][1])
     named = (topics or {}).get("scan")
     if named is not None:
-        found = list[str]()
+        found = list[ScanSource]()
         for word in filter(None, named.split(",")):
-            pattern = "/" + word.strip().lstrip("/")
+            topic, _, frame = word.strip().partition("@")
+            pattern = "/" + topic.lstrip("/")
             mine = [name for name in there if fnmatchcase("/" + name.lstrip("/"), pattern)]
             if not mine:
                 raise LogError(
                     f"{source}: scan={word} is not a topic with messages of {' or '.join(ROLES['scan'][1])}; "
                     f"the log has {listing(recording) or 'no topics'}"
                 )
-            found += [name for name in mine if name not in found]
+            sources = [ScanSource(name, frame.strip("/")) for name in mine]
+            found += [each for each in sources if each not in found]
         return found
     lasers = recording.of_type((SCAN_TYPE,))
     if ROLES["scan"][0] in lasers or len(lasers) == 1:
-        return [ROLES["scan"][0] if ROLES["scan"][0] in lasers else lasers[0]]
+        return [ScanSource(ROLES["scan"][0] if ROLES["scan"][0] in lasers else lasers[0])]
     if lasers:
         raise LogError(
             f"{source} has {len(lasers)} scan topics; select one with {choices(recording, 'scan')}, or combine several "
@@ -171,12 +210,12 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
         )
     if not there:
         raise LogError(f"{source} has no Range and no LaserScan; it has {listing(recording) or 'no topics'}")
-    return there
+    return [ScanSource(name) for name in there]
 
 
 def choices(recording: Recording, role: str) -> str:
     """Return the options that select a topic for a role."""
-    return ", ".join(f"`topics` {role}={name}" for name in recording.of_type(ROLES[role][1]))
+    return ", ".join(f"`topics` {role}={name}" for name in candidates(recording, role))
 
 
 def listing(recording: Recording) -> str:
@@ -208,6 +247,8 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
             stamps[block.index] = block.stamps_ns
         key = (block.strings.get("frame_id", ""), block.strings.get("child_frame_id", ""))
         frames[key] = frames.get(key, 0) + len(block.index)
+    if topic.stamps is not None:
+        stamps = topic.stamps
     frame, child = max(frames, key=lambda key: frames[key], default=("", ""))
     notes = [f"{topic.name} changes its frame"] if len(frames) > 1 else []
     stamps, order, more = sort_stamps(topic.name, stamps, stamps if absolute else logged)
@@ -232,25 +273,34 @@ def sort_stamps(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDAr
     return stamps, order, notes
 
 
-def transform_tree(recording: Recording) -> TransformTree:
-    """Collect every transform of the recording."""
+def transform_tree(recording: Recording, near: str = "") -> TransformTree:
+    """Collect the transforms of the recording.
+
+    If topics of several namespaces publish a transform between frames of equal names, as several robots do, that in the
+    namespace of the topic `near` is used.
+    """
     tree = TransformTree()
+    found: dict[tuple[str, str], dict[str, list[tuple[Stamps, Floats, NDArray[np.intp]]]]] = {}
     for topic in recording.topics.values():
         if topic.type != TF_TYPE or not topic.payloads:
             continue
-        edges: dict[tuple[str, str], list[tuple[Stamps, Floats]]] = {}
         for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
             for i in range(block.n_parts):
                 part = block.part(i)
                 key = (part.strings["frame_id"].strip("/"), part.strings["child_frame_id"].strip("/"))
-                edges.setdefault(key, []).append((part.stamps_ns, part["transform"]))
-        for (parent, child), samples in edges.items():
-            stamps = np.concatenate([stamps for stamps, _ in samples])
-            values = np.concatenate([values for _, values in samples]).astype(np.float64)
+                samples = found.setdefault(key, {}).setdefault(topic.name, [])
+                samples.append((part.stamps_ns, part["transform"], block.index))
+    for (parent, child), by_topic in found.items():
+        shared = {name: common_namespace(name, near) for name in by_topic}
+        for name in (name for name, depth in shared.items() if depth == max(shared.values())):
+            stamps, values, index = (np.concatenate(parts) for parts in zip(*by_topic[name], strict=True))
+            values = values.astype(np.float64)
             whole = np.isfinite(values).all(axis=1) & (np.abs(values[:, 3:]).sum(axis=1) > 0)
             if whole.any():
-                static = topic.name.rstrip("/").endswith("tf_static")
-                tree.add(parent, child, stamps[whole], values[whole], is_static=static)
+                kept = np.flatnonzero(whole)[np.argsort(index[whole], kind="stable")]
+                logged = np.array(recording.topics[name].log_times, dtype=np.int64)[index[kept]]
+                static = name.rstrip("/").endswith("tf_static")
+                tree.add(parent, child, stamps[kept], values[kept], is_static=static, logged=logged)
     return tree
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
+from heapq import heappop, heappush
 
 import numpy as np
 
-from logs.transforms import Stamps, interpolate, to_planar, to_translation_quaternion
+from logs.transforms import Stamps, interpolate, to_planar, to_translation_quaternion, wrap
 from logs.types import Floats
 
 HOLD_NS = 1_000_000_000
 """[ns] time for which a slow correction such as map -> odom stays valid after its last sample."""
+
+
+MIN_MOTION = 1e-3
+"""[m, rad] smaller changes of a transform are rounding and noise, not motion."""
 
 
 def to_matrices(transforms: Floats) -> Floats:
@@ -39,107 +44,180 @@ class RelativePose:
     up: float
     """Median cosine between the z axes: 1 upright, -1 upside down."""
     is_static: bool
+    """Whether no edge of the chain was published over time."""
+
+    @property
+    def moves(self) -> bool:
+        """Return whether the pose changes by more than `MIN_MOTION`."""
+        change = np.abs(self.poses - self.poses[0])
+        return bool(max(change[:, :2].max(), np.abs(wrap(change[:, 2])).max()) > MIN_MOTION)
 
 
 @dataclass(frozen=True)
-class _Edge:
+class Edge:
+    """The samples of the transform from a frame to its child."""
+
     parent: str
+    child: str
     stamps: Stamps
+    """(n,) [ns]"""
     transforms: Floats
+    """(n, 7) translation and quaternion of the child in the parent"""
     is_static: bool
+    logged: Stamps
+    """(n,) [ns] log times"""
+    n_repeated: int = 0
+    """Number of samples that were there twice and were dropped."""
+
+    @property
+    def is_sampled(self) -> bool:
+        """Return whether the transform was published over time."""
+        return not self.is_static and len(self.stamps) > 1
+
+    @cached_property
+    def is_constant(self) -> bool:
+        """Return whether all samples are equal."""
+        return not self.is_sampled or float(np.ptp(self.transforms, axis=0).max()) == 0.0
 
 
 @dataclass
 class TransformTree:
     """The frames of a log and the transforms between them."""
 
-    edges: dict[str, _Edge] = field(default_factory=dict)
-    """Child frame -> its edge."""
-    conflicts: list[str] = field(default_factory=list)
-    """Frames with more than one parent; the parent with the most samples is used."""
+    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
+    """(parent, child) -> the transform; a child with two parents has two edges."""
 
-    def add(self, parent: str, child: str, stamps: Stamps, transforms: Floats, *, is_static: bool) -> None:
-        """Add the samples (n,) [ns], (n, 7) of one edge."""
-        known = self.edges.get(child)
-        if known is not None and known.parent != parent:
-            self.conflicts.append(f"{child} (under {known.parent} and {parent})")
-            if len(known.stamps) >= len(stamps):
-                return
+    def add(
+        self,
+        parent: str,
+        child: str,
+        stamps: Stamps,
+        transforms: Floats,
+        *,
+        is_static: bool,
+        logged: Stamps | None = None,
+    ) -> None:
+        """Add the samples (n,) [ns], (n, 7) of one edge; equal samples with equal stamps count once."""
+        logged = stamps if logged is None else logged
+        known = self.edges.get((parent, child))
+        if known is not None:
+            stamps = np.concatenate([known.stamps, stamps])
+            transforms = np.concatenate([known.transforms, transforms])
+            logged = np.concatenate([known.logged, logged])
+            is_static = is_static and known.is_static
         order = np.argsort(stamps, kind="stable")
-        self.edges[child] = _Edge(parent, stamps[order], transforms[order], is_static)
+        rows = np.column_stack([np.diff(stamps[order]) == 0, np.diff(transforms[order], axis=0) == 0])
+        kept = np.concatenate([[True], ~rows.all(axis=1)])
+        kept = np.sort(order[kept])  # in the order of the log
+        self.edges[parent, child] = Edge(
+            parent, child, stamps[kept], transforms[kept], is_static, logged[kept],
+            len(stamps) - len(kept) + (known.n_repeated if known is not None else 0),
+        )  # fmt: skip
+
+    @property
+    def conflicts(self) -> list[str]:
+        """Return the frames with several parents, as text."""
+        parents: dict[str, list[str]] = {}
+        for parent, child in self.edges:
+            parents.setdefault(child, []).append(parent)
+        return [
+            f"{child} (under {' and '.join(names)})" for child, names in parents.items() if len(names) > 1
+        ]
+
+    @property
+    def frames(self) -> list[str]:
+        """Return the names of all frames, in the order of the log."""
+        return list(dict.fromkeys(frame for key in self.edges for frame in key))
 
     def lines(self) -> list[str]:
         """Describe each edge in one line."""
         return [
-            f"{edge.parent} -> {child}"
-            + (" (static)" if edge.is_static else f" ({len(edge.stamps)} samples)")
-            for child, edge in self.edges.items()
+            f"{edge.parent} -> {edge.child}"
+            + (" (static)" if edge.is_static else f" ({len(edge.stamps)} samples")
+            + ("" if edge.is_static else f", {edge.n_repeated} repeated)" if edge.n_repeated else ")")
+            for edge in self.edges.values()
         ]
-
-    def has(self, frame: str) -> bool:
-        """Return whether the frame is in the tree."""
-        return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
 
     def in_namespace_of(self, frame: str, name: str) -> str:
         """Return a standard frame name in the namespace of `frame`, if the tree contains it.
 
         For example, base_link for amr7/laser gives amr7/base_link.
         """
-        space = frame
+        frames, space = set(self.frames), frame
         while "/" in space:
             space = space.rpartition("/")[0]
-            if self.has(f"{space}/{name}"):
+            if f"{space}/{name}" in frames:
                 return f"{space}/{name}"
         return name
 
-    def first_ancestor(self, frame: str, names: Iterable[str]) -> str | None:
-        """Return the first of `names` that is an ancestor of `frame`, or None."""
-        above = self._above(frame)
-        return next((name for name in names if name in above), None)
+    def path(self, frame: str, other: str) -> list[tuple[Edge, bool]] | None:
+        """Return the edges from one frame to another, each with whether it is passed against its direction.
 
-    def place(self, ancestor: str, frame: str) -> RelativePose | None:
-        """Compose the chain ancestor -> frame; return None if the frames are not connected.
+        Of several paths, the one with the fewest edges upwards is used, so that an ancestor is connected by its own
+        chain. None: the frames are not connected.
+        """
+        near: dict[str, list[tuple[str, Edge, bool]]] = {}
+        for edge in self.edges.values():
+            near.setdefault(edge.parent, []).append((edge.child, edge, False))
+            near.setdefault(edge.child, []).append((edge.parent, edge, True))
+        done: set[str] = set()
+        queue: list[tuple[int, int, int, str, list[tuple[Edge, bool]]]] = [(0, 0, 0, frame, [])]
+        n_queued = 0
+        while queue:
+            up, length, _, here, chain = heappop(queue)
+            if here == other:
+                return chain
+            if here in done:
+                continue
+            done.add(here)
+            for there, edge, is_inverse in near.get(here, ()):
+                n_queued += 1
+                step = (up + is_inverse, length + 1, n_queued, there, [*chain, (edge, is_inverse)])
+                heappush(queue, step)
+        return None
+
+    def is_ancestor(self, frame: str, other: str) -> bool:
+        """Return whether a frame is another one, or above it."""
+        chain = self.path(frame, other)
+        return frame == other or (chain is not None and not any(is_inverse for _, is_inverse in chain))
+
+    def place(self, frame: str, other: str) -> RelativePose | None:
+        """Return the pose of another frame in `frame`; None if they are not connected, or never at the same time.
 
         The chain is sampled at the stamps of its fastest edge. Slower edges are interpolated, and held for one second
-        after their last sample. Moving edges are treated as planar, static edges are used as they are.
+        after their last sample. Moving edges are treated as planar, constant edges are used as they are.
         """
-        chain: list[_Edge] = []
-        above = self._above(frame)
-        if ancestor not in above:
+        chain = self.path(frame, other)
+        if chain is None or not chain:
             return None
-        for child in above[: above.index(ancestor)]:
-            chain.insert(0, self.edges[child])
-        moving = [edge for edge in chain if not edge.is_static and len(edge.stamps) > 1]
-        at = max((edge.stamps for edge in moving), key=len, default=np.zeros(1, dtype=np.int64))
+        sampled = [edge for edge, _ in chain if edge.is_sampled]
+        moving = [edge for edge in sampled if not edge.is_constant]
+        fastest = max(moving or sampled, key=lambda edge: len(edge.stamps), default=None)
+        at = np.zeros(1, dtype=np.int64) if fastest is None else np.sort(fastest.stamps)
         for edge in moving:
-            at = at[(at >= edge.stamps[0]) & (at <= edge.stamps[-1] + HOLD_NS)]
-        total = np.broadcast_to(np.eye(4), (len(at), 4, 4))
-        for edge in chain:
-            total = total @ _sample(edge, at)
+            at = at[(at >= edge.stamps.min()) & (at <= edge.stamps.max() + HOLD_NS)]
         if len(at) == 0:
             return None
+        total = np.broadcast_to(np.eye(4), (len(at), 4, 4))
+        for edge, is_inverse in chain:
+            sample = _sample(edge, at)
+            total = total @ (np.linalg.inv(sample) if is_inverse else sample)
         yaw = np.arctan2(total[:, 1, 0], total[:, 0, 0])
         return RelativePose(
             stamps=at,
             poses=np.column_stack([total[:, :2, 3], yaw]),
             height=float(np.median(total[:, 2, 3])),
             up=float(np.median(total[:, 2, 2])),
-            is_static=not moving,
+            is_static=not sampled,
         )
 
-    def _above(self, frame: str) -> list[str]:
-        """Return the frame and its ancestors, nearest first."""
-        above = [frame]
-        while above[-1] in self.edges and self.edges[above[-1]].parent not in above:
-            above.append(self.edges[above[-1]].parent)
-        return above
 
-
-def _sample(edge: _Edge, at: Stamps) -> Floats:
+def _sample(edge: Edge, at: Stamps) -> Floats:
     """Return the matrices (n, 4, 4) of an edge at the times (n,)."""
-    if edge.is_static or len(edge.stamps) == 1:
+    if edge.is_constant:
         return to_matrices(edge.transforms[-1:])
-    start = edge.stamps[0]
-    stamps, when = (edge.stamps - start).astype(np.float64), (at - start).astype(np.float64)
-    planar = interpolate(when, stamps, to_planar(edge.transforms))
-    return to_matrices(to_translation_quaternion(planar, float(np.median(edge.transforms[:, 2]))))
+    order = np.argsort(edge.stamps, kind="stable")
+    stamps, transforms = edge.stamps[order], edge.transforms[order]
+    when, since = (at - stamps[0]).astype(np.float64), (stamps - stamps[0]).astype(np.float64)
+    planar = interpolate(when, since, to_planar(transforms))
+    return to_matrices(to_translation_quaternion(planar, float(np.median(transforms[:, 2]))))

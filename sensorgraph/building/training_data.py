@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.inspection import warnings_of
+from logs.run_warnings import warnings_of
 from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.stream import LogStream

@@ -162,7 +162,7 @@ def _open(
 
 def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> set[str]:
     """Print the sweep times and the warnings of the logs before the fit; return the warnings."""
-    from logs.inspection import warnings_of
+    from logs.run_warnings import warnings_of
 
     printed = set()
     for path, log in logs:

@@ -28,6 +28,10 @@ def inspect(
 ) -> None:
     """Show the topics, rates and frames of a log, missing signals and suspicious values; or describe a map.
 
+    The last table shows what the log can be used for and why: locate, build,
+    and the diagnosis of laser, wheels and motors. It also shows the ground
+    covered, and the minute of driving that would help most.
+
     Examples:
 
         sensorgraph inspect run.mcap
@@ -37,6 +41,8 @@ def inspect(
         sensorgraph inspect map.yaml
 
         sensorgraph inspect others.bag --topic scan=/front/scan --topic pose=/ground_truth
+
+        sensorgraph inspect others.bag --topic scan=/scan@rear_laser --topic odom=/tf --json found.json
     """
     from logs import parse_topics
     from logs.inspection import inspect as look
@@ -61,7 +67,7 @@ def inspect(
         found = look(
             file, parse_topics(topic or []), no_return=no_return, mounts=mounts_of(robot), progress=tick
         )
-    lines = found.lines()
+    lines: list[str] = []
     oriented = None
     if found.run is not None:
         walls = load_arena(arena) if arena is not None else None
@@ -81,7 +87,7 @@ def inspect(
         if oriented is not None:
             facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
         write_json(json, facts)
-    typer.echo(with_flags("\n".join(lines)))
+    typer.echo(with_flags("\n".join(found.lines(lines))))
 
 
 def _map_facts(file: Path) -> dict[str, Any]:

@@ -1,0 +1,269 @@
+"""Find the base frame, the odometry and the reference poses of a ROS recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.ros.messages import planar_covariances
+from logs.ros.recording import (
+    ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
+    ROLES,
+    TF_TYPE,
+    Recording,
+    Track,
+    candidates,
+    choices,
+    choose,
+    common_namespace,
+    track,
+)
+from logs.ros.transform_tree import TransformTree
+from logs.run import PoseFrame
+from logs.transforms import to_planar, twists_of
+from logs.types import Bools
+
+FLOOR_FRAME = "base_footprint"
+"""Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
+MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
+ODOM_FRAME = "odom"
+FIXED_FRAMES = (*MAP_FRAMES, ODOM_FRAME)
+"""Words in the names of stationary frames; poses in other frames may not refer to the map."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotFrames:
+    """The transforms of a log, and the frames and topic of the sensor that is read."""
+
+    tree: TransformTree
+    base: str | None
+    """Base frame of the robot that carries the sensor; None: the tree has none."""
+    frame: str
+    """Frame of the sensor."""
+    topic: str
+    """Topic of the sensor."""
+    whole: Mapping[str, str] | None = None
+    """Meta of the whole log if the recording is a piece of it, in which the robot may stand still."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotMotion:
+    """The odometry and the reference poses of a recording."""
+
+    odometry: Track | None
+    """Rows x, y, phi, v, omega of the base in the odometry frame."""
+    odom_source: str
+    """Topic of the odometry, or `/tf PARENT -> CHILD`; empty: none."""
+    poses: Track | None
+    pose_frame: PoseFrame
+    pose_source: str
+    notes: list[str] = field(default_factory=list)
+
+
+def odometry_of_topic(recording: Recording, name: str | None) -> Track | None:
+    """Return the odometry of a topic of Odometry messages; None without a topic, and for /tf."""
+    if name is None or recording.topics[name].type == TF_TYPE:
+        return None
+    topic = recording.topics[name]
+    pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
+    unoriented = (pose.values[:, 3:] == 0).all(axis=1)
+    if unoriented.any():
+        pose.notes.append(f"{_unoriented_text(name, unoriented)}: their heading was set to 0")
+    pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
+    return pose
+
+
+def base_of(tree: TransformTree, frame: str, children: Sequence[str]) -> str | None:
+    """Return the base frame of the robot that carries a sensor.
+
+    It is the first of the standard names above the sensor in the tree, or else rigidly connected to it; without such a
+    frame, the frame below the odometry frame.
+
+    Parameters
+    ----------
+    frame : frame of the sensor
+    children : further names of the base frame
+    """
+    names = [*(tree.in_namespace_of(frame, name) for name in BASE_FRAMES), *children]
+    above = next((name for name in names if tree.is_ancestor(name, frame)), None)
+    if above is not None:
+        return above
+    for name in names:
+        chain = tree.path(name, frame)
+        if chain and all(edge.is_constant for edge, _ in chain):
+            return name
+    for odom in odom_frames(tree, frame):
+        chain = tree.path(odom, frame)
+        if chain and not any(is_inverse for _, is_inverse in chain):
+            return chain[0][0].child
+    return None
+
+
+def odom_frames(tree: TransformTree, frame: str) -> list[str]:
+    """Return the odometry frames of the tree, that of the robot which carries `frame` first."""
+    names = [name for name in tree.frames if ODOM_FRAME in _last(name)]
+    return sorted(
+        names,
+        key=lambda name: (
+            not tree.is_ancestor(name, frame),
+            -common_namespace(name, frame),
+            _last(name) != ODOM_FRAME,
+        ),
+    )
+
+
+def map_frames(tree: TransformTree, frame: str) -> list[str]:
+    """Return the map frames for a robot which carries `frame`: the standard names, then other maps above it."""
+    names = [tree.in_namespace_of(frame, name) for name in MAP_FRAMES]
+    return names + [
+        name
+        for name in tree.frames
+        if name not in names
+        and any(word in _last(name) for word in MAP_FRAMES)
+        and tree.is_ancestor(name, frame)
+    ]
+
+
+def _last(name: str) -> str:
+    return name.rpartition("/")[2].lower()
+
+
+def find_motion(
+    recording: Recording,
+    topics: Mapping[str, str] | None,
+    robot: RobotFrames,
+    odom: Track | None,
+    odom_name: str | None,
+) -> RobotMotion:
+    """Find the odometry and the reference poses.
+
+    Parameters
+    ----------
+    odom, odom_name : odometry of a topic, and its name
+
+    Raises
+    ------
+    LogError : The user selects /tf, which has no such transform.
+    """
+    notes = list[str]()
+    if odom is None:
+        odom, odom_name = _tf_odometry(robot, odom_name)
+        if odom is not None and len(candidates(recording, "odom")) > 1:
+            notes.append(f"several topics could be odom ({choices(recording, 'odom')}): {odom_name} was used")
+        elif candidates(recording, "odom") and odom is None:
+            notes.append(f"several topics could be odom, none was used: {choices(recording, 'odom')}")
+    name, is_named = choose(recording, "pose", topics, robot.topic), (topics or {}).get("pose") is not None
+    if name is None and candidates(recording, "pose"):
+        notes.append(
+            f"several topics could be the reference pose, none was used: {choices(recording, 'pose')}"
+        )
+    is_tf = name is not None and recording.topics[name].type == TF_TYPE
+    found: tuple[Track, PoseFrame, str] | None = None
+    if name is not None and not is_tf and (is_named or name == ROLES["pose"][0]):
+        found = _pose_topic(recording, name, odom_name)
+    if found is None:
+        found = _tf_reference(robot, notes, is_named=is_tf)
+    if found is None and is_tf and robot.whole is None:
+        raise LogError(
+            f"pose={name}: it has no transform over time from map or world to {robot.base or 'base_link'} or "
+            f"{robot.frame or 'laser'}; it has {', '.join(robot.tree.lines()) or 'no transforms'}"
+        )
+    if found is None and name is not None and not is_tf:
+        found = _pose_topic(recording, name, odom_name)
+    if found is None and odom is not None:
+        found = (
+            Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
+        )  # fmt: skip
+    poses, pose_frame, source = found or (None, "base_link", "none")
+    return RobotMotion(
+        odometry=odom, odom_source=odom_name or "", poses=poses, pose_frame=pose_frame,
+        pose_source=source, notes=notes,
+    )  # fmt: skip
+
+
+def _tf_odometry(robot: RobotFrames, named: str | None) -> tuple[Track | None, str | None]:
+    """Return the pose of the base in an odometry frame of /tf, and its source; None without a frame in which it moves.
+
+    Parameters
+    ----------
+    named : topic of transforms that the user selected as odometry; None: none
+    """
+    tree, base = robot.tree, robot.base
+    for odom in odom_frames(tree, base or robot.frame) if base is not None else ():
+        place = tree.place(odom, base or "")
+        source = f"/tf {odom} -> {base}"
+        is_known = named is not None or (robot.whole or {}).get("odom_topic") == source
+        if place is not None and (place.moves or (is_known and not place.is_static)):
+            seconds = (place.stamps - place.stamps[0]) / 1e9
+            values = np.column_stack([place.poses, twists_of(seconds, place.poses)])
+            return Track(place.stamps, values, odom, base or ""), source
+    if named is not None and robot.whole is None:
+        raise LogError(
+            f"odom={named}: it has no transform over time from odom to {base or 'base_link'}; "
+            f"it has {', '.join(tree.lines()) or 'no transforms'}"
+        )
+    return None, None
+
+
+def _tf_reference(
+    robot: RobotFrames, notes: list[str], *, is_named: bool
+) -> tuple[Track, PoseFrame, str] | None:
+    """Return the poses of the base, or of the laser, in a map frame of /tf.
+
+    If the transform between map and odometry never changes, the poses are odometry. They count as a reference only if
+    the user selects them.
+    """
+    tree, frame = robot.tree, robot.frame
+    for root in map_frames(tree, robot.base or frame):
+        for there, whose in ((robot.base, "base_link"), ("base_link", "base_link"), (frame, "laser")):
+            place = tree.place(root, there) if there and there != root else None
+            if place is None or place.is_static or there is None:
+                continue
+            source = f"/tf {root} -> {there}"
+            is_known = is_named or (robot.whole or {}).get("pose_source") == source
+            odom = None if is_known else _fixed_odom(tree, root, there)
+            if odom is not None:
+                notes.append(f"{source} is odometry and no reference: {root} -> {odom} never changes")
+                return None
+            pose_frame: PoseFrame = "laser" if whose == "laser" else "base_link"
+            return Track(place.stamps, place.poses, root), pose_frame, source
+    return None
+
+
+def _fixed_odom(tree: TransformTree, root: str, frame: str) -> str | None:
+    """Return the odometry frame between two frames if its transform to the first never changes."""
+    here = root
+    for edge, is_inverse in tree.path(root, frame) or []:
+        if ODOM_FRAME in _last(here) and here != root:
+            return here
+        if not edge.is_constant:
+            return None
+        here = edge.parent if is_inverse else edge.child
+    return None
+
+
+def _pose_topic(recording: Recording, name: str, odom_name: str | None) -> tuple[Track, PoseFrame, str]:
+    """Return the poses of a topic, their frame and their source; the source is `none` if no pose is usable."""
+    topic = recording.topics[name]
+    found = track(topic, "pose", 7)
+    if topic.type == POSE_COVARIANCE_TYPE:
+        found.covariances = planar_covariances(track(topic, "covariance", 36).values)
+    if found.frame and not any(word in found.frame.rpartition("/")[2] for word in FIXED_FRAMES):
+        found.notes.append(f"{name} is in the unknown frame {found.frame}, which is assumed to be the map")
+    unoriented = (found.values[:, 3:] == 0).all(axis=1)
+    if unoriented.any():
+        found.notes.append(f"{_unoriented_text(name, unoriented)}: left out")
+        found.stamps, found.values = found.stamps[~unoriented], found.values[~unoriented]
+        found.covariances = found.covariances[~unoriented] if len(found.covariances) else found.covariances
+    found.values = to_planar(found.values)
+    is_odometry = topic.type == ODOMETRY_TYPE and ("odom" in name or name == odom_name)
+    source = f"odometry {name}" if is_odometry else name
+    return found, "base_link", source if len(found.stamps) else "none"
+
+
+def _unoriented_text(name: str, unoriented: Bools) -> str:
+    return f"{name}: {unoriented.sum()} of {len(unoriented)} poses have no orientation (quaternion 0 0 0 0)"

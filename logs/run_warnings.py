@@ -1,0 +1,117 @@
+"""Warnings about a run: what its reader assumed or corrected, and values that look wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.jumps import JUMP_LIMITS
+from logs.notes import notes_of
+from logs.run import Run
+from logs.sweep import sweep_warnings
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarningLimits:
+    """Thresholds above which a property of a log is reported; conventions, not fitted to data."""
+
+    gap_periods: float = 5.0
+    """A step is a gap if it exceeds this number of median steps ..."""
+    gap: float = 0.5
+    """[s] ... and also exceeds this duration."""
+    jump_speed: float = 5.0
+    """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
+    jump: float = 0.1
+    """[m] shorter jumps count as noise of the reference pose."""
+    millimetres: float = 1000.0
+    """[m] a larger median range indicates millimetres."""
+    centimetres: float = 60.0
+    """[m] a larger median range indicates centimetres or millimetres."""
+    still: float = 1e-6
+    """[m, rad] poses that span less are constant."""
+
+
+LIMITS = WarningLimits()
+
+
+def warnings_of(run: Run) -> list[str]:
+    """Return the warnings about a run, one line each."""
+    out = notes_of(run)
+    source = run.meta.get("pose_source", "")
+    if source == "slam":
+        out.append(
+            "the poses were estimated from these scans, so they absorb errors of the mount and the clock"
+        )
+    if source == "locate":
+        out.append(
+            "the poses were located with these scans, so they absorb errors of the mount and the clock"
+        )
+    if source.startswith("odometry"):
+        out.append(
+            "the poses are odometry, which drifts and distorts a map; "
+            "`sensorgraph locate` estimates better poses"
+        )
+    out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
+    finite = np.isfinite(run.ranges)
+    if finite.any():
+        middle = float(np.median(run.ranges[finite]))
+        if middle > LIMITS.centimetres:
+            unit = "millimetres" if middle > LIMITS.millimetres else "centimetres or millimetres"
+            out.append(f"the median range is {middle:g}, probably in {unit}; expected metres")
+    blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
+    if len(blind):
+        out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")
+    return out
+
+
+def _stamp_warnings(run: Run) -> list[str]:
+    out = []
+    for name, stamps in (("scan", run.stamps), ("pose", run.pose_stamps), ("odom", run.odom_stamps)):
+        steps = np.diff(stamps)
+        if len(steps) < 2:
+            continue
+        same = int((steps == 0).sum())
+        if same and "duplicates" not in run.meta.get("notes", ""):
+            out.append(
+                f"{same} {name} stamps are duplicates; check for two publishers, or a bag recorded during playback"
+            )
+        gaps = steps > max(LIMITS.gap_periods * float(np.median(steps)), LIMITS.gap)
+        if gaps.any():
+            at = float(stamps[int(np.argmax(steps))])
+            out.append(f"{name}: {int(gaps.sum())} gaps, the longest {steps.max():.2f} s at {at:.2f} s")
+    return out
+
+
+def _pose_warnings(run: Run) -> list[str]:
+    poses, stamps = run.poses, run.pose_stamps
+    out: list[str] = []
+    if len(stamps) == 0 or run.n_scans == 0:
+        return out
+    if stamps[0] > run.stamps[-1] or stamps[-1] < run.stamps[0]:
+        apart = max(stamps[0] - run.stamps[-1], run.stamps[0] - stamps[-1])
+        out.append(f"poses and scans do not overlap in time, they are {apart:.1f} s apart; check the clocks")
+    broken = int((~np.isfinite(poses)).any(axis=1).sum())
+    if broken:
+        out.append(f"{broken} poses are not finite")
+    if len(stamps) > 1 and broken == 0:
+        if np.ptp(poses, axis=0).max() < LIMITS.still:
+            out.append("the pose never changes; check that the robot moved and the reference was running")
+        steps = np.diff(stamps)
+        moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
+        if run.meta.get("clock") == "assumed":
+            jumps = moved > JUMP_LIMITS.untimed
+        if jumps.any():
+            at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
+            out.append(
+                f"the pose jumps {int(jumps.sum())} times, at most {moved[jumps].max():.2f} m at {at:.2f} s"
+            )
+    return out
+
+
+def _spans(numbers: np.ndarray) -> str:
+    """Format 3, 4, 5, 9 as `3-5, 9`."""
+    groups = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    shown = [f"{group[0]}-{group[-1]}" if len(group) > 1 else f"{group[0]}" for group in groups[:5]]
+    return ", ".join(shown) + (", ..." if len(groups) > 5 else "")

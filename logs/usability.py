@@ -1,0 +1,263 @@
+"""Tell what a run can be used for, from its signals and the ground that the robot covered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from logs.run import Run, pair
+from logs.transforms import wrap
+from logs.types import Floats
+
+Verdict = Literal["yes", "limited", "no"]
+NAMES = ("locate", "build", "diagnose laser", "diagnose wheels", "diagnose motors")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UseLimits:
+    """Limits below which a use is restricted; conventions, not fitted to data."""
+
+    n_scans: int = 10
+    """Minimum number of scans of a drive."""
+    returns: float = 0.2
+    """Minimum share of rays with a return; an open place shows little structure."""
+    paired: float = 0.5
+    """Minimum share of scans with a pose."""
+    distance: float = 1.0
+    """[m] shorter drives are a standstill or a turn on the spot."""
+    turn: float = np.pi
+    """[rad] with fewer turns, to both sides together, a drive is nearly straight."""
+    one_side: float = 0.15
+    """Minimum share of the turns to the rarer side."""
+    step: float = 0.05
+    """[m] smallest motion that is counted, so that noise at standstill does not add up."""
+    step_turn: float = 0.05
+    """[rad] the same for turns."""
+    place: float = 1.0
+    """[m] positions that are closer show the same place ..."""
+    apart: float = 5.0
+    """[m] ... if the robot drove at least this far between them."""
+    most: int = 2000
+    """Number of positions that are compared."""
+    changes: int = 5
+    """Minimum number of changes of the command."""
+
+
+LIMITS = UseLimits()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Use:
+    """One use of a log."""
+
+    name: str
+    verdict: Verdict
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """The motion of a log, by its odometry or else by its poses."""
+
+    distance: float
+    """[m]"""
+    left: float
+    """[rad] sum of the turns to the left"""
+    right: float
+    """[rad]"""
+    duration: float
+    """[s]"""
+    revisits: bool
+    """Whether the robot returns to a place where it was before."""
+
+    @property
+    def turn(self) -> float:
+        """Return the sum of all turns [rad]."""
+        return self.left + self.right
+
+    def __str__(self) -> str:
+        return f"{self.distance:.1f} m, {self.turn:.1f} rad of turns, {self.duration / 60:.1f} min"
+
+    def to_dict(self) -> dict[str, float | bool]:
+        """Return the motion as plain data."""
+        return {
+            "distance_m": self.distance,
+            "turn_rad": self.turn,
+            "left_rad": self.left,
+            "right_rad": self.right,
+            "minutes": self.duration / 60,
+            "revisits": self.revisits,
+        }
+
+
+def ground_of(run: Run) -> Ground | None:
+    """Return the ground that the robot covered; None if the log has neither odometry nor poses."""
+    tracks = [track for track in (run.odometry, run.poses) if len(track) > 1]
+    tracks = [track[np.isfinite(track).all(axis=1)] for track in tracks]
+    if not tracks:
+        return None
+    moves = [(_points(track), _headings(track)) for track in tracks]
+    # odometry that never moves shows nothing
+    points, headings = next((move for move in moves if len(move[0]) + len(move[1]) > 2), moves[0])
+    turns, lengths = wrap(np.diff(headings)), np.hypot(*np.diff(points, axis=0).T)
+    return Ground(
+        distance=float(lengths.sum()),
+        left=float(turns[turns > 0].sum()),
+        right=float(np.abs(turns[turns < 0]).sum()),
+        duration=float(run.stamps[-1] - run.stamps[0]) if run.n_scans else run.duration,
+        revisits=_revisits(points, lengths),
+    )
+
+
+def _points(poses: Floats) -> Floats:
+    """Return the positions (n_kept, 2), each at least a step from the previous one."""
+    kept: list[tuple[float, float]] = []
+    for x, y in poses[:, :2].tolist():
+        if not kept or (x - kept[-1][0]) ** 2 + (y - kept[-1][1]) ** 2 > LIMITS.step**2:
+            kept.append((x, y))
+    return np.array(kept).reshape(-1, 2)
+
+
+def _headings(poses: Floats) -> Floats:
+    """Return the headings (n_kept,), each at least a step from the previous one."""
+    kept: list[float] = []
+    for phi in poses[:, 2].tolist():
+        if not kept or abs((phi - kept[-1] + np.pi) % (2 * np.pi) - np.pi) > LIMITS.step_turn:
+            kept.append(phi)
+    return np.array(kept)
+
+
+def _revisits(points: Floats, lengths: Floats) -> bool:
+    """Return whether a path (n, 2) comes back to a place; lengths (n - 1,) [m] of its steps."""
+    some = np.unique(np.linspace(0, len(points) - 1, min(len(points), LIMITS.most)).astype(np.intp))
+    along = np.concatenate([[0.0], np.cumsum(lengths)])[some]
+    for k, point in enumerate(points[some]):
+        before = along < along[k] - LIMITS.apart
+        near = np.hypot(*(points[some] - point).T) < LIMITS.place
+        if (before & near).any():
+            return True
+    return False
+
+
+def uses_of(run: Run, ground: Ground | None) -> tuple[Use, ...]:
+    """Return what the run can be used for, one entry for each of `NAMES`."""
+    locate = _locate(run, ground)
+    rows = (
+        locate,
+        _build(run, locate[0]),
+        _laser(run, ground, locate[0]),
+        _wheels(run, ground),
+        _motors(run),
+    )
+    return tuple(
+        Use(name=name, verdict=verdict, why=why) for name, (verdict, why) in zip(NAMES, rows, strict=True)
+    )
+
+
+def no_use() -> tuple[Use, ...]:
+    """Return the entries of a log that cannot be read as a run."""
+    return tuple(Use(name=name, verdict="no", why="it is not read as a run, see `missing`") for name in NAMES)
+
+
+def _locate(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
+    finite = np.isfinite(run.ranges)
+    if run.sensor.cones.any():
+        return "no", "its sensors measure in wide cones; locate takes a laser"
+    if run.n_scans < LIMITS.n_scans:
+        return "no", f"{run.n_scans} scans, {LIMITS.n_scans} are needed"
+    if not finite.any():
+        return "no", "no ray ever returns"
+    if finite.mean() < LIMITS.returns:
+        return "limited", f"only {finite.mean():.0%} of the rays return"
+    if not len(run.odom_stamps):
+        return "limited", "no odometry: motion along a corridor, or in the open, cannot be followed"
+    if ground is not None and ground.distance < LIMITS.distance and ground.turn < LIMITS.step_turn:
+        return (
+            "limited",
+            "the odometry never moves: motion along a corridor, or in the open, cannot be followed",
+        )
+    return "yes", f"{run.n_scans:,} scans, and odometry{_from(run.meta, 'odom_topic')}"
+
+
+def _build(run: Run, locate: Verdict) -> tuple[Verdict, str]:
+    source = run.meta.get("pose_source", "")
+    if not len(run.pose_stamps) or source.startswith("odometry"):
+        what = "its poses are odometry" if source.startswith("odometry") else "it has no reference poses"
+        if locate == "no":
+            return "no", f"{what}, and it cannot be located"
+        return "limited", f"{what}: it is located first, and the map is as good as these poses"
+    share = float(pair(run).paired.mean()) if run.n_scans else 0.0
+    if share == 0:
+        return "no", "no scan has a pose"
+    if run.n_scans < LIMITS.n_scans:
+        return "no", f"{run.n_scans} scans, {LIMITS.n_scans} are needed"
+    text = f"poses{_from(run.meta, 'pose_source')} for {share:.0%} of the scans"
+    return ("yes" if share >= LIMITS.paired else "limited"), text
+
+
+def _laser(run: Run, ground: Ground | None, locate: Verdict) -> tuple[Verdict, str]:
+    has_reference = len(run.pose_stamps) > 0 and not run.meta.get("pose_source", "").startswith("odometry")
+    if locate == "no" and not has_reference:
+        return "no", "it needs scans that can be located, or reference poses"
+    if ground is None:
+        return "limited", "without odometry and reference, only ranges and missing returns are tested"
+    if ground.turn < LIMITS.turn:
+        return "limited", f"only {ground.turn:.1f} rad of turns: the mount and the clock hardly show"
+    if not has_reference:
+        return "limited", "no reference poses: located ones follow errors of the mount and the clock"
+    return "yes", "reference poses and turns; give the arena and the robot"
+
+
+def _wheels(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
+    if not len(run.odom_stamps):
+        return "no", "no odometry"
+    if ground is None or (ground.distance < LIMITS.distance and ground.turn < LIMITS.turn):
+        return (
+            "limited",
+            f"the robot hardly moves ({ground}): large errors only" if ground else "it hardly moves",
+        )
+    if ground.turn < LIMITS.turn:
+        return "limited", f"only {ground.turn:.1f} rad of turns: the wheelbase is uncertain"
+    if ground.distance < LIMITS.distance:
+        return "limited", f"only {ground.distance:.1f} m of driving: the wheel radius is uncertain"
+    return "yes", f"{ground.distance:.1f} m and {ground.turn:.1f} rad of turns"
+
+
+def _motors(run: Run) -> tuple[Verdict, str]:
+    if not len(run.cmd_stamps):
+        return "no", "no commands (/cmd_vel)"
+    if not len(run.odom_stamps) and not len(run.pose_stamps):
+        return "no", "neither odometry nor poses show how the robot follows its commands"
+    n = int((np.diff(run.commands, axis=0) != 0).any(axis=1).sum())
+    if n < LIMITS.changes:
+        return "limited", f"the commands change only {n} times: delay and lag hardly show"
+    return "yes", f"{len(run.cmd_stamps):,} commands, {n:,} changes"
+
+
+def _from(meta: Mapping[str, str], key: str) -> str:
+    return f" from {meta[key]}" if meta.get(key) else ""
+
+
+def advice(run: Run, ground: Ground | None) -> str:
+    """Return the minute of driving, or the signal, that would help most; empty if nothing is missing."""
+    if ground is None:
+        return "record the odometry (/odom, or /tf odom -> base_link): scans alone do not show every motion"
+    if ground.distance < LIMITS.distance and ground.turn < LIMITS.turn:
+        return "drive a loop of some metres with turns to both sides: the robot hardly moves in this log"
+    if ground.turn < LIMITS.turn:
+        return f"drive loops with turns to both sides: the log has {ground.distance:.0f} m of nearly straight motion"
+    if ground.distance < LIMITS.distance:
+        return f"drive some metres: the robot turned by {ground.turn:.0f} rad, but drove only {ground.distance:.1f} m"
+    rarer, name = min((ground.left, "left"), (ground.right, "right"))
+    if rarer < LIMITS.one_side * ground.turn:
+        return f"drive turns to the {name}: they are {rarer / ground.turn:.0%} of all, so that the errors of the two wheels cannot be distinguished"
+    if not ground.revisits and not len(run.pose_stamps):
+        return "return to places that were seen before: without a loop, drift stays in the map"
+    if not ground.revisits and run.meta.get("pose_source", "").startswith("odometry"):
+        return "return to places that were seen before: without a loop, drift stays in the map"
+    if not len(run.cmd_stamps):
+        return "record the commands (/cmd_vel), to test the motors"
+    return ""
