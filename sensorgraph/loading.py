@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -11,17 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from logs.errors import LogError
 from logs.run import Run
 from planners import maps
 from planners.arena import Arena
 from planners.errors import PlanError
-from planners.maps import geojson
+from planners.maps import geojson, ros_map
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.ray_order import ray_order
 from sensorgraph.world.robot import Robot, load_robot, parse_robot
+
+logger = logging.getLogger(__name__)
 
 
 @as_sensorgraph_error
@@ -30,8 +34,8 @@ def load_arena(source: str | Path) -> Arena:
 
     Parameters
     ----------
-    source : A GeoJSON file, a map_server yaml, a sensorgraph of faces (its identified walls), or the name of a
-        shipped arena: `square` or `office`.
+    source : A GeoJSON file, a map_server yaml, a log with a map (its attached arena, or the last grid in /map), a
+        sensorgraph of faces (its identified walls), or the name of a shipped arena: `square` or `office`.
 
     Raises
     ------
@@ -48,12 +52,37 @@ def load_arena(source: str | Path) -> Arena:
             return maps.load(path)
     if not Path(name).exists():
         raise SensorgraphError(
-            f"{name} does not exist; give a *.geojson, a map_server *.yaml, a *.sensorgraph, "
+            f"{name} does not exist; give a *.geojson, a map_server *.yaml, a log with /map, a *.sensorgraph, "
             f"or one of {', '.join(shipped)}"
         )
     if name.endswith(".sensorgraph"):
         return arena_of(Sensorgraph.load(Path(name)))
-    return maps.load(Path(name))
+    return _arena_of_log(Path(name)) if _is_log(Path(name)) else maps.load(Path(name))
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a file is a log and no map."""
+    from logs.formats import format_of
+
+    if path.is_file() and path.suffix.lower() in maps.MAPS:
+        return False
+    try:
+        return bool(format_of(path))
+    except LogError:
+        return False
+
+
+def _arena_of_log(path: Path) -> Arena:
+    """Return the map that was recorded in a log."""
+    from logs.recorded_map import read_map
+
+    found = read_map(path)
+    logger.warning("%s: the arena is %s", path, found.source)
+    if found.arena is not None:
+        return geojson.loads(found.arena.decode(errors="replace"))
+    assert found.grid is not None
+    name = f"{path.name}: {found.source}"
+    return ros_map.of_grid(found.grid.data, found.grid.resolution, found.grid.origin.tolist(), name)
 
 
 def read_poses(path: Path) -> Floats:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,8 @@ MODES = ("trinary", "scale", "raw")
 ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
 """Environment variable; 1 allows an image outside the folder of its map."""
 MAX_CELLS = 100_000_000
+GRID_FREE, GRID_OCCUPIED = 25, 65
+"""[%] occupancy up to which map_saver writes a cell of a grid as free, and from which as occupied."""
 UNKNOWN_OCCUPANCY = 50
 """[1/255] occupancy that map_saver writes for an unknown cell: grey 205, or 50 in a negated image."""
 
@@ -50,22 +52,57 @@ def read(path: Path) -> Arena:
                 f"{path}: no cell is {name} ({_summary(pixels, occupied, free, facts)}); "
                 f"check negate, {name}_thresh and the image"
             )
-    x, y, yaw = facts["origin"]
+    note = f"{path.name}: {_summary(pixels, occupied, free, facts)}"
+    return _arena(occupied, free, facts["resolution"], facts["origin"], str(path), note)
+
+
+def of_grid(data: NDArray[np.int8], resolution: float, origin: Sequence[float], name: str) -> Arena:
+    """Return the arena of a ROS occupancy grid, with the thresholds of map_saver.
+
+    Parameters
+    ----------
+    data : (ny, nx) [%] occupancy, -1: unknown; row 0 has the lowest y
+    resolution : [m]
+    origin : x, y, yaw [m, m, rad] of the lower left corner
+    name : name of the grid in messages
+
+    Raises
+    ------
+    PlanError : No cell is free, or no cell is occupied.
+    """
+    free, occupied = ((data >= 0) & (data <= GRID_FREE)).T, (data >= GRID_OCCUPIED).T
+    shares = ", ".join(
+        f"{cells.mean():.1%} {what}"
+        for what, cells in (("free", free), ("occupied", occupied), ("unknown", ~(free | occupied)))
+    )
+    for what, cells in (("free", free), ("occupied", occupied)):
+        if not cells.any():
+            raise PlanError(f"{name}: no cell is {what} ({shares}); expected a map of walls and free space")
+    nx, ny = free.shape
+    note = f"{name}: {nx} x {ny} cells of {resolution:g} m, {shares}"
+    return _arena(occupied, free, resolution, origin, name, note)
+
+
+def _arena(
+    occupied: Bools, free: Bools, resolution: float, origin: Sequence[float], name: str, note: str
+) -> Arena:
+    """Return the arena of occupied and free cells, each (nx, ny)."""
+    x, y, yaw = origin
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])  # row vectors
 
     def place(corners: NDArray[np.float64]) -> Floats:
-        return np.asarray(corners * facts["resolution"] @ turn + (x, y), dtype=np.float64)
+        return np.asarray(corners * resolution @ turn + (x, y), dtype=np.float64)
 
     walls = place(_borders(occupied))
     area = shapely.transform(_union(free), place)
     if not isinstance(area, Polygon | MultiPolygon):
-        raise PlanError(f"{path}: the free cells form a {area.geom_type}, expected an area")
+        raise PlanError(f"{name}: the free cells form a {area.geom_type}, expected an area")
     return Arena(
         free=area,
         walls=walls,
         names=tuple(f"map/edge_{i}" for i in range(len(walls))),
         surfaces=("wall",) * len(walls),
-        notes=(f"{path.name}: {_summary(pixels, occupied, free, facts)}",),
+        notes=(note,),
     )
 
 

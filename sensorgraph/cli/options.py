@@ -236,7 +236,7 @@ LocateArena = Annotated[
     str | None,
     typer.Option(
         metavar="MAP|GRAPH",
-        help="Known place: GeoJSON file, map_server yaml, shipped arena or sensorgraph; default: build a map.",
+        help="Known place: GeoJSON file, map_server yaml, log with /map, shipped arena or sensorgraph; default: build a map.",
     ),
 ]
 LocateOut = Annotated[
@@ -351,7 +351,7 @@ DiagnoseRuns = Annotated[
 DiagnoseArena = Annotated[
     str | None,
     typer.Option(
-        help="GeoJSON file, map_server yaml, or a shipped arena; default: the arena kept in the run."
+        help="GeoJSON file, map_server yaml, log with /map, or a shipped arena; default: the arena kept in the run."
     ),
 ]
 DiagnoseRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the robot kept in the run.")]
