@@ -12,6 +12,7 @@ import numpy as np
 from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
+from logs.intensities import intensity_line
 from logs.no_return import check_no_return
 from logs.ros import cdr
 from logs.ros.interpret import to_run
@@ -262,6 +263,8 @@ def _usable(run: Run) -> list[str]:
         if run.sensor.is_composite:
             shares[-1] = (shares[-1][0], "not measured at the time of the scan, or invalid")
         out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
+    if len(run.intensities):
+        out.append(intensity_line(run))
     x, y, yaw = sensor.mount
     if sensor.is_composite:
         n_places = len(np.unique(np.round(sensor.origins, 6), axis=0))

@@ -68,11 +68,12 @@ class Recorder:
             self._file.abandon()
             raise
 
-    def scan(self, stamp: float, ranges: ArrayLike) -> None:
-        """Write one scan with ranges (n_rays,) [m]; `stamp` [s] is the time of the first ray."""
+    def scan(self, stamp: float, ranges: ArrayLike, intensities: ArrayLike | None = None) -> None:
+        """Write one scan with ranges and intensities (n_rays,) [m, -]; `stamp` [s] is the time of the first ray."""
         row = _row(ranges, self.sensor.n_rays, "ranges")
+        strengths = None if intensities is None else _row(intensities, self.sensor.n_rays, "intensities")
         at = self._ns(stamp)
-        self._put("/scan", SCAN_TYPE, at, scan_messages(self.sensor, at, row))
+        self._put("/scan", SCAN_TYPE, at, scan_messages(self.sensor, at, row, strengths))
 
     def pose(self, stamp: float, pose: ArrayLike) -> None:
         """Write one reference pose (3,) of `pose_frame` in map, and the corresponding transforms."""

@@ -65,6 +65,27 @@ def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
     return np.asarray(np.where(outside, np.nan, out))
 
 
+def take_nearest(values: Floats, bearings: Floats, wanted: Floats) -> Floats:
+    """Return the value of the nearest ray for each wanted bearing; nan more than half an increment outside the scan.
+
+    Parameters
+    ----------
+    values : (n_scans, n) one value for each ray
+    bearings, wanted : (n,) and (m,) [rad]
+
+    Returns
+    -------
+    (n_scans, m)
+    """
+    if len(bearings) == 0:
+        return np.full((len(values), len(wanted)), np.nan)
+    away = np.abs(wrap(wanted[:, None] - bearings))  # (m, n)
+    step = abs(float(bearings[-1] - bearings[0])) / max(len(bearings) - 1, 1)
+    return np.where(
+        away.min(axis=1) <= (0.5 + SAME_BEARING) * step + 1e-9, values[:, away.argmin(axis=1)], np.nan
+    )
+
+
 def resampled_text(n_rays: Sequence[int], n_scans: Sequence[int]) -> str:
     """Return the note that scans of several geometries were resampled to the most common one.
 

@@ -190,6 +190,10 @@ class Run:
     """(n_scans,) [s] time of the first ray of each scan, not decreasing."""
     ranges: Floats
     """(n_scans, n_rays) [m]; +inf: missing return, -inf: too close, nan: invalid reading (REP-117)."""
+    intensities: Floats = field(default_factory=lambda: _empty(0, 0))
+    """(n_scans, n_rays) strength of each return in the unit of the driver, nan: unknown; (0, n_rays): not recorded.
+
+    They are dropped if `ranges` is replaced by an array of another shape; `take_scans` keeps them."""
     pose_stamps: Floats = field(default_factory=lambda: _empty(0))
     poses: Floats = field(default_factory=lambda: _empty(0, 3))
     """(n_poses, 3) [m, m, rad] reference pose of `pose_frame` in map."""
@@ -218,6 +222,8 @@ class Run:
             raise ValueError(
                 f"ranges has shape {self.ranges.shape}, expected ({n_scans}, {self.sensor.n_rays})"
             )
+        if self.intensities.shape != self.ranges.shape:
+            object.__setattr__(self, "intensities", _empty(0, self.sensor.n_rays))
         for name, stamps, data, width in (
             ("poses", self.pose_stamps, self.poses, 3),
             ("odometry", self.odom_stamps, self.odometry, 3),
@@ -239,6 +245,11 @@ class Run:
     def n_scans(self) -> int:
         """Number of scans."""
         return len(self.stamps)
+
+    def take_scans(self, index: Bools | NDArray[np.intp] | slice) -> Run:
+        """Return the run with a subset of its scans; poses, odometry and commands stay complete."""
+        intensities = self.intensities[index] if len(self.intensities) else self.intensities
+        return replace(self, stamps=self.stamps[index], ranges=self.ranges[index], intensities=intensities)
 
     @property
     def duration(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -79,7 +79,7 @@ def demo_real(folder: Path, *, progress: ProgressBars) -> RealDemo:
 
 def every_nth(run: Run, n: int) -> Run:
     """Return the run with every n-th scan and all other signals."""
-    return replace(run, stamps=run.stamps[::n], ranges=run.ranges[::n])
+    return run.take_scans(slice(None, None, n))
 
 
 def odometry_drift(found: LocatedRun, distance: float = DRIFT_DISTANCE) -> tuple[float, float]:

@@ -246,7 +246,7 @@ def _messages(run: Run, zero: int) -> Iterator[_Part]:
     yield _Part("/odom", ODOMETRY_TYPE, at, odometry_messages(at, run.odometry, run.odom_twists))
     at = to_ns(run.cmd_stamps, zero)
     yield _Part("/cmd_vel", TWIST_STAMPED_TYPE, at, command_messages(at, run.commands))
-    yield _Part("/scan", SCAN_TYPE, ns, scan_messages(run.sensor, ns, run.ranges))
+    yield _Part("/scan", SCAN_TYPE, ns, scan_messages(run.sensor, ns, run.ranges, run.intensities))
 
 
 def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:

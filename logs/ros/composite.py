@@ -47,11 +47,13 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
     row = np.empty(len(stamps), dtype=np.intp)
     row[by_time] = _rows(stamps[by_time], sensor[by_time])
     n_rows = int(row.max(initial=-1)) + 1
-    ranges = np.full((n_rows, len(bearings)), np.nan)
+    ranges, intensities = np.full((2, n_rows, len(bearings)), np.nan)
     first = 0
     for k, part in enumerate(parts):
         mine = row[first : first + len(part.stamps)]
         ranges[np.ix_(mine, np.flatnonzero(owner == k))] = part.ranges
+        if part.intensities is not None:
+            intensities[np.ix_(mine, np.flatnonzero(owner == k))] = part.intensities
         first += len(part.stamps)
     notes = [note for part in parts for note in part.notes]
     notes.append(f"{len(parts)} sensors are read as one, each with its own mount: {', '.join(names)}")
@@ -64,6 +66,7 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
         starts, ranges[:, order], bearings[order], 0.0, max(part.scan_time for part in parts),
         min(part.range_min for part in parts), max(part.range_max for part in parts), "",
         list(dict.fromkeys(notes)), codes.pop() if len(codes) == 1 else "inf",
+        intensities=intensities[:, order] if any(part.intensities is not None for part in parts) else None,
     )  # fmt: skip
     return CompositeRays(
         scans=merged,

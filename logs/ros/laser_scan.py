@@ -12,6 +12,7 @@ import numpy as np
 from logs.clocks import UNITS
 from logs.error_codes import blank_error_codes
 from logs.errors import LogError
+from logs.intensities import is_varied
 from logs.no_return import CODE_SEARCH, detect_no_return, frequent_nans, nan_text, range_max_text, zero_text
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
@@ -203,7 +204,7 @@ def _sensor_scans(
     return LaserScans(
         at, ranges[in_file[order]], bearings, time_increment, scan_time, range_min, range_max, main.frame,
         stamp_notes + notes, no_return,
-        intensities=intensities[in_file[order]] if _is_varied(intensities) else None,
+        intensities=intensities[in_file[order]] if is_varied(intensities) else None,
     )  # fmt: skip
 
 
@@ -213,12 +214,6 @@ def _intensities(block: cdr.MessageColumns, mine: np.ndarray) -> Floats:
     if block.places["intensities"].count != n_rays:
         return np.full((len(mine), n_rays), np.nan)
     return np.asarray(block["intensities"][mine], dtype=np.float64)
-
-
-def _is_varied(intensities: Floats) -> bool:
-    """Return whether intensities carry information: simulators and some drivers send a constant."""
-    finite = intensities[np.isfinite(intensities)]
-    return finite.size > 0 and bool(finite.min() < finite.max())
 
 
 def clean_ranges(

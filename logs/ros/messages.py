@@ -49,8 +49,10 @@ def header(ns: Stamps) -> dict[str, Stamps]:
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
 
 
-def scan_messages(sensor: RangeSensor, ns: Stamps, ranges: Floats) -> cdr.Bytes:
-    """Pack LaserScan messages (n, size)."""
+def scan_messages(
+    sensor: RangeSensor, ns: Stamps, ranges: Floats, intensities: Floats | None = None
+) -> cdr.Bytes:
+    """Pack LaserScan messages (n, size); `intensities` (n, n_rays) or (0, n_rays), as in a run."""
     n = sensor.n_rays
     increment = (sensor.bearings[-1] - sensor.bearings[0]) / (n - 1) if n > 1 else 0.0
     limits = np.array([
@@ -58,6 +60,8 @@ def scan_messages(sensor: RangeSensor, ns: Stamps, ranges: Floats) -> cdr.Bytes:
         sensor.range_min, sensor.range_max,
     ])  # fmt: skip
     columns = {**header(ns), "limits": limits, "ranges": ranges}
+    if intensities is not None and len(intensities):
+        columns["intensities"] = intensities
     return cdr.pack(SCAN_TYPE, len(ns), strings={"frame_id": "laser"}, columns=columns)
 
 

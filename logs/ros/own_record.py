@@ -109,7 +109,7 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
             f"{source}: its `{METADATA_NAME}` record is incomplete ({exc}); "
             f"save the messages without it: sensorgraph recover {source} -o OUT.mcap"
         ) from exc
-    stamps, ranges, notes = _scans(recording, sensor.n_rays, source)
+    stamps, ranges, intensities, notes = _scans(recording, sensor.n_rays, source)
     apply_no_return(ranges, sensor.range_max, no_return)
     pose = _track(recording, "pose", POSE_TYPE, "pose", 7)
     odom = _track(recording, "odom", ODOMETRY_TYPE, "pose", 7)
@@ -122,6 +122,7 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         sensor=sensor,
         stamps=(stamps - zero) / 1e9,
         ranges=ranges,
+        intensities=intensities,
         pose_stamps=(pose.stamps - zero) / 1e9,
         poses=to_planar(pose.values),
         pose_covariances=_covariances(recording, pose.stamps),
@@ -162,12 +163,14 @@ def _covariances(recording: Recording, stamps: Stamps) -> Floats:
     return planar_covariances(found.values) if np.array_equal(found.stamps, stamps) else np.zeros((0, 3, 3))
 
 
-def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floats, list[str]]:
+def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floats, Floats, list[str]]:
+    """Return stamps, ranges, and intensities (n_scans, n_rays) or (0, n_rays) of the scans, and notes."""
     topic = recording.topics.get(TOPIC_OF_ROLE["scan"])
     if topic is None or topic.type != SCAN_TYPE or not topic.payloads:
-        return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays)), []
+        return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays)), np.zeros((0, n_rays)), []
     stamps = np.zeros(len(topic.payloads), dtype=np.int64)
     ranges = np.empty((len(stamps), n_rays))
+    intensities = np.zeros((0, n_rays))
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         if block.places["ranges"].count != n_rays:
             raise LogError(
@@ -175,8 +178,13 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floa
                 f"{n_rays}; remove that record to read the file as a foreign log"
             )
         stamps[block.index], ranges[block.index] = block.stamps_ns, block["ranges"]
+        if block.places["intensities"].count == n_rays:
+            intensities = intensities if len(intensities) else np.full(ranges.shape, np.nan)
+            intensities[block.index] = block["intensities"]
     stamps, order, notes = sort_stamps(topic.name, stamps, stamps)
-    return stamps, ranges if (np.diff(order) == 1).all() else ranges[order], notes
+    if not (np.diff(order) == 1).all():
+        ranges, intensities = ranges[order], intensities[order] if len(intensities) else intensities
+    return stamps, ranges, intensities, notes
 
 
 def _numbers_text(values: Floats) -> str:

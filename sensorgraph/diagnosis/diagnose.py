@@ -152,7 +152,7 @@ def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:
 
 def _without_scans(run: Run) -> Run:
     """Return a run without its scans."""
-    return replace(run, stamps=run.stamps[:0], ranges=run.ranges[:0])
+    return run.take_scans(slice(0))
 
 
 def _max_effects(alignment: Alignment) -> int:

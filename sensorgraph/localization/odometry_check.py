@@ -107,7 +107,7 @@ def _compared(
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
     stretch = slice(first, first + s.n_scans)
-    part = replace(run, stamps=run.stamps[stretch], ranges=run.ranges[stretch])
+    part = run.take_scans(stretch)
     found = track(scan_points(part), part.stamps, None, lambda done, total: None)
     if found.matched.mean() < s.min_matched or (np.diff(found.piece) != 0).any():
         return None

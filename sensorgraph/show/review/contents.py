@@ -148,7 +148,7 @@ def collect(
     if not len(index):
         raise SensorgraphError(f"{pairing}; no scan can be placed in the map: record poses with the scans")
     shown = index[np.linspace(0, len(index) - 1, min(len(index), max_scans)).round().astype(np.intp)]
-    part, poses = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown]), pairing.poses[shown]
+    part, poses = run.take_scans(shown), pairing.poses[shown]
     if (np.diff(run.stamps) == 0).any():  # scans with equal stamps are paired in order: keep these pairs
         part = replace(part, pose_stamps=part.stamps, poses=poses, pose_covariances=np.zeros((0, 3, 3)))
     evaluation = held_out = predicted = None
