@@ -12,6 +12,7 @@ import pytest
 import rerun as rr
 
 from logs.run import RangeSensor, Run
+from logs.transforms import compose
 from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
@@ -19,6 +20,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.show.review import maps
 from sensorgraph.show.review.cells import N_HEADINGS, RayCounts
 from sensorgraph.show.review.contents import RayVerdict, Review, collect
+from sensorgraph.show.review.intensity import intensity_points
 from sensorgraph.show.review.report import report
 from sensorgraph.show.review.review import review
 from sensorgraph.show.review.views import write
@@ -187,6 +189,22 @@ def test_the_recording_holds_scans_maps_cells_and_report(
     assert rows == 400
     assert len(rr.chunk.RrdReader(str(path)).blueprints()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["review.rrd"]
+
+
+def test_intensities_are_drawn_where_their_returns_are(run: Run, room: Arena, tmp_path: Path) -> None:
+    """The intensity of a return is planted as the place where it hit."""
+    lasers = compose(run.poses, run.sensor.mount)
+    x = lasers[:, :1] + run.ranges * np.cos(lasers[:, 2:] + run.sensor.bearings)
+    known = collect(replace(run, intensities=100 + np.where(np.isfinite(x), x, np.nan)), arena=room)
+    points, values = intensity_points(known)
+    assert len(points) == np.isfinite(run.ranges).sum()
+    np.testing.assert_allclose(values, 100 + points[:, 0], atol=1e-9)
+    write(known, tmp_path / "bright.rrd")
+    store = rr.chunk.RrdReader(str(tmp_path / "bright.rrd")).store()
+    assert "/plan/intensity" in store.schema().entity_paths()
+    write(collect(run, arena=room), tmp_path / "plain.rrd")
+    store = rr.chunk.RrdReader(str(tmp_path / "plain.rrd")).store()
+    assert "/plan/intensity" not in store.schema().entity_paths()
 
 
 def test_every_stage_of_a_review_is_named(run: Run, graph: Sensorgraph, tmp_path: Path) -> None:

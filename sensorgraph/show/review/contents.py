@@ -70,6 +70,8 @@ class Review:
     plan: Mapping[str, Any] | None
     """Content of plan.json."""
     graph: Sensorgraph | None
+    intensities: Floats | None = None
+    """(n_shown, n_rays) Intensities of the measured rays, in the unit of the driver; None: not recorded."""
     deviations: Floats | None = None
     """(n_shown, 3) [m, m, rad] Standard deviations of x, y, phi given in the run; None without covariances."""
 
@@ -192,6 +194,7 @@ def collect(
         planned=planned,
         plan=plan,
         graph=graph,
+        intensities=part.intensities if len(part.intensities) else None,
         deviations=_deviations(run, shown),
     )
 

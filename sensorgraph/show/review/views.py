@@ -14,6 +14,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
+from sensorgraph.show.review.intensity import LABEL as INTENSITY_LABEL
+from sensorgraph.show.review.intensity import log_intensities
 from sensorgraph.show.review.maps import VERDICT_COLOURS, log_maps, log_voxels, map_labels
 from sensorgraph.show.review.report import report
 from sensorgraph.types import Floats, Progress
@@ -73,6 +75,7 @@ def _log_static(recording: rr.RecordingStream, review: Review) -> None:
     recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
     log_maps(recording, review.cells)
     log_voxels(recording, review.cells)
+    log_intensities(recording, review)
     recording.log("report", rr.TextDocument(report(review), media_type="text/markdown"), static=True)
     if review.evaluation is not None:
         rmse = np.nan_to_num(review.evaluation.rmse_per_ray) * 100
@@ -156,7 +159,7 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
                 visual_bounds=bounds,
                 background=BACKGROUND,
             )
-            for name, label in map_labels(review.cells).items()
+            for name, label in _tab_labels(review).items()
         ],
         name="maps",
         active_tab=0,
@@ -197,6 +200,12 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
         *folded(),
         auto_views=False,
     )
+
+
+def _tab_labels(review: Review) -> dict[str, str]:
+    """Return the entities of the tabs with maps, name -> label."""
+    labels = map_labels(review.cells)
+    return labels if review.intensities is None else {**labels, "intensity": INTENSITY_LABEL}
 
 
 def _middle(review: Review) -> list[rrb.View]:
