@@ -292,12 +292,13 @@ def _join_segments(clock: _Clock, limits: ClockLimits) -> None:
 
 
 def _reference(clocks: Sequence[_Clock], limits: ClockLimits) -> _Clock:
-    """Return the clock with which most others agree; among equals the one closest to the log time, then the first."""
+    """Return the clock with which most others agree; among equals the one closest to the log times, then the first."""
 
-    def rank(clock: _Clock) -> tuple[int, float]:
+    def rank(clock: _Clock) -> tuple[int, float, bool]:
         others = (_difference(other, clock, limits) for other in clocks if other is not clock)
         n_agreeing = sum(abs(d.offset) <= limits.offset and d.drift == 0 for d in others)
-        return n_agreeing, -round(abs(_drift_of(clock.at, clock.offsets, limits).drift), 1)
+        by_log = _drift_of(clock.at, clock.offsets, limits)
+        return n_agreeing, -round(abs(by_log.drift), 1), abs(by_log.offset) <= limits.offset
 
     return max(clocks, key=rank)  # the first of equals
 

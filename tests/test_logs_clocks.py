@@ -87,6 +87,14 @@ def test_clock_of_the_odometry_is_corrected_by_the_log_times(
     assert any(words in note for note in assumptions_of(run)), run.meta["notes"]
 
 
+def test_corrected_stamp_of_0_is_not_a_missing_one(tmp_path: Path) -> None:
+    """The scans count from the start, in milliseconds; the odometry is brought to their clock, or they to its."""
+    run = run_of(tmp_path, drive(scans=lambda t: 1000 * t - EPOCH / 1e9))
+    assert np.abs(apart(run)).max() < 2 * TOLERANCE
+    assert "stamp 0" not in run.meta["notes"].replace("/scan: 1 messages have stamp 0", "")
+    assert "/scan: the stamps are in milliseconds" in run.meta["notes"]
+
+
 def test_clock_of_the_scans_is_corrected_as_well(tmp_path: Path) -> None:
     for k, clock in enumerate((lambda t: t + 40.0, lambda t: t - np.where(t > 5, 30.0, 0))):
         run = run_of(tmp_path / str(k), drive(scans=clock))

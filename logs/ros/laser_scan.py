@@ -16,7 +16,7 @@ from logs.intensities import is_varied
 from logs.no_return import CODE_SEARCH, detect_no_return, frequent_nans, nan_text, range_max_text, zero_text
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
-from logs.ros.recording import Topic, sort_stamps
+from logs.ros.recording import Topic, logged_times, sort_stamps
 from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
 from logs.types import Floats
@@ -130,7 +130,7 @@ def read_scans(
     ------
     LogError : If most scans have no rays, or no bearings.
     """
-    stamps = np.array(topic.log_times, dtype=np.int64)
+    stamps = logged_times(topic)
     frames: dict[str, dict[ScanShape, _Group]] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index] = block.stamps_ns
@@ -194,7 +194,7 @@ def _sensor_scans(
     in_file = np.argsort(index)
     index = index[in_file]
     at, order, stamp_notes = sort_stamps(
-        topic.name, stamps[index], np.array(topic.log_times, dtype=np.int64)[index]
+        topic.name, stamps[index], stamps[index] if topic.stamps is not None else logged_times(topic)[index]
     )
     if len(counts) > 1:
         stamp_notes.append(

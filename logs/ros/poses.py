@@ -157,10 +157,6 @@ def find_motion(
         elif candidates(recording, "odom") and odom is None:
             notes.append(f"several topics could be odom, none was used: {choices(recording, 'odom')}")
     name, is_named = choose(recording, "pose", topics, robot.topic), (topics or {}).get("pose") is not None
-    if name is None and candidates(recording, "pose"):
-        notes.append(
-            f"several topics could be the reference pose, none was used: {choices(recording, 'pose')}"
-        )
     is_tf = name is not None and recording.topics[name].type == TF_TYPE
     found: tuple[Track, PoseFrame, str] | None = None
     if name is not None and not is_tf and (is_named or name == ROLES["pose"][0]):
@@ -179,6 +175,11 @@ def find_motion(
             Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
         )  # fmt: skip
     poses, pose_frame, source = found or (None, "base_link", "none")
+    if name is None and candidates(recording, "pose"):
+        used = "none" if source == "none" or source.startswith("odometry") else source
+        notes.append(
+            f"several topics could be the reference pose, {used} was used: {choices(recording, 'pose')}"
+        )
     return RobotMotion(
         odometry=odom, odom_source=odom_name or "", poses=poses, pose_frame=pose_frame,
         pose_source=source, notes=notes,

@@ -6,7 +6,7 @@ import numpy as np
 
 from logs.ros import cdr
 from logs.ros.laser_scan import LaserScans, clean_ranges
-from logs.ros.recording import Topic, sort_stamps
+from logs.ros.recording import Topic, logged_times, sort_stamps
 
 
 def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
@@ -16,14 +16,15 @@ def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
     ----------
     no_return : one of `NO_RETURNS`; None: detected from the frequency of readings
     """
-    stamps = np.array(topic.log_times, dtype=np.int64)
+    stamps = logged_times(topic)
     limits = np.full((len(topic.payloads), 4), np.nan)  # field_of_view, min_range, max_range, range
     frames: dict[str, list[np.ndarray]] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index], limits[block.index] = block.stamps_ns, block["limits"]
         frames.setdefault(block.strings["frame_id"].strip("/"), []).append(block.index)
-    stamps = stamps if topic.stamps is None else topic.stamps
-    logged = np.array(topic.log_times, dtype=np.int64)
+    logged = logged_times(topic)
+    if topic.stamps is not None:
+        stamps = logged = topic.stamps
     out = []
     for frame, parts in frames.items():
         mine = np.sort(np.concatenate(parts))

@@ -238,7 +238,7 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
     With `absolute`, a header stamp of 0 is the time 0 and not a missing stamp.
     """
     n = len(topic.payloads)
-    logged = np.array(topic.log_times, dtype=np.int64)
+    logged = logged_times(topic)
     stamps, values = logged.copy(), np.full((n, width), np.nan)
     frames: dict[tuple[str, str], int] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
@@ -248,11 +248,16 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
         key = (block.strings.get("frame_id", ""), block.strings.get("child_frame_id", ""))
         frames[key] = frames.get(key, 0) + len(block.index)
     if topic.stamps is not None:
-        stamps = topic.stamps
+        stamps, absolute = topic.stamps, True
     frame, child = max(frames, key=lambda key: frames[key], default=("", ""))
     notes = [f"{topic.name} changes its frame"] if len(frames) > 1 else []
     stamps, order, more = sort_stamps(topic.name, stamps, stamps if absolute else logged)
     return Track(stamps, values[order], frame.strip("/"), child.strip("/"), notes + more)
+
+
+def logged_times(topic: Topic) -> Stamps:
+    """Return the log times (n,) [ns] of the messages of a topic, in the order of the file."""
+    return np.array(topic.log_times, dtype=np.int64)
 
 
 def sort_stamps(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDArray[np.intp], list[str]]:
@@ -298,7 +303,7 @@ def transform_tree(recording: Recording, near: str = "") -> TransformTree:
             whole = np.isfinite(values).all(axis=1) & (np.abs(values[:, 3:]).sum(axis=1) > 0)
             if whole.any():
                 kept = np.flatnonzero(whole)[np.argsort(index[whole], kind="stable")]
-                logged = np.array(recording.topics[name].log_times, dtype=np.int64)[index[kept]]
+                logged = logged_times(recording.topics[name])[index[kept]]
                 static = name.rstrip("/").endswith("tf_static")
                 tree.add(parent, child, stamps[kept], values[kept], is_static=static, logged=logged)
     return tree

@@ -13,9 +13,8 @@ import numpy as np
 from logs.clocks import Signal, settle
 from logs.ros import cdr
 from logs.ros.poses import FIXED_FRAMES
-from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic
+from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, logged_times
 from logs.ros.transform_tree import Edge, TransformTree
-from logs.transforms import Stamps
 from logs.types import Bools, Ints
 
 _HEADER = struct.Struct("<iII")
@@ -106,9 +105,7 @@ def settle_clocks(
     topics = dict(recording.topics)
     for (name, index), stamps in zip(places, found.stamps, strict=False):
         topic = topics[name]
-        all_stamps = (
-            np.array(topic.log_times, dtype=np.int64) if topic.stamps is None else topic.stamps.copy()
-        )
+        all_stamps = logged_times(topic) if topic.stamps is None else topic.stamps.copy()
         all_stamps[index] = stamps
         topics[name] = replace(topic, stamps=all_stamps)
     moved = {
@@ -120,7 +117,7 @@ def settle_clocks(
 
 def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:
     """Return the frame and the times of each sensor of a topic, and the indices of its messages; a frame is a sensor."""
-    stamps: Stamps = np.array(topic.log_times, dtype=np.int64)
+    stamps = logged_times(topic)
     logged = stamps.copy()
     frames: dict[str, list[Ints]] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
