@@ -50,11 +50,11 @@ def message(
 def scan(
     stamp: float, ranges: Any, *, topic: str = "/scan", frame: str = "laser", log: float | None = None,
     angle_min: float = -0.5, increment: float = 0.25, time_increment: float = 0.0,
-    range_min: float = 0.1, range_max: float = 10.0,
+    range_min: float = 0.1, range_max: float = 10.0, scan_time: float = 0.1,
 ) -> Message:  # fmt: skip
     ranges = np.asarray(ranges, dtype=np.float64)
     last = angle_min + increment * (len(ranges) - 1)
-    limits = [angle_min, last, increment, time_increment, 0.1, range_min, range_max]
+    limits = [angle_min, last, increment, time_increment, scan_time, range_min, range_max]
     return message(topic, SCAN_TYPE, stamp, {"frame_id": frame}, log=log, limits=limits, ranges=ranges)
 
 

@@ -154,6 +154,29 @@ def test_two_parents_of_a_frame_give_reference_and_odometry(tmp_path: Path) -> N
     assert "frames with two parents: base_link (under odom and map)" in assumptions_of(run)
 
 
+def test_of_two_transforms_with_one_stamp_the_last_counts(tmp_path: Path) -> None:
+    """A filter publishes its estimate again when another measurement with the same stamp comes."""
+    first = moving("odom", "base_link", PATH + [0.1, 0, 0])
+    run = read(tmp_path, [MOUNT, *in_order(scans()), *first, *moving("odom", "base_link", PATH)])
+    np.testing.assert_allclose(run.odometry, PATH, atol=1e-9)
+    lines = inspect(tmp_path / "bag").transforms
+    assert "odom -> base_link (40 samples, 40 repeated)" in lines
+
+
+def test_two_publishers_of_the_odometry_are_reported(tmp_path: Path) -> None:
+    wheels = [odometry(t, x, 0, 0) for t, x in zip(T, PATH[:, 0].tolist(), strict=True)]
+    filtered = [odometry(t + 0.01, x + 0.3, 0, 0) for t, x in zip(T, PATH[:, 0].tolist(), strict=True)]
+    notes = assumptions_of(read(tmp_path, in_order(scans(), wheels, filtered)))
+    assert any("/odom jumps at" in note and "by up to 0.30 m: two publishers" in note for note in notes)
+
+
+def test_odometry_frame_next_to_the_base_is_that_of_the_wheels(tmp_path: Path) -> None:
+    tree = [*moving("odom", "odom_source", DRIFT), *moving("odom_source", "base_link", PATH)]
+    run = read(tmp_path, in_order([MOUNT], tree, scans()))
+    assert run.meta["odom_topic"] == "/tf odom_source -> base_link"
+    np.testing.assert_allclose(run.odometry, PATH, atol=1e-9)
+
+
 def test_several_pose_topics_are_listed_and_none_is_needed(tmp_path: Path) -> None:
     wishes = [pose(t, 1, 1, 0, topic=name) for t in T for name in ("/ground_truth", "/control/wish")]
     path = write_bag2(tmp_path / "bag", in_order([MOUNT], moving("odom", "base_link", PATH), wishes, scans()))

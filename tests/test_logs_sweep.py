@@ -21,7 +21,9 @@ N_RAYS, PERIOD = 36, 0.1
 ROBOT = parse_robot("sensor: {n_rays: 36, fov: 6.283185307, sweep_time: 0.1}")
 
 
-def spinning(folder: Path, time_increment: float, *, clockwise: bool = False) -> Path:
+def spinning(
+    folder: Path, time_increment: float, *, clockwise: bool = False, scan_time: float = PERIOD
+) -> Path:
     """Write a bag of a laser that looks all around, 10 times a second, as `scan_time` says, too."""
     messages: list[Message] = []
     for k in range(20):
@@ -33,6 +35,7 @@ def spinning(folder: Path, time_increment: float, *, clockwise: bool = False) ->
                 angle_min=np.pi if clockwise else 0.0,
                 increment=(-2 if clockwise else 2) * np.pi / N_RAYS,
                 time_increment=time_increment,
+                scan_time=scan_time,
             )
         )
         messages.append(pose(at, 0.02 * k, 0.0, 0.0))
@@ -76,6 +79,7 @@ def test_a_log_of_which_every_third_scan_may_have_been_kept_is_not_told_that_it_
         (-2500.0, -0.09, "is in microseconds: -0.0025 s was used"),
         (2.5e6, 0.09, "is in nanoseconds: 0.0025 s was used"),
     ],
+    ids=["invalid", "whole scan", "ms", "us", "ns"],
 )
 def test_sweep_longer_than_the_time_between_scans_is_not_believed(
     time_increment: float, sweep: float, words: str, tmp_path: Path
@@ -83,6 +87,18 @@ def test_sweep_longer_than_the_time_between_scans_is_not_believed(
     run = logs.read(spinning(tmp_path, time_increment))
     assert run.sensor.sweep_time == pytest.approx(sweep, rel=1e-6)  # float32
     assert words in run.meta["notes"]
+
+
+@pytest.mark.parametrize(("unit", "name"), [(1e-9, "nanoseconds"), (1e3, "thousands of seconds")])
+def test_scan_time_in_another_unit_tells_that_of_the_time_increment(
+    unit: float, name: str, tmp_path: Path
+) -> None:
+    """As of the drivers of YDLIDAR (ns) and RPLIDAR (thousandths)."""
+    run = logs.read(spinning(tmp_path, PERIOD / N_RAYS / unit, scan_time=PERIOD / unit))
+    assert run.sensor.sweep_time == pytest.approx(PERIOD, rel=1e-6)  # float32
+    assert float(run.meta["scan_time"]) == pytest.approx(PERIOD, rel=1e-5)
+    assert f"are in {name}, as a scan is taken every 0.1 s: rescaled" in run.meta["notes"]
+    assert not any("sweep" in line for line in inspect(tmp_path / "bag").warnings)
 
 
 def test_robot_yaml_overrules_the_log_and_inspect_says_that_they_disagree(

@@ -288,10 +288,13 @@ def check_sweep(scans: LaserScans) -> None:
     n = len(scans.bearings)
     unit = _unit(scans.scan_time, period) if period > 0 else None
     if unit is not None:
-        scans.notes.append(
-            f"scan_time {scans.scan_time:.6g} is in {UNITS[unit]}, as a scan is taken every {period:.3g} s"
+        both = 0 < abs(scans.time_increment) * n * unit <= LIMITS.max_periods * period
+        fields = f"scan_time {scans.scan_time:.6g}" + (
+            f" and time_increment {scans.time_increment:.6g} are" if both else " is"
         )
+        scans.notes.append(f"{fields} in {UNITS[unit]}, as a scan is taken every {period:.3g} s: rescaled")
         scans.scan_time *= unit
+        scans.time_increment *= unit if both else 1.0
     sweep = abs(scans.time_increment) * n
     if np.isfinite(sweep) and not (period > 0 and sweep > LIMITS.max_periods * period):
         return
@@ -316,9 +319,13 @@ def check_sweep(scans: LaserScans) -> None:
 
 
 def _unit(duration: float, period: float) -> float | None:
-    """Return the unit [s] in which a duration is written, from the scan period [s] that it fills; None: the second."""
+    """Return the unit [s] in which a duration is written, from the scan period [s] that it fills; None: the second.
+
+    A duration of a thousandth may be right, so that it counts as one in thousands of seconds only if it fills the period.
+    """
     for unit in UNITS:
-        if unit < 1 and LIMITS.min_share < abs(duration) * unit / period < LIMITS.max_periods:
+        share = abs(duration) * unit / period
+        if LIMITS.min_share < share < LIMITS.max_periods and (unit < 1 or not differs(share, 1.0)):
             return unit
     return None
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from logs.errors import LogError
+from logs.jumps import JUMP_LIMITS
 from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -31,6 +32,8 @@ FLOOR_FRAME = "base_footprint"
 """Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
 MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
 ODOM_FRAME = "odom"
+MIN_JUMP, MIN_JUMPS = 0.02, 0.02
+"""[m] smallest step that counts as a jump of the odometry, and the share of such steps that is reported."""
 FIXED_FRAMES = (*MAP_FRAMES, ODOM_FRAME)
 """Words in the names of stationary frames; poses in other frames may not refer to the map."""
 
@@ -104,13 +107,14 @@ def base_of(tree: TransformTree, frame: str, children: Sequence[str]) -> str | N
 
 
 def odom_frames(tree: TransformTree, frame: str) -> list[str]:
-    """Return the odometry frames of the tree, that of the robot which carries `frame` first."""
+    """Return the odometry frames of the tree: that of the robot which carries `frame` first, then the nearest."""
     names = [name for name in tree.frames if ODOM_FRAME in _last(name)]
     return sorted(
         names,
         key=lambda name: (
             not tree.is_ancestor(name, frame),
             -common_namespace(name, frame),
+            len(tree.path(name, frame) or tree.edges),
             _last(name) != ODOM_FRAME,
         ),
     )
@@ -180,10 +184,25 @@ def find_motion(
         notes.append(
             f"several topics could be the reference pose, {used} was used: {choices(recording, 'pose')}"
         )
+    if odom is not None:
+        notes += _jump_notes(odom_name or "", odom)
     return RobotMotion(
         odometry=odom, odom_source=odom_name or "", poses=poses, pose_frame=pose_frame,
         pose_source=source, notes=notes,
     )  # fmt: skip
+
+
+def _jump_notes(name: str, odom: Track) -> list[str]:
+    """Report odometry that jumps back and forth, as the messages of two publishers do."""
+    seconds = np.diff(odom.stamps) / 1e9
+    moved = np.hypot(*np.diff(odom.values[:, :2], axis=0).T)
+    jumps = (moved > JUMP_LIMITS.speed * np.maximum(seconds, 1e-3)) & (moved > MIN_JUMP)
+    if not len(jumps) or jumps.mean() < MIN_JUMPS:
+        return []
+    return [
+        f"{name} jumps at {jumps.mean():.0%} of its messages, by up to {moved[jumps].max():.2f} m: two publishers, or two "
+        "clocks"
+    ]
 
 
 def _tf_odometry(robot: RobotFrames, named: str | None) -> tuple[Track | None, str | None]:

@@ -67,7 +67,7 @@ class Edge:
     logged: Stamps
     """(n,) [ns] log times"""
     n_repeated: int = 0
-    """Number of samples that were there twice and were dropped."""
+    """Number of samples that were dropped because a later one has the same stamp."""
 
     @property
     def is_sampled(self) -> bool:
@@ -97,7 +97,7 @@ class TransformTree:
         is_static: bool,
         logged: Stamps | None = None,
     ) -> None:
-        """Add the samples (n,) [ns], (n, 7) of one edge; equal samples with equal stamps count once."""
+        """Add the samples (n,) [ns], (n, 7) of one edge; of several with one stamp, the last counts."""
         logged = stamps if logged is None else logged
         known = self.edges.get((parent, child))
         if known is not None:
@@ -106,9 +106,8 @@ class TransformTree:
             logged = np.concatenate([known.logged, logged])
             is_static = is_static and known.is_static
         order = np.argsort(stamps, kind="stable")
-        rows = np.column_stack([np.diff(stamps[order]) == 0, np.diff(transforms[order], axis=0) == 0])
-        kept = np.concatenate([[True], ~rows.all(axis=1)])
-        kept = np.sort(order[kept])  # in the order of the log
+        is_last = np.append(np.diff(stamps[order]) > 0, True)
+        kept = np.sort(order[is_last])  # in the order of the log
         self.edges[parent, child] = Edge(
             parent, child, stamps[kept], transforms[kept], is_static, logged[kept],
             len(stamps) - len(kept) + (known.n_repeated if known is not None else 0),
