@@ -6,11 +6,13 @@ The package depends on no planner and no model. Heavy libraries are imported whe
 * `run`: `Run` and `RangeSensor`, the data model of a recording.
 * `recorder`, `plan_file`: Write a run during the drive, and write a plan.
 * `inspection`, `recovery`, `stream`: Inspect a file, recover a damaged one, read one that is larger than memory.
+* `usability`: What a run can be used for.
+* `recorded_map`: The map that a log holds.
 * `formats/`: One module per file format.
 * `mcap/`: MCAP records, each one validated.
 * `ros/`: ROS messages, that is byte layout, topics and their roles, and transforms.
-* `no_return`, `resampling`, `jumps`: Correct or detect the quirks of drivers and clocks.
-* `notes`: The assumptions and corrections of a reader.
+* `clocks`, `no_return`, `resampling`, `jumps`: Correct or detect the quirks of drivers and clocks.
+* `notes`, `run_warnings`: The assumptions and corrections of a reader, and values that look wrong.
 * `motion`: The pose of the robot at any time, and the pose at which each ray of a sweep is taken.
 * `transforms`: Planar poses.
 """
