@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import loop_poses, room_run
+from localization_samples import loop_poses, room_run, seen
 
 from logs.run import Run
-from logs.transforms import compose
+from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry_check import with_checked_odometry
 
@@ -45,6 +45,35 @@ def test_mirrored_laser_is_refused_in_one_line() -> None:
         SensorgraphError, match="turn in opposite directions: the laser counts its rays clockwise"
     ):
         with_checked_odometry(mirrored)
+
+
+def test_a_laser_of_unknown_mount_gets_the_yaw_that_the_wheels_show() -> None:
+    for yaw in (np.pi, np.pi / 2, -2.2):
+        sensor = replace(RUN.sensor, mount=np.zeros(3))
+        ranges = seen(compose(TRUTH, np.array([0.0, 0.0, yaw])), sensor.bearings)
+        turned = replace(RUN, sensor=sensor, ranges=ranges, meta={"mount": "unknown"})
+        run, notes = with_checked_odometry(turned)
+        # a yaw within 0.1 rad of a right angle is exactly that; others are estimated from 90 scans
+        assert wrap(run.sensor.mount[2] - yaw) == pytest.approx(0.0, abs=1e-9 if yaw > 0 else 0.02)
+        assert len(notes) == 1 and "is turned by" in notes[0] and "±" in notes[0]
+        np.testing.assert_array_equal(run.odometry, RUN.odometry)
+
+
+def test_a_stated_mount_that_the_wheels_contradict_is_refused() -> None:
+    ranges = seen(compose(TRUTH, np.array([0.0, 0.0, np.pi])), RUN.sensor.bearings)
+    with pytest.raises(
+        SensorgraphError, match=r"the laser is turned by -?180° .* relative to its specified mount"
+    ):
+        with_checked_odometry(replace(RUN, ranges=ranges))
+
+
+def test_odometry_that_counts_backwards_is_not_taken_for_a_mirrored_laser() -> None:
+    steps = compose(invert(RUN.odometry[:-1]), RUN.odometry[1:])
+    poses = [np.zeros(3)]
+    for step in -steps:
+        poses.append(compose(poses[-1], step))
+    with pytest.raises(SensorgraphError, match="the odometry counts backwards"):
+        with_checked_odometry(replace(RUN, odometry=np.array(poses)))
 
 
 def test_odometry_that_disagrees_with_the_scans_is_left_out_in_one_line() -> None:

@@ -19,6 +19,10 @@ LMS = 1 / 75  # [s] a turn of the mirror
 HALF = LMS / 2 * N_RAYS / (N_RAYS - 1)  # [s] a sweep over 180°, plus a ray
 
 
+GIVEN = {"ray_times": "robot.yaml"}
+"""Of a run whose ray times a robot.yaml states, which are used as they are."""
+
+
 def path(t: Floats) -> Floats:
     """Drive around the box of the room and look about: up to 1 rad/s, in both senses."""
     x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
@@ -79,9 +83,8 @@ def test_with_its_times_the_scatter_is_the_noise_and_without_it_is_not(two_sweep
     at_once = scatter(followed(run_of(np.zeros(N_RAYS))))
     assert scatter(two_sweeps) < 1.05 * at_once
     blind = two_sweeps.run.sensor.take(slice(None))
-    run = replace(
-        run_of(interlaced()), sensor=replace(blind, sweep_time=1e-9, interlaced_sweeps=1, sweep_period=0.0)
-    )
+    at_stamp = replace(blind, sweep_time=0.0, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
+    run = replace(run_of(interlaced()), sensor=at_stamp, meta=GIVEN)
     assert scatter(followed(run)) > 1.12 * at_once
 
 
@@ -107,10 +110,54 @@ def test_rays_of_one_time_are_left_so() -> None:
     assert found.notes == () and not found.run.sensor.has_ray_delays
 
 
-def test_times_that_the_log_says_are_taken_at_their_word() -> None:
-    run = run_of(interlaced())
-    said = replace(run, sensor=replace(run.sensor, sweep_time=0.02))
-    assert followed(said).run.sensor.sweep_time == 0.02
+def stated(run: Run, sweep_time: float, first_ray_delay: float = 0.0) -> Run:
+    """Return the run with ray times that the log states."""
+    return replace(run, sensor=replace(run.sensor, sweep_time=sweep_time, first_ray_delay=first_ray_delay))
+
+
+SWEEP = 0.1  # [s] of a lidar that turns ten times a second
+ALONG = SWEEP * np.arange(N_RAYS) / N_RAYS
+
+
+def test_true_ray_times_of_a_log_stay() -> None:
+    run = stated(run_of(ALONG), SWEEP)
+    found = followed(run)
+    assert found.run.sensor is run.sensor and found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("times", "sweep_time", "words"),
+    [
+        (ALONG[::-1], -SWEEP, "opposite to the log"),
+        (np.zeros(N_RAYS), 0.0, "all rays of a scan have the time of its stamp"),
+    ],
+    ids=["reversed array", "no sweep"],
+)
+def test_ray_times_that_the_run_contradicts_are_mended_and_said(
+    times: Floats, sweep_time: float, words: str
+) -> None:
+    run = stated(run_of(times), SWEEP)
+    found = followed(run)
+    assert found.run.sensor.sweep_time == pytest.approx(sweep_time)
+    assert words in found.notes[0] and "the log states 100.0 ms" in found.notes[0]
+    np.testing.assert_allclose(found.run.sensor.ray_delays, times, atol=2e-3)
+    assert scatter(found) < 1.1 * scatter(followed(stated(run_of(ALONG), SWEEP)))
+
+
+def test_a_stamp_at_the_end_of_the_sweep_shows_against_the_odometry() -> None:
+    found = followed(stated(run_of(ALONG - SWEEP), SWEEP))
+    assert found.run.sensor.first_ray_delay == pytest.approx(-ALONG[-1])
+    assert "stamped at the end of the sweep" in found.notes[-1]
+
+
+def test_scans_without_wheels_are_deskewed_by_the_velocity_of_the_track() -> None:
+    run = stated(run_of(ALONG), SWEEP)
+    alone = replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+    found = followed(alone)
+    assert found.notes == () and found.odometry is None
+    assert scatter(found) < 1.1 * scatter(followed(run))
+    rigid = replace(alone, sensor=replace(run.sensor, sweep_time=0.0), meta=GIVEN)
+    assert scatter(found) < 0.8 * scatter(followed(rigid))
 
 
 @pytest.mark.slow

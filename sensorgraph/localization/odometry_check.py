@@ -1,7 +1,14 @@
-"""Check that scans and odometry describe the same drive: units of the odometry, and ray order of the laser.
+"""Check that scans and odometry describe the same drive: units of the odometry, ray order and yaw of the laser.
 
 The segments with the most turning and with the longest distance are tracked by the scans alone, and compared
-with the odometry.
+with the odometry. The signs of turn and forward motion distinguish four cases:
+
+| turn | forward | cause |
+|---|---|---|
+| same | same | none |
+| same | other direction | yaw of the laser's mount |
+| opposite | same | rays counted clockwise, as in a mirror |
+| opposite | opposite | odometry that counts backwards |
 """
 
 from __future__ import annotations
@@ -12,7 +19,7 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.run import Run
-from logs.transforms import compose, invert
+from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -48,6 +55,12 @@ class OdometryCheckSettings:
     """Minimum share of such steps within this ratio; below, the odometry is not used."""
     min_moving: int = 5
     """Minimum number of such steps for a step-by-step comparison."""
+    max_direction: float = 0.5
+    """[rad] Maximum angle between the motion by the scans and by the odometry."""
+    min_concentration: float = 0.8
+    """Minimum length of the mean of the steps' directions, as unit vectors."""
+    right_angle: float = 0.1
+    """[rad] A mount with an unknown yaw within this of a multiple of 90° has exactly that yaw."""
 
 
 CHECK = OdometryCheckSettings()
@@ -62,9 +75,11 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
 
     Odometry that disagrees with the scans in all units is removed.
 
+    A laser whose mount is unknown (`meta["mount"]` is `unknown`) gets the yaw that the motion shows.
+
     Raises
     ------
-    SensorgraphError : Scans and odometry turn in opposite directions: the laser is mirrored.
+    SensorgraphError : Scans and odometry turn or move in different directions.
     """
     motion = _as_logged(run)
     if motion is None or run.n_scans < 3:
@@ -72,19 +87,21 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     s, odometry = settings, odometry_at_scans(run, motion)
     notes: list[str] = []
     way_factor = turn_factor = 1.0
+    moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
     if turns is not None and np.abs(turns[0][:, 2]).sum() > s.min_turn:
         seen, driven = turns[0][:, 2], turns[1][:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
-            raise SensorgraphError(
-                "scans and odometry turn in opposite directions: the laser counts its rays clockwise, as in a mirror; state "
-                "this in robot.yaml or in the transform"
-            )
+            ways = _compared(run, odometry, moved, s)
+            raise SensorgraphError(_opposite_text(None if ways is None else _direction(*ways, s)))
         if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
-    ways = _compared(run, odometry, np.hypot(*np.diff(odometry[:, :2], axis=0).T), s)
+    ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, s)
+    direction = None if ways is None else _direction(*ways, s)
+    if direction is not None and abs(direction[0]) > s.max_direction:
+        run = _with_yaw(run, *direction, notes, s)
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
         if seen.sum() > s.min_distance:
@@ -93,7 +110,65 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
             )
         if not _agrees(seen, way_factor * driven, s.moving_distance, s):
             return _without_odometry(run), (_disagreement(seen, driven, "distances", "metres"),)
-    return (_scaled(run, motion, way_factor, turn_factor), tuple(notes)) if notes else (run, ())
+    if way_factor == turn_factor == 1.0:
+        return run, tuple(notes)
+    return _scaled(run, motion, way_factor, turn_factor), tuple(notes)
+
+
+def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
+    """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
+
+    None if too few steps move, or if the steps do not agree on an angle.
+    """
+    is_moving = (np.hypot(*seen[:, :2].T) > settings.moving_distance) & (np.hypot(*driven[:, :2].T) > 0)
+    if is_moving.sum() < settings.min_moving:
+        return None
+    a, b = (steps[is_moving, 0] + 1j * steps[is_moving, 1] for steps in (seen, driven))
+    turned = a / np.abs(a) * np.conj(b) / np.abs(b)
+    mean = turned.mean()
+    if abs(mean) < settings.min_concentration:
+        return None
+    spread = np.angle(turned / mean)
+    return float(np.angle(mean)), float(spread.std() / np.sqrt(len(spread)))
+
+
+def _opposite_text(direction: tuple[float, float] | None) -> str:
+    """Return the message for scans and odometry that turn in opposite directions."""
+    if direction is not None and abs(direction[0]) > np.pi / 2:
+        return (
+            "scans and odometry turn and move in opposite directions: the odometry counts backwards, or the laser counts "
+            "its rays clockwise and looks backwards; correct the odometry, or state the mount in robot.yaml"
+        )
+    return (
+        "scans and odometry turn in opposite directions: the laser counts its rays clockwise, as in a mirror; state "
+        "this in robot.yaml or in the transform"
+    )
+
+
+def _with_yaw(
+    run: Run, angle: float, stderr: float, notes: list[str], settings: OdometryCheckSettings
+) -> Run:
+    """Return the run with the yaw of an unknown mount as the motion shows it; refuse a stated mount that contradicts it.
+
+    Parameters
+    ----------
+    angle, stderr : [rad] From the motion of the odometry to that of the scans.
+    """
+    found = f"{np.degrees(-angle):.0f}° ± {max(np.degrees(stderr), 0.5):.1f}°"
+    if run.meta.get("mount") != "unknown" or run.sensor.is_composite:
+        raise SensorgraphError(
+            f"the scans move in another direction than the odometry: the laser is turned by {found} relative to its "
+            "specified mount, or the odometry counts its distance backwards; correct the transform or the odometry, or "
+            "state the mount in robot.yaml"
+        )
+    right = np.round(-angle / (np.pi / 2)) * np.pi / 2
+    yaw = right if abs(right + angle) < settings.right_angle else -angle
+    x, y, old = run.sensor.mount
+    notes.append(
+        f"the mount of the laser is unknown, and the odometry shows that it is turned by {found}: "
+        f"{np.degrees(yaw):.0f}° was used"
+    )
+    return replace(run, sensor=replace(run.sensor, mount=np.array([x, y, wrap(old + yaw)])))
 
 
 def _compared(

@@ -1,4 +1,4 @@
-"""Identify the time of each ray within a scan from the run itself, where the log does not contain it.
+"""Identify the time of each ray within a scan from the run itself, and test the times that the log states.
 
 On a turning robot a sweep smears the scan, and interlaced sweeps split it into a comb. In short track pieces
 with many turns, Gauss-Newton minimises the weighted squares of point-to-line residuals,
@@ -28,6 +28,7 @@ from sensorgraph.localization.refinement import (
     reduced_system,
     refine,
 )
+from sensorgraph.localization.scan_lag import scan_lag, with_stamp_of
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import RAY_TIMES, REFINEMENT, RayTimeSettings
 from sensorgraph.localization.wheel_edges import WheelSteps
@@ -54,28 +55,56 @@ class TrackedRun:
 
 
 def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIMES) -> TrackedRun:
-    """Track all scans; if ray times are missing from the log and the run shows them, track again with these."""
-    motion = odometry_of(run)
-    odometry = None if motion is None else odometry_at_scans(run, motion)
-    scans = scan_points(run, motion)
+    """Track all scans, with the ray times of the log or, if the run contradicts them, with those that it shows.
+
+    Ray times of a robot.yaml are not tested. Rays are deskewed with the velocity of the odometry. Without odometry a first track without deskewing gives
+    the velocity, and the scans are tracked again.
+    """
+    odometry_motion = odometry_of(run)
+    odometry = None if odometry_motion is None else odometry_at_scans(run, odometry_motion)
+    scans = scan_points(run, odometry_motion)
     tracked = track(scans, run.stamps, odometry, progress)
-    if motion is not None and odometry is not None and not run.sensor.has_ray_poses:
-        found = identify_ray_times(run, motion, odometry, tracked, settings)
-        if found is not None:
-            run = replace(run, sensor=found.sensor)
+    if len(tracked.key_frames) == 0 or run.sensor.is_composite:
+        return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked)
+    motion = odometry_motion or motion_of_track(run.stamps, tracked)
+    is_given = run.meta.get("ray_times") == "robot.yaml"
+    found = None if is_given else identify_ray_times(run, motion, odometry, tracked, settings)
+    notes: tuple[str, ...] = ()
+    if found is not None:
+        run, notes = replace(run, sensor=found.sensor), (found.line,)
+    if found is not None or (odometry is None and run.sensor.has_ray_delays):
+        scans = scan_points(run, motion)
+        tracked = track(scans, run.stamps, odometry, progress)
+        if odometry is None:  # the velocity of a track that was not deskewed has errors of its own
+            motion = motion_of_track(run.stamps, tracked)
             scans = scan_points(run, motion)
             tracked = track(scans, run.stamps, odometry, progress)
-            return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=(found.line,))
-    return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked)
+    if odometry_motion is not None and odometry is not None and not is_given:
+        lag = scan_lag(run, odometry_motion, tracked)
+        shifted, more = (run, ()) if lag is None else with_stamp_of(run, lag)
+        notes = (*notes, *more)
+        if shifted is not run:
+            run, scans = shifted, scan_points(shifted, motion)
+            tracked = track(scans, run.stamps, odometry, progress)
+    return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
+
+
+def motion_of_track(stamps: Floats, tracked: ScanTrack) -> Motion:
+    """Return the motion of a track (n_scans, 3); its velocity deskews rays where there is no odometry."""
+    return Motion(
+        stamps=stamps, poses=np.column_stack([tracked.poses[:, :2], np.unwrap(tracked.poses[:, 2])])
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayTimes:
-    """A laser hypothesis that the run confirms, and the estimate from the run."""
+    """Ray times that the run shows, and the estimate that supports them."""
 
     name: str
-    """Name of the laser."""
+    """Reason: the laser, or the relation to the ray times of the log."""
     sensor: RangeSensor
+    stated: RangeSensor
+    """The sensor as the log describes it."""
     values: Floats
     """(4,) [s] Estimated sweep time, and delays of ray classes 1 to 3 relative to class 0."""
     standard_errors: Floats
@@ -83,46 +112,63 @@ class RayTimes:
 
     @property
     def line(self) -> str:
-        """One line for the user: the ray times, the laser and the estimate."""
+        """One line for the user: the ray times, their reason and the estimate."""
         sensor, k = self.sensor, self.sensor.interlaced_sweeps
-        way = " clockwise" if sensor.is_clockwise else ""
-        what = f"a scan is one{way} sweep of {1e3 * abs(sensor.sweep_time):.1f} ms"
+        direction = " clockwise" if sensor.is_clockwise else ""
+        what = f"a scan is one{direction} sweep of {1e3 * abs(sensor.sweep_time):.1f} ms"
+        if sensor.sweep_time == 0 and k == 1:
+            what = "all rays of a scan have the time of its stamp"
         if k > 1:
             what = (
-                f"a scan is {k} interlaced{way} sweeps of {1e3 * abs(sensor.sweep_time):.1f} ms, "
+                f"a scan is {k} interlaced{direction} sweeps of {1e3 * abs(sensor.sweep_time):.1f} ms, "
                 f"{1e3 * sensor.sweep_period:+.1f} ms apart"
             )
+        sign = 1.0 if self.stated.has_ray_delays else float(np.sign(self.values[0]))
         both = [
-            f"{1e3 * abs(v):.1f} ± {1e3 * sd:.1f}"
-            for v, sd in zip(self.values, self.standard_errors, strict=True)
+            f"{1e3 * v:.1f} ± {1e3 * sd:.1f}"
+            for v, sd in zip(
+                [sign * self.values[0], *np.abs(self.values[1:])], self.standard_errors, strict=True
+            )
         ]
         shown = f"{both[0]} and {both[1]} ms" if k > 1 else f"{both[0]} ms"
-        return (
-            f"{what}, as in {self.name}; identified from the run, which shows {shown} "
-            "(`sensor.sweep_time` in robot.yaml overrides it)"
+        source = (
+            f"the log states {1e3 * self.stated.sweep_time:.1f} ms from the first to the last ray"
+            if self.stated.has_ray_delays
+            else "identified from the run"
         )
+        return f"{what}, {self.name}; {source}, the run shows {shown} (`sensor.sweep_time` in robot.yaml overrides it)"
 
 
 def hypotheses(sensor: RangeSensor) -> list[tuple[str, RangeSensor]]:
     """Return the name of each candidate laser, and the sensor with its ray times."""
     n = sensor.n_rays
     share = (n / (n - 1) if n > 1 else 1.0) * float(np.ptp(sensor.bearings)) / (2 * np.pi)
+    plain = replace(sensor, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
     out = []
     for name, turn in (*MIRRORS.items(), ("a laser that turns once per scan", 1.0 / sensor.rate)):
-        counts = (1, 2, 4) if name in MIRRORS else (1,)
-        for way in (1.0, -1.0):
-            sweep = replace(sensor, sweep_time=way * share * turn)
-            for k in counts:
-                for order in (1.0, -1.0)[: min(k, 2)]:
-                    out.append(
-                        (
-                            name,
-                            sweep
-                            if k == 1
-                            else replace(sweep, interlaced_sweeps=k, sweep_period=order * turn),
-                        )
-                    )
+        for direction in (1.0, -1.0):
+            sweep = replace(plain, sweep_time=direction * share * turn)
+            out.append((f"as in {name}", sweep))
+            for k in (2, 4) if name in MIRRORS else ():
+                for order in (1.0, -1.0):
+                    interlaced = replace(sweep, interlaced_sweeps=k, sweep_period=order * turn)
+                    out.append((f"as in {name}", interlaced))
     return out
+
+
+def _alternatives(sensor: RangeSensor) -> list[tuple[str, RangeSensor]]:
+    """Return the candidates if the log states ray times: reversed, none, and the lasers."""
+    reverse = replace(sensor, sweep_time=-sensor.sweep_time, sweep_period=-sensor.sweep_period)
+    none = replace(sensor, sweep_time=0.0, sweep_period=0.0, interlaced_sweeps=1, first_ray_delay=0.0)
+    known = [("opposite to the log", reverse), ("unlike in the log", none)]
+    new = [(name, one) for name, one in hypotheses(sensor) if not _is_like(one, reverse)]
+    return [*known, *new]
+
+
+def _is_like(one: RangeSensor, other: RangeSensor) -> bool:
+    """Tell whether two sensors have the same ray times, to 5 % of the longest."""
+    a, b = _values(one), _values(other)
+    return bool(np.abs(a - b).max() <= 0.05 * np.abs(b).max())
 
 
 def _values(sensor: RangeSensor) -> Floats:
@@ -132,51 +178,71 @@ def _values(sensor: RangeSensor) -> Floats:
 
 
 def identify_ray_times(
-    run: Run, motion: Motion, odometry: Floats, tracked: ScanTrack, settings: RayTimeSettings = RAY_TIMES
+    run: Run,
+    motion: Motion,
+    odometry: Floats | None,
+    tracked: ScanTrack,
+    settings: RayTimeSettings = RAY_TIMES,
 ) -> RayTimes | None:
-    """Estimate sweep time and class delays; return the laser that matches them, or None without a match.
+    """Estimate sweep time and class delays; return the ray times that match them, or None to keep those of the log.
 
     Parameters
     ----------
-    motion, odometry : Odometry of the run, and the same at its scans.
-    tracked : Track with all rays of a scan at its stamp.
+    motion : Motion of base_link, from the odometry or the track.
+    odometry : (n_scans, 3) The odometry at the scans; None: unusable.
+    tracked : Track with the ray times of the log.
     """
     pieces = _Pieces.of(run, odometry, tracked, settings)
-    if pieces is None:
+    if pieces is None or CLASSES % run.sensor.interlaced_sweeps:
         return None
-    values, ray = np.zeros(CLASSES), np.arange(run.sensor.n_rays)
-    covariance = np.zeros((CLASSES, CLASSES))
+    values, ray = _values(run.sensor), np.arange(run.sensor.n_rays)
     for step in range(settings.steps):
         delays = values[0] * ray / len(ray) + np.append(0.0, values[1:])[ray % CLASSES]
         change, covariance = pieces.estimate(delays, motion)
         values = values + change
-        if step == 0 and change @ np.linalg.solve(covariance, change) < settings.min_gain:
+        if step == 0 and _distance(_values(run.sensor), values, covariance, settings) < settings.min_gain:
             return None
+        if change @ np.linalg.solve(covariance, change) < settings.settled:
+            break
     return _judge(run.sensor, values, covariance, settings)
+
+
+def _distance(expected: Floats, values: Floats, covariance: Floats, settings: RayTimeSettings) -> float:
+    """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,)."""
+    own = covariance + np.diag((settings.motion_error * np.abs(expected)) ** 2)
+    off = values - expected
+    return float(off @ np.linalg.solve(own, off))
 
 
 def _judge(
     sensor: RangeSensor, values: Floats, covariance: Floats, settings: RayTimeSettings
 ) -> RayTimes | None:
-    """Return the hypothesis that the estimate confirms, if it is the only one.
+    """Return the candidate that the estimate confirms, if it is the only one; None to keep the ray times of the log.
 
-    The confirmed sensor has the mean ray time at the stamp of the scan, so that the poses do not change.
+    Where the log states ray times and no candidate matches, one sweep of the estimated length is used. A sensor without
+    stated ray times gets the mean ray time at the stamp, so that the poses do not change. Otherwise the first measured
+    ray has the time of the stamp.
     """
-
-    def distance(expected: Floats) -> float:
-        own = covariance + np.diag((settings.motion_error * np.abs(expected)) ** 2)
-        off = values - expected
-        return float(off @ np.linalg.solve(own, off))
-
+    is_stated = sensor.has_ray_delays
+    candidates = _alternatives(sensor) if is_stated else hypotheses(sensor)
     judged = sorted(
-        ((distance(_values(one)), name, one) for name, one in hypotheses(sensor)), key=lambda row: row[0]
+        ((_distance(_values(one), values, covariance, settings), name, one) for name, one in candidates),
+        key=lambda row: row[0],
     )
     (best, name, found), second = judged[0], judged[1]
-    without = distance(np.zeros(CLASSES))
-    if best > settings.max_distance or min(without, second[0]) - best < settings.min_gain:
-        return None
-    found = replace(found, first_ray_delay=-float(found.ray_delays.mean()))
-    return RayTimes(name=name, sensor=found, values=values, standard_errors=np.sqrt(np.diag(covariance)))
+    as_logged = _distance(_values(sensor), values, covariance, settings)
+    is_clear = best <= settings.max_distance and min(as_logged, second[0]) - best >= settings.min_gain
+    if not is_clear:
+        one_sweep = np.array([values[0], 0.0, 0.0, 0.0])
+        is_one_sweep = _distance(one_sweep, values, covariance, settings) <= settings.max_distance
+        if not is_stated or not is_one_sweep or as_logged < settings.min_gain:
+            return None
+        plain = replace(sensor, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
+        name, found = "unlike in the log", replace(plain, sweep_time=float(values[0]))
+    at_stamp = found.ray_delays.min() if is_stated else found.ray_delays.mean()
+    found = replace(found, first_ray_delay=found.first_ray_delay - float(at_stamp))
+    errors = np.sqrt(np.diag(covariance))
+    return RayTimes(name=name, sensor=found, stated=sensor, values=values, standard_errors=errors)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,10 +259,19 @@ class _Pieces:
     graph: PoseEdges
 
     @staticmethod
-    def of(run: Run, odometry: Floats, tracked: ScanTrack, settings: RayTimeSettings) -> _Pieces | None:
-        """Choose the pieces with the fastest turns; None if the robot hardly turned."""
-        keys, m = tracked.key_frames, settings.frames
-        rate = np.abs(np.gradient(odometry[:, 2], np.arange(len(odometry))))[keys] * run.sensor.rate
+    def of(
+        run: Run, odometry: Floats | None, tracked: ScanTrack, settings: RayTimeSettings
+    ) -> _Pieces | None:
+        """Choose the pieces with the fastest turns; None if the robot hardly turned.
+
+        In a short log the pieces are shorter, as their number determines the standard errors.
+        """
+        keys = tracked.key_frames
+        m = min(settings.frames, len(keys) // settings.min_pieces)
+        if m < settings.min_frames:
+            return None
+        heading = np.unwrap(tracked.poses[:, 2]) if odometry is None else odometry[:, 2]
+        rate = np.abs(np.gradient(heading, np.arange(len(heading))))[keys] * run.sensor.rate
         starts = [k for k in range(0, len(keys) - m + 1, m) if tracked.piece[k] == tracked.piece[k + m - 1]]
         turning = np.array([(np.minimum(rate[k : k + m], settings.max_rate) ** 2).mean() for k in starts])
         chosen = np.sort(np.argsort(-turning)[: settings.pieces])
@@ -210,6 +285,10 @@ class _Pieces:
         poses[:, 0] += settings.piece_offset * piece
         inner = np.flatnonzero(np.diff(piece) == 0)
         relative = compose(invert(poses[inner]), poses[inner + 1])
+        steps = np.zeros((len(inner), 3))
+        if odometry is not None:
+            at = keys[frames[inner]], keys[frames[inner + 1]]
+            steps = compose(invert(odometry[at[0]]), odometry[at[1]])
         return _Pieces(
             run=replace(
                 run,
@@ -218,11 +297,7 @@ class _Pieces:
             ),
             piece=piece,
             poses=poses,
-            wheels=WheelSteps(
-                first=inner,
-                steps=compose(invert(odometry[keys[frames[inner]]]), odometry[keys[frames[inner + 1]]]),
-                has_odometry=True,
-            ),
+            wheels=WheelSteps(first=inner, steps=steps, has_odometry=odometry is not None),
             graph=PoseEdges(
                 first=inner,
                 second=inner + 1,

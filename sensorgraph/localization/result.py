@@ -49,8 +49,9 @@ class WheelParameters:
     def __str__(self) -> str:
         """Return the parameters in one line."""
         return (
-            f"distance scale {self.way_scale:.4f}, turn scale {self.turn_scale:.4f}, "
-            f"heading bias {np.degrees(self.heading_bias):+.2f} deg/m"
+            f"distance scale {self.way_scale:.4f} ± {self.way_scale_sd:.4f}, "
+            f"turn scale {self.turn_scale:.4f} ± {self.turn_scale_sd:.4f}, "
+            f"heading bias {np.degrees(self.heading_bias):+.2f} ± {np.degrees(self.heading_bias_sd):.2f} deg/m"
         )
 
 

@@ -1,0 +1,107 @@
+"""Estimate by how much scan stamps and odometry stamps differ, from turns that both measure.
+
+With the turns of laser and odometry between neighbouring scans, Δφ_k and Δφ'_k, and the odometry's turn rate ω'_k, the
+model is
+
+    Δφ_k = a Δφ'_k + a d (ω'_{k+1} - ω'_k) + e_k.
+
+The lag d [s] is the time by which the scans must be shifted to match the odometry: positive if a scan was taken later
+than its stamp. Its standard error is cluster-robust over segments of the log (Liang and Zeger 1986).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import Run
+from logs.transforms import wrap
+from sensorgraph.localization.front_end import ScanTrack
+from sensorgraph.localization.settings import SCAN_LAG, ScanLagSettings
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanLag:
+    """Offset of the scan stamps."""
+
+    value: float
+    """[s] A scan was taken this much later than its stamp, by the clock of the odometry."""
+    stderr: float
+    """[s]"""
+
+
+def scan_lag(
+    run: Run, motion: Motion, tracked: ScanTrack, settings: ScanLagSettings = SCAN_LAG
+) -> ScanLag | None:
+    """Return the lag of the scans relative to the odometry; None if the robot did not turn enough.
+
+    Parameters
+    ----------
+    motion : The odometry.
+    tracked : Track of the scans.
+    """
+    s, stamps = settings, run.stamps
+    step = np.diff(stamps)
+    both = tracked.matched[1:] & tracked.matched[:-1] & tracked.is_continuous[1:] & (step > 0)
+    for jump in tracked.jumps:
+        both[max(jump - 1, 0)] = False
+    seen = wrap(np.diff(tracked.poses[:, 2]))
+    odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, s.rate_interval)
+    driven, change = np.diff(odometry), np.diff(rate)
+    both &= step < s.max_steps * np.median(step[step > 0]) if (step > 0).any() else False
+    x, y = np.column_stack([driven, change])[both], seen[both]
+    segment = (np.flatnonzero(both) * s.segments) // max(len(step), 1)
+    if len(y) < s.min_scans or (change[both] ** 2).sum() < s.min_change**2 * len(y):
+        return None
+    weight = np.ones(len(y))
+    inverse: Floats = np.eye(2)
+    beta: Floats = np.zeros(2)
+    for _ in range(s.rounds):
+        inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(2)))
+        beta = inverse @ (x.T @ (weight * y))
+        left = y - x @ beta
+        scale = 1.4826 * float(np.median(np.abs(left))) + 1e-9
+        weight = 1.0 / (1.0 + (left / (s.outlier * scale)) ** 2)
+    scores = np.stack(
+        [(x[segment == k] * (weight * left)[segment == k, None]).sum(axis=0) for k in range(s.segments)]
+    )
+    covariance = inverse @ (scores.T @ scores * s.segments / (s.segments - 1)) @ inverse
+    if not beta[0] > s.min_slope:
+        return None
+    return ScanLag(value=float(beta[1] / beta[0]), stderr=float(np.sqrt(covariance[1, 1]) / beta[0]))
+
+
+def _turn_rate(motion: Motion, stamps: Floats, interval: float) -> Floats:
+    """Return the turn rate (n,) [rad/s] of a motion at times (n,)."""
+    ahead, behind = motion.at(stamps + interval / 2), motion.at(stamps - interval / 2)
+    return np.asarray((ahead[:, 2] - behind[:, 2]) / interval)
+
+
+def with_stamp_of(
+    run: Run, lag: ScanLag, settings: ScanLagSettings = SCAN_LAG
+) -> tuple[Run, tuple[str, ...]]:
+    """Return the run with its stamps at the begin, middle or end of the sweep as the odometry shows, and a note on a lag.
+
+    Drivers stamp a scan at any of the three. Any other lag is reported only, since it may be in either clock.
+    """
+    sensor, delays = run.sensor, run.sensor.ray_delays
+    text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
+    if abs(lag.value) < max(settings.z * lag.stderr, settings.min_lag):
+        return run, ()
+    if sensor.scan_duration > settings.min_lag:
+        first, last = float(delays.min()), float(delays.max())
+        shifts = {"begin": -first, "middle": -float(delays.mean()), "end": -last}
+        where = min(shifts, key=lambda name: abs(shifts[name] - lag.value))
+        tolerance = max(settings.z * lag.stderr, settings.relative_error * (last - first))
+        if abs(shifts[where] - lag.value) < tolerance:
+            shifted = replace(sensor, first_ray_delay=sensor.first_ray_delay + shifts[where])
+            return replace(run, sensor=shifted), (
+                f"scans are stamped at the {where} of the sweep of {1e3 * sensor.scan_duration:.0f} ms: the odometry shows "
+                f"a lag of {text}",
+            )
+    return run, (
+        f"lag of the scans relative to the odometry: {text}; poses are given at the stamps of the scans",
+    )
