@@ -337,7 +337,8 @@ def test_a_name_that_is_no_way_to_log_a_missing_return_is_refused(tmp_path: Path
 
 
 def test_missing_mount_is_said(tmp_path: Path) -> None:
-    assert "no transform base_link -> laser" in read(tmp_path, [scan(0, [1, 2])]).meta["notes"]
+    meta = read(tmp_path, [scan(0, [1, 2])]).meta
+    assert "no transform base_link -> laser" in meta["notes"] and meta["mount"] == "unknown"
 
 
 def test_mcap_that_holds_ros_1_messages_is_read_too(tmp_path: Path) -> None:

@@ -119,6 +119,7 @@ def to_run(
             **({"no_return": scans.no_return} if scans.no_return != "inf" else {}),
             **({"odom_topic": motion.odom_source} if motion.odom_source else {}),
             **({"cmd_topic": cmd_name} if cmd_name else {}),
+            **({} if reading.is_mount_known else {"mount": "unknown"}),
             **({"notes": "; ".join(dict.fromkeys(notes))} if notes else {}),
         },
         attachments=recording.attachments,
@@ -138,6 +139,7 @@ class SensorReading:
     cones: Floats
     rate: float | None = None
     """[Hz] rate of the fastest of several sensors; None for one sensor."""
+    is_mount_known: bool = True
 
 
 def _read_topics(
@@ -236,7 +238,7 @@ def _mounted(
         n_cones = len(parts[0].bearings) if parts[0].cone > 0 else 0
         return SensorReading(
             scans=parts[0], base=bases[0], mount=mounts[0], height=heights[0],
-            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone),
+            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone), is_mount_known=not lost,
         )  # fmt: skip
     if lost:
         raise LogError(f"{source}: {_unknown_mounts_text(parts, titles, lost)}")

@@ -100,8 +100,10 @@ def with_mount_of(run: Run, path: Path | None) -> Run:
     if path is None or run.sensor.is_composite:
         return run
     robot = load_robot(path)
-    is_stated = "sensor.mount" in robot.stated
-    return replace(run, sensor=replace(run.sensor, mount=robot.sensor.mount)) if is_stated else run
+    if "sensor.mount" not in robot.stated:
+        return run
+    meta = {key: value for key, value in run.meta.items() if key != "mount"}
+    return replace(run, sensor=replace(run.sensor, mount=robot.sensor.mount), meta=meta)
 
 
 def check_poses(poses: str | None) -> None:
