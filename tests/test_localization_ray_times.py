@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import seen
+from localization_samples import ROOM, seen
 
 from logs.run import RangeSensor, Run
 from sensorgraph.localization.locate import locate, located_run, summary
 from sensorgraph.localization.ray_times import TrackedRun, track_run
+from sensorgraph.localization.result import Localization
+from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
 
 N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
@@ -158,6 +160,21 @@ def test_scans_without_wheels_are_deskewed_by_the_velocity_of_the_track() -> Non
     assert scatter(found) < 1.1 * scatter(followed(run))
     rigid = replace(alone, sensor=replace(run.sensor, sweep_time=0.0), meta=GIVEN)
     assert scatter(found) < 0.8 * scatter(followed(rigid))
+
+
+def test_a_picture_draws_each_ray_from_where_the_robot_was_at_its_time() -> None:
+    run = stated(run_of(ALONG), SWEEP)
+    truth = Localization(
+        t=run.stamps,
+        poses=path(run.stamps),
+        covariances=np.zeros((run.n_scans, 3, 3)),
+        status=("ok",) * run.n_scans,
+    )
+    drawn = _returns(run, truth, np.arange(1, run.n_scans - 1))
+    a, b = np.array(ROOM)[:, :2], np.array(ROOM)[:, 2:]
+    along = np.clip(((drawn[:, None] - a) * (b - a)).sum(axis=2) / ((b - a) ** 2).sum(axis=1), 0.0, 1.0)
+    off = np.hypot(*np.moveaxis(drawn[:, None] - a - along[..., None] * (b - a), 2, 0)).min(axis=1)
+    assert np.sqrt(np.mean(off**2)) < 1.1 * SIGMA  # 6 cm if all rays of a scan start from one pose
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.motion import Motion
 from logs.run import Run
 from sensorgraph.localization.locate import deviations
 from sensorgraph.localization.result import Localization
@@ -83,16 +84,18 @@ def _draw_track(axes: object, found: Localization) -> None:
 
 
 def _returns(run: Run, found: Localization, shown: np.ndarray) -> Floats:
-    """Return the end points (n, 2) [m] of rays in map, thinned."""
-    n_rays = run.sensor.n_rays
-    scans = shown[:: max(1, len(shown) * n_rays // MOST_POINTS)]
-    rays = laser_rays(run.sensor, run.stamps[scans], None, run.sensor.ray_delays)[0]
+    """Return the end points (n, 2) [m] of rays in map, thinned and deskewed with the located motion."""
+    sensor = found.sensor or run.sensor
+    scans = shown[:: max(1, len(shown) * sensor.n_rays // MOST_POINTS)]
+    track = np.column_stack([found.poses[shown, :2], np.unwrap(found.poses[shown, 2])])
+    motion = Motion(stamps=run.stamps[shown], poses=track)
+    rays = laser_rays(sensor, run.stamps[scans], motion, sensor.ray_delays)
     poses = found.poses[scans]
     cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x0 = poses[:, :1] + cos * rays[:, 0] - sin * rays[:, 1]
-    y0 = poses[:, 1:2] + sin * rays[:, 0] + cos * rays[:, 1]
+    x0 = poses[:, :1] + cos * rays[..., 0] - sin * rays[..., 1]
+    y0 = poses[:, 1:2] + sin * rays[..., 0] + cos * rays[..., 1]
     ranges = np.where(np.isfinite(run.ranges[scans]), run.ranges[scans], np.nan)
-    angle = poses[:, 2:] + rays[:, 2]
+    angle = poses[:, 2:] + rays[..., 2]
     points = np.stack([x0 + ranges * np.cos(angle), y0 + ranges * np.sin(angle)], axis=-1).reshape(-1, 2)
     seen: Floats = points[np.isfinite(points).all(axis=1)]
     return seen
