@@ -30,7 +30,7 @@ class ClockLimits:
     offset: float = 1.0
     """[s] ... and one above this is a difference of clocks, which is corrected."""
     post_dated: float = 3.0
-    """[s] the same for a transform: localizers stamp it with the end of its validity."""
+    """[s] the same for the transform between map and odometry: localizers stamp it with the end of its validity."""
     drift: float = 0.1
     """[s] smallest drift between two clocks over the log that is corrected."""
     significance: float = 5.0
@@ -39,7 +39,7 @@ class ClockLimits:
     """Minimum share of distinct stamps; below it, the header stamps are too coarse and the log times are used."""
     rate: float = 3.0
     """A clock that is faster or slower than the others by this factor has another unit or rate."""
-    unit: float = 0.05
+    unit: float = 0.25
     """Maximum relative deviation of a rate from a power of 1000, which is a unit."""
     most: int = 2000
     """Number of messages of a signal that are compared at most."""
@@ -62,7 +62,8 @@ class Signal:
     logged: Stamps
     """(n,) [ns] log times."""
     has_header: bool = True
-    is_transform: bool = False
+    is_correction: bool = False
+    """Whether it is the transform between map and odometry, which localizers post-date."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,6 +86,8 @@ class _Clock:
     sound: Bools
     """(n,) whether a message has a usable header stamp."""
     notes: list[str] = field(default_factory=list)
+    is_joined: bool = False
+    """Whether the stamps were joined by the log times, so that their offset follows from these alone."""
 
     @property
     def offsets(self) -> Floats:
@@ -205,7 +208,7 @@ def _clock(signal: Signal, limits: ClockLimits) -> _Clock:
             f"{signal.name}: {int(absent.sum())} messages have stamp 0, their log time was used"
         )
     n_sound, n_distinct = int(clock.sound.sum()), len(np.unique(signal.stamps[clock.sound]))
-    is_coarse = n_sound >= limits.few and n_distinct < limits.distinct * n_sound
+    is_coarse = n_distinct < limits.distinct * n_sound and (n_sound >= limits.few or n_distinct == 1)
     if is_coarse and len(np.unique(logged)) > n_distinct / limits.distinct:
         what = "are all equal" if n_distinct == 1 else f"have only {n_distinct} different values"
         clock.notes.append(f"{signal.name}: the {n_sound} header stamps {what}, the log times were used")
@@ -218,8 +221,9 @@ def _rescale(clocks: Sequence[_Clock], limits: ClockLimits) -> None:
     """Rescale the stamps of clocks that run at another rate than most, in place."""
     rates: dict[int, float] = {}
     for clock in clocks:
-        rate = _rate(clock) if clock.sound.sum() >= limits.few else None
-        if rate is not None:
+        rate = _rate(clock)
+        is_unit = rate is not None and _unit(rate, limits) is not None
+        if rate is not None and (is_unit or clock.sound.sum() >= limits.few):
             rates[id(clock)] = rate
     usual = _usual_rate([rate for rate in rates.values() if _unit(rate, limits) is None], limits)
     for clock in clocks:
@@ -245,7 +249,9 @@ def _rescale(clocks: Sequence[_Clock], limits: ClockLimits) -> None:
 def _rate(clock: _Clock) -> float | None:
     """Return the log time per stamp time: the median over ten parts; None if the stamps do not advance."""
     stamps, logged = clock.stamps[clock.sound], clock.signal.logged[clock.sound]
-    ends = np.linspace(0, len(stamps) - 1, 11).astype(np.intp)
+    if len(stamps) < 2:
+        return None
+    ends = np.unique(np.linspace(0, len(stamps) - 1, 11).astype(np.intp))
     passed, by_log = np.diff(stamps[ends]), np.diff(logged[ends])
     ahead = (passed > 0) & (by_log > 0)
     return float(np.median(by_log[ahead] / passed[ahead])) if ahead.any() else None
@@ -283,6 +289,7 @@ def _join_segments(clock: _Clock, limits: ClockLimits) -> None:
     for k in moved:
         clock.stamps[segments[k]] += round(1e9 * (offsets[k] - offsets[main]))
     if moved:
+        clock.is_joined = True
         n_moved = sum(len(segments[k]) for k in moved)
         largest = max((offsets[k] - offsets[main] for k in moved), key=abs)
         clock.notes.append(
@@ -368,8 +375,10 @@ def _convert_log_times(clock: _Clock, reference: _Clock) -> list[str]:
 
 def _align(clock: _Clock, found: _Difference, name: str, limits: ClockLimits) -> list[str]:
     """Convert the stamps of a clock to the reference clock `name`, in place; return the notes."""
-    apart, most = abs(found.offset), limits.post_dated if clock.signal.is_transform else limits.offset
-    how = f"{apart:,.3f} s {'behind' if found.offset > 0 else 'ahead of'} those of {name}"
+    apart, is_ahead = abs(found.offset), found.offset < 0
+    most = limits.post_dated if clock.signal.is_correction and is_ahead else limits.offset
+    most = limits.latency if clock.is_joined else most
+    how = f"{apart:,.3f} s {'ahead of' if is_ahead else 'behind'} those of {name}"
     is_certain = apart > limits.significance * found.scatter
     if (apart > most and is_certain) or found.drift:
         drift = f" and drift by {found.drift:+.2f} s over the log" if found.drift else ""
@@ -378,7 +387,7 @@ def _align(clock: _Clock, found: _Difference, name: str, limits: ClockLimits) ->
         what = f"{how}{drift}, the log times agree to {max(found.scatter, 1e-3):.2g} s: they were used to correct the stamps"
     elif apart > most:
         what = f"{how} according to the log times, which scatter by {found.scatter:.2g} s: they were left as they are"
-    elif apart > limits.latency and not clock.signal.is_transform:
+    elif apart > limits.latency and not clock.signal.is_correction:
         what = (
             f"{how} according to the log times, a latency or a clock offset, which `diagnose` estimates: they were left "
             "as they are"

@@ -11,6 +11,8 @@ ROUTINE = re.compile(
     r"|sensors are read as one|^other scans in the log "
 )
 """Notes that do not change a result: readings without a return in REP-117, and the numbering of rays."""
+ODOMETRY_LEFT_OUT = "the odometry was left out"
+"""End of the note on odometry that the reader does not use."""
 
 
 def notes_of(run: Run) -> list[str]:

@@ -12,6 +12,8 @@ from rosbag_samples import EPOCH, Message, command, odometry, pose, scan, transf
 import logs
 from logs.clocks import Signal, settle
 from logs.notes import assumptions_of
+from sensorgraph.diagnosis.motion.calibration.laser_motion import with_moving_odometry
+from sensorgraph.errors import SensorgraphError
 
 N = 200
 T = 0.1 * np.arange(N)
@@ -114,6 +116,10 @@ def test_offset_without_log_times_that_decide_leaves_the_odometry_out(tmp_path: 
     bag += [odometry(t + 111.7, 0.5 * t, 0, 0) for t in T]
     run = run_of(tmp_path, bag)
     assert len(run.odom_stamps) == len(run.pose_stamps) == 0
+    with pytest.raises(
+        SensorgraphError, match=r"and scans do not overlap in time, .* was left out; the calibration"
+    ):
+        with_moving_odometry(run)
     assert (
         "odometry and scans do not overlap in time, by stamps and by log times: they are 91.8 s apart"
         in run.meta["notes"]
@@ -138,13 +144,21 @@ def test_commands_without_stamps_get_the_clock_of_the_scans(tmp_path: Path) -> N
 
 
 def test_transforms_of_another_clock_are_corrected_and_post_dated_ones_are_not(tmp_path: Path) -> None:
+    """A localizer stamps map -> odom by up to some seconds in the future; odom -> base_link is a measurement."""
     mount = transform(0, "base_link", "laser", 0, 0, 0, static=True)
     scans = [scan(t, [1 + t, 2, 3], range_max=100) for t in T]
-    for k, (early, left) in enumerate(((30.0, 0.0), (-1.0, -1.0))):
+    for k, (early, left) in enumerate(((30.0, 0.0), (-1.5, 0.0), (-0.9, -0.9))):
         moving = [transform(t - early, "odom", "base_link", 0.5 * t, 0, 0, log=t + 0.01) for t in T]
         run = run_of(tmp_path / str(k), [mount, *scans, *moving])
         assert run.meta["odom_topic"] == "/tf odom -> base_link"
         assert np.median(apart(run)) == pytest.approx(left, abs=TOLERANCE)
+    moving = [transform(t, "odom", "base_link", 0.5 * t, 0, 0, log=t + 0.01) for t in T]
+    for k, (early, left) in enumerate(((30.0, 0.0), (-1.5, 1.5))):
+        fix = [transform(t - early, "map", "odom", 0.1 * t, 0, 0, log=t + 0.01) for t in T]
+        run = run_of(tmp_path / f"fix{k}", [mount, *scans, *moving, *fix])
+        assert run.meta["pose_source"] == "/tf map -> base_link"
+        late = np.median((0.6 * run.pose_stamps - run.poses[:, 0]) / 0.1)
+        assert late == pytest.approx(left, abs=TOLERANCE)
 
 
 def test_recorder_whose_clock_was_set_back_keeps_the_order_of_the_file(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def base_of(tree: TransformTree, frame: str, children: Sequence[str]) -> str | N
     """Return the base frame of the robot that carries a sensor.
 
     It is the first of the standard names above the sensor in the tree, or else rigidly connected to it; without such a
-    frame, the frame below the odometry frame.
+    frame, the frame below the odometry frame. If the tree lacks the sensor, it is the first of these frames.
 
     Parameters
     ----------
@@ -103,7 +103,10 @@ def base_of(tree: TransformTree, frame: str, children: Sequence[str]) -> str | N
         chain = tree.path(odom, frame)
         if chain and not any(is_inverse for _, is_inverse in chain):
             return chain[0][0].child
-    return None
+    if any(tree.path(name, frame) for name in tree.frames):
+        return None
+    below = [edge.child for edge in tree.edges.values() if ODOM_FRAME in _last(edge.parent)]
+    return next((name for name in (*names, *below) if name in tree.frames), None)
 
 
 def odom_frames(tree: TransformTree, frame: str) -> list[str]:

@@ -67,7 +67,7 @@ class Edge:
     logged: Stamps
     """(n,) [ns] log times"""
     n_repeated: int = 0
-    """Number of samples that were dropped because a later one has the same stamp."""
+    """Number of samples that were there twice and were dropped."""
 
     @property
     def is_sampled(self) -> bool:
@@ -97,7 +97,7 @@ class TransformTree:
         is_static: bool,
         logged: Stamps | None = None,
     ) -> None:
-        """Add the samples (n,) [ns], (n, 7) of one edge; of several with one stamp, the last counts."""
+        """Add the samples (n,) [ns], (n, 7) of one edge; equal samples with equal stamps count once."""
         logged = stamps if logged is None else logged
         known = self.edges.get((parent, child))
         if known is not None:
@@ -106,8 +106,8 @@ class TransformTree:
             logged = np.concatenate([known.logged, logged])
             is_static = is_static and known.is_static
         order = np.argsort(stamps, kind="stable")
-        is_last = np.append(np.diff(stamps[order]) > 0, True)
-        kept = np.sort(order[is_last])  # in the order of the log
+        is_same = (np.diff(stamps[order]) == 0) & (np.diff(transforms[order], axis=0) == 0).all(axis=1)
+        kept = np.sort(order[np.insert(~is_same, 0, True)])  # in the order of the log
         self.edges[parent, child] = Edge(
             parent, child, stamps[kept], transforms[kept], is_static, logged[kept],
             len(stamps) - len(kept) + (known.n_repeated if known is not None else 0),
@@ -192,7 +192,7 @@ class TransformTree:
         sampled = [edge for edge, _ in chain if edge.is_sampled]
         moving = [edge for edge in sampled if not edge.is_constant]
         fastest = max(moving or sampled, key=lambda edge: len(edge.stamps), default=None)
-        at = np.zeros(1, dtype=np.int64) if fastest is None else np.sort(fastest.stamps)
+        at = np.zeros(1, dtype=np.int64) if fastest is None else np.unique(fastest.stamps)
         for edge in moving:
             at = at[(at >= edge.stamps.min()) & (at <= edge.stamps.max() + HOLD_NS)]
         if len(at) == 0:
@@ -216,6 +216,7 @@ def _sample(edge: Edge, at: Stamps) -> Floats:
     if edge.is_constant:
         return to_matrices(edge.transforms[-1:])
     order = np.argsort(edge.stamps, kind="stable")
+    order = order[np.append(np.diff(edge.stamps[order]) > 0, True)]  # of several with one stamp, the last
     stamps, transforms = edge.stamps[order], edge.transforms[order]
     when, since = (at - stamps[0]).astype(np.float64), (stamps - stamps[0]).astype(np.float64)
     planar = interpolate(when, since, to_planar(transforms))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.notes import ODOMETRY_LEFT_OUT, notes_of
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
@@ -114,7 +115,8 @@ def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
     run, notes = with_checked_odometry(run)
     motion = odometry_of(run)
     if motion is None:
-        why = notes[0] if notes else "the run has no odometry that moves"
+        reasons = (*notes, *(note for note in notes_of(run) if note.endswith(ODOMETRY_LEFT_OUT)))
+        why = reasons[0] if reasons else "the run has no odometry that moves"
         raise SensorgraphError(f"{why}; the calibration of wheels and mount needs a drive with odometry")
     return run, odometry_at_scans(run, motion)
 
