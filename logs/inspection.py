@@ -11,7 +11,7 @@ import numpy as np
 
 from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
-from logs.formats import FORMATS, format_of, mcap_file, rosbag
+from logs.formats import FORMATS, check_slice, format_of, mcap_file, rosbag
 from logs.intensities import intensity_line
 from logs.no_return import check_no_return
 from logs.ros import cdr
@@ -135,6 +135,7 @@ def inspect(
     *,
     no_return: str | None = None,
     mounts: Mounts | None = None,
+    slice: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
     """Inspect a file, also one that cannot be read as a run.
@@ -148,15 +149,16 @@ def inspect(
     check_roles(topics)
     check_no_return(no_return)
     kind = format_of(path)
+    check_slice(path, kind, slice)
     recording: Recording | None = None
     run: Run | None = None
     missing: list[str] = []
     if kind in LOADERS:
         recording = LOADERS[kind](path, progress)
         try:
-            run = to_run(recording, path.name, topics, no_return, mounts)
+            run = to_run(recording, path.name, topics, no_return, mounts, heights=slice)
         except LogError as exc:
-            if topics:
+            if topics or slice is not None:
                 raise
             missing.append(str(exc))
     else:

@@ -10,6 +10,7 @@ import mmap
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,6 +19,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats import format_of, read
 from logs.formats.collecting import damage_text, type_of
+from logs.formats.mcap_file import messages
 from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import MessageSink, RecordWalk
 from logs.no_return import check_no_return
@@ -35,6 +37,7 @@ from logs.ros.recording import (
     Topic,
     check_roles,
     choose,
+    choose_scans,
 )
 from logs.ros.stamps import StampCensus, can_be_read_in_pieces, starts_with_header
 from logs.run import Run
@@ -99,9 +102,12 @@ def open_log(
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
     mounts: Mounts | None = None,
+    slice: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> McapStream | WholeRun:
     """Open a log and validate the whole file first, so that a damaged file is rejected at once.
+
+    The options are those of `read`.
 
     Raises
     ------
@@ -111,12 +117,18 @@ def open_log(
     path = Path(path)
     check_roles(topics)
     check_no_return(no_return)
-    if format_of(path) == "mcap" and path.stat().st_size > 0:
+    if slice is None and format_of(path) == "mcap" and path.stat().st_size > 0:
         stream = McapStream.open(path, topics, progress, no_return, mounts)
-        sensor = stream.head.sensor
-        if stream.is_plain and not sensor.is_composite and not sensor.cones.any():
+        sensor = None if stream is None else stream.head.sensor
+        if (
+            stream is not None
+            and stream.is_plain
+            and sensor
+            and not (sensor.is_composite or sensor.cones.any())
+        ):
             return stream
-    return WholeRun(head=read(path, topics=topics, no_return=no_return, mounts=mounts, progress=progress))
+    run = read(path, topics=topics, no_return=no_return, mounts=mounts, slice=slice, progress=progress)
+    return WholeRun(head=run)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,18 +157,26 @@ class McapStream:
         progress: Progress | None,
         no_return: str | None = None,
         mounts: Mounts | None = None,
-    ) -> McapStream:
-        """Validate every record, count the scans, and assign roles to topics from the first messages."""
+    ) -> McapStream | None:
+        """Validate every record, count the scans, and assign roles to topics from the first messages.
+
+        None: the scans are not those of a laser in LaserScan messages, so that the log is read as a whole.
+        """
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
         shapes: dict[int, ShapeCensus] = {}
         times: dict[int, StampCensus] = {}
+        unused: set[int] = set()
 
         def keep(
             contents: Contents, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes
         ) -> None:
             counts[channel] = counts.get(channel, 0) + 1
             is_new = counts[channel] == 1 and channel in contents.channels
+            if is_new and type_of(contents, channel) not in KEPT_TYPES:
+                unused.add(channel)
+            if channel in unused:  # the first messages of a point cloud would fill the memory
+                return
             if is_new and type_of(contents, channel) == SCAN_TYPE:
                 shapes[channel] = ShapeCensus()
             if is_new and (census := _stamp_census(contents, channel)) is not None:
@@ -187,6 +207,11 @@ class McapStream:
         is_plain = own_record.is_own(recording, topics) or can_be_read_in_pieces({
             contents.channels[key].topic: found for key, found in times.items()
         })  # fmt: skip
+        is_own = own_record.is_own(recording, topics)
+        recording.again = partial(messages, path)
+        sources = [] if is_own else choose_scans(recording, path.name, topics)
+        if any(recording.topics[each.topic].type != SCAN_TYPE for each in sources):
+            return None
         head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):
             no_return = head.meta.get("no_return", "inf")

@@ -64,6 +64,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
     robot: RobotLike | None = None,
+    slice: tuple[float, float] | None = None,
 ) -> Run:
     """Read a run: MCAP, a rosbag2 folder, a ROS 1 bag, a CARMEN log or a CSV table.
 
@@ -72,13 +73,14 @@ def read(
     topics : Role (`scan`, `pose`, `odom`, `cmd`) -> topic, if the log has other names.
     no_return : Value of a missing return: `range_max`, `zero`, `inf` or `nan`. None: detected from its frequency.
     robot : Robot with the mounts of its `sensors`, for logs without transforms.
+    slice : [m] Lowest and highest point of a PointCloud2 that is read as a laser. None: its ring nearest the horizontal.
 
     Raises
     ------
     SensorgraphError : The file is not a log, or is damaged.
     """
-    mounts = None if robot is None else _robot(robot).mounts
-    return logs.read(path, topics=topics, no_return=no_return, mounts=mounts)
+    mounts = {} if robot is None else _robot(robot).mounts
+    return logs.read(path, topics=topics, no_return=no_return, mounts=mounts, slice=slice)
 
 
 @as_sensorgraph_error
@@ -110,12 +112,10 @@ def record(
     if walls is None:
         raise SensorgraphError("a trajectory has no arena; give the arena to drive in")
     machine = (plan_robot or load_robot()) if robot is None else _robot(robot)
-    amendments = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
+    known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     check_start(start_of(commands), walls, machine)
     file = None if path is None else Path(path)
-    return record_drive(
-        file, walls, machine, commands, effects=amendments, seed=seed, attachments=attachments
-    )
+    return record_drive(file, walls, machine, commands, effects=known, seed=seed, attachments=attachments)
 
 
 @as_sensorgraph_error

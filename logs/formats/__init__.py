@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,8 +23,8 @@ class Format(NamedTuple):
 
     matches: Callable[[Path, bytes], bool]
     """Return whether a file has this format, from its path and its first bytes (decompressed, if gzip)."""
-    read: Callable[[Path, Mapping[str, str] | None, Progress | None, str | None, Mounts | None], Run]
-    """Read (path, topics, progress, no_return, mounts)."""
+    read: Callable[..., Run]
+    """Read (path, topics, progress, no_return, mounts); formats with point clouds also take `heights`."""
 
 
 FORMATS: dict[str, Format] = {
@@ -43,6 +43,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
     mounts: Mounts | None = None,
+    slice: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Read a run from a file; the format is detected from its content.
@@ -53,6 +54,8 @@ def read(
     no_return : Encoding of a missing return: `range_max` (exactly that range), `zero`, `inf` or `nan`.
         None: Detected from the frequency of readings, and reported in the notes.
     mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
+    slice : [m] Lowest and highest point of a PointCloud2 that is read as a laser, above base_footprint or base_link.
+        None: The ring nearest the horizontal.
 
     Raises
     ------
@@ -63,8 +66,23 @@ def read(
     """
     path = Path(path)
     check_no_return(no_return)
+    kind = format_of(path)
+    check_slice(path, kind, slice)
+    options = {} if slice is None else {"heights": slice}
     with np.errstate(all="ignore"):  # overflow gives inf or nan, which are dropped and counted
-        return FORMATS[format_of(path)].read(path, topics, progress, no_return, mounts)
+        return FORMATS[kind].read(path, topics, progress, no_return, mounts, **options)
+
+
+def check_slice(path: Path, kind: str, slice: Sequence[float] | None) -> None:
+    """Reject heights that are not two numbers in order, and those for a format without point clouds."""
+    if slice is None:
+        return
+    if len(slice) != 2 or not np.isfinite(slice).all() or not slice[0] < slice[1]:
+        raise LogError(
+            f"`slice` is {slice}, expected two heights in metres, the lower first, such as 0.1, 0.5"
+        )
+    if kind not in ("mcap", "rosbag"):
+        raise LogError(f"`slice` selects heights of a PointCloud2, but {path} is a {kind} log; leave it out")
 
 
 def format_of(path: Path) -> str:

@@ -23,8 +23,10 @@ ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
 """Environment variable; 1 allows files outside the folder of a bag or a map."""
 MAX_NAME = 1000
 """[characters] maximum length of a file name; the rest is ignored."""
-HEAD_SIZE = 4096
+HEAD_SIZE = 64
 """[bytes] of a file that determine its storage."""
+PACKED_HEAD_SIZE = 1 << 18
+"""[bytes] of a compressed file that yield them: zstd compresses blocks of 128 KiB."""
 
 
 class Store(NamedTuple):
@@ -64,8 +66,8 @@ def storage_of(file: Path) -> str | None:
     """Return the storage of a file from its first bytes, also of a compressed one; None: it is no part of a bag."""
     with file.open("rb") as stream:
         head = stream.read(HEAD_SIZE)
-    if head.startswith(ZSTD_MAGIC):
-        head = unpack_start(head, HEAD_SIZE)
+        if head.startswith(ZSTD_MAGIC):
+            head = unpack_start(head + stream.read(PACKED_HEAD_SIZE), HEAD_SIZE)
     return next((name for name, magics in _MAGICS.items() if head.startswith(magics)), None)
 
 

@@ -286,6 +286,7 @@ def read(
     progress: Progress | None = None,
     no_return: str | None = None,
     mounts: Mounts | None = None,
+    heights: tuple[float, float] | None = None,
 ) -> Run:
     """Read a run from MCAP; a damaged file is rejected and not read partially.
 
@@ -294,7 +295,7 @@ def read(
     LogError
         If a checksum fails, the file is truncated, or it holds no scans.
     """
-    return to_run(load(path, progress), path.name, topics, no_return, mounts)
+    return to_run(load(path, progress), path.name, topics, no_return, mounts, heights=heights)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

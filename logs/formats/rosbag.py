@@ -33,6 +33,7 @@ def read(
     progress: Progress | None = None,
     no_return: str | None = None,
     mounts: Mounts | None = None,
+    heights: tuple[float, float] | None = None,
 ) -> Run:
     """Read a run from a bag.
 
@@ -41,7 +42,7 @@ def read(
     LogError
         If the bag is damaged, incomplete, in an unknown storage format, or without scans.
     """
-    return to_run(load(path, progress), path.name, topics, no_return, mounts)
+    return to_run(load(path, progress), path.name, topics, no_return, mounts, heights=heights)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

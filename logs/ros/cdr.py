@@ -31,6 +31,7 @@ MESSAGE_FIELDS: dict[str, Fields] = {
     ),
     "sensor_msgs/msg/Range": (*HEADER_FIELDS, ("radiation_type", "u1"), ("limits", "f4:4")),
     "geometry_msgs/msg/PoseStamped": (*HEADER_FIELDS, ("pose", "f8:7")),
+    "geometry_msgs/msg/TransformStamped": (*HEADER_FIELDS, ("child_frame_id", "str"), ("pose", "f8:7")),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (
         *HEADER_FIELDS,
         ("pose", "f8:7"),
@@ -60,6 +61,19 @@ MESSAGE_FIELDS: dict[str, Fields] = {
 """Type -> fields in order: `f8` is one number, `f8:7` seven, `f4[]` a length-prefixed array, `str` a text.
 
 A nested tuple is a length-prefixed sequence of such fields."""
+
+FIRST_FIELDS: dict[str, Fields] = {
+    "sensor_msgs/msg/MultiEchoLaserScan": (*HEADER_FIELDS, ("limits", "f4:7")),
+    "sensor_msgs/msg/PointCloud2": (
+        *HEADER_FIELDS,
+        ("size", "u4:2"),
+        ("fields", (("name", "str"), ("offset", "u4"), ("datatype", "u1"), ("count", "u4"))),
+        ("is_bigendian", "u1"),
+        ("steps", "u4:2"),
+        ("data", "u1[]"),
+    ),
+}
+"""Types of which `unpack` reads only the first fields."""
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
 _U4 = struct.Struct("<I")
@@ -190,11 +204,16 @@ class Messages:
             at[size] += size
 
 
+def fields_of(msgtype: str) -> Fields:
+    """Return the fields of a type that `unpack` reads."""
+    return MESSAGE_FIELDS.get(msgtype) or FIRST_FIELDS[msgtype]
+
+
 def unpack(
     messages: Messages | Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
 ) -> Iterator[MessageColumns]:
     """Yield columns of `messages`, one block per layout; the encoding is `cdr` or `ros1`."""
-    spec = MESSAGE_FIELDS[msgtype]
+    spec = fields_of(msgtype)
     packed = messages if isinstance(messages, Messages) else Messages(messages)
     for index, rows in packed.by_size():
         if rows.shape[1] < 4:

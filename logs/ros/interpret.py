@@ -11,6 +11,7 @@ from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.composite import combine
+from logs.ros.laser_messages import as_laser_scans
 from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
 from logs.ros.poses import (
     BASE_FRAMES,
@@ -55,6 +56,7 @@ def to_run(
     mounts: Mounts | None = None,
     census: Mapping[str, ShapeCensus] | None = None,
     whole: Mapping[str, str] | None = None,
+    heights: tuple[float, float] | None = None,
 ) -> Run:
     """Interpret a recording as a run.
 
@@ -65,6 +67,7 @@ def to_run(
     mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
     census : Topic -> number of scans of each shape in the whole log, if the recording holds only some messages of it.
     whole : Meta of the run of the whole log, if the recording is a piece of it.
+    heights : [m] lowest and highest point of a point cloud that is read as a laser. None: its ring nearest the horizontal.
 
     Raises
     ------
@@ -72,9 +75,10 @@ def to_run(
         If the recording has no scans, several lasers are possible and none is selected, or a selected topic is absent.
     """
     check_roles(topics)
-    if own_record.is_own(recording, topics):
+    if own_record.is_own(recording, topics) and heights is None:
         return _odometry_as_poses(own_record.to_run(recording, source, no_return))
-    sources = choose_scans(recording, source, topics)
+    sources = choose_scans(recording, source, topics, prefer_clouds=heights is not None)
+    recording = as_laser_scans(recording, sources, heights)
     near = sources[0].topic
     odom_name, cmd_name, pose_name = (
         choose(recording, role, topics, near) for role in ("odom", "cmd", "pose")
@@ -187,7 +191,7 @@ def _unused_text(
     others = [
         (f"{name}@{frame}", n_scans) for name, frame, n_scans in unused
     ] + [
-        (name, len(recording.topics[name].payloads))
+        (name, recording.topics[name].n_messages)
         for name in recording.of_type(ROLES["scan"][1]) if name not in read
     ]  # fmt: skip
     if not others:

@@ -21,9 +21,14 @@ SCAN_TYPE, RANGE_TYPE, TF_TYPE = (
     "sensor_msgs/msg/Range",
     "tf2_msgs/msg/TFMessage",
 )
-POSE_TYPE, POSE_COVARIANCE_TYPE = (
+MULTI_ECHO_TYPE, CLOUD_TYPE = (
+    "sensor_msgs/msg/MultiEchoLaserScan",
+    "sensor_msgs/msg/PointCloud2",
+)
+POSE_TYPE, POSE_COVARIANCE_TYPE, TRANSFORM_TYPE = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
 )
 ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE = (
     "nav_msgs/msg/Odometry",
@@ -33,20 +38,22 @@ ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE = (
 KEPT_TYPES = frozenset(
     {
         SCAN_TYPE,
+        MULTI_ECHO_TYPE,
         RANGE_TYPE,
         TF_TYPE,
         POSE_TYPE,
         POSE_COVARIANCE_TYPE,
+        TRANSFORM_TYPE,
         ODOMETRY_TYPE,
         TWIST_TYPE,
         TWIST_STAMPED_TYPE,
     }
 )
-"""Types whose messages are kept in memory; messages of other types are only counted."""
+"""Types whose messages are kept in memory; messages of other types are only counted, and may be read again."""
 ENCODINGS = ("cdr", "ros1")
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "scan": ("/scan", (SCAN_TYPE, RANGE_TYPE)),
-    "pose": ("/pose", (POSE_TYPE, POSE_COVARIANCE_TYPE, ODOMETRY_TYPE)),
+    "scan": ("/scan", (SCAN_TYPE, MULTI_ECHO_TYPE, RANGE_TYPE, CLOUD_TYPE)),
+    "pose": ("/pose", (POSE_TYPE, POSE_COVARIANCE_TYPE, TRANSFORM_TYPE, ODOMETRY_TYPE)),
     "odom": ("/odom", (ODOMETRY_TYPE,)),
     "cmd": ("/cmd_vel", (TWIST_STAMPED_TYPE, TWIST_TYPE)),
 }
@@ -89,7 +96,12 @@ class Recording:
     def of_type(self, types: Iterable[str]) -> list[str]:
         """Return the names of topics with messages of these types."""
         types = set(types)
-        return [t.name for t in self.topics.values() if t.type in types and t.payloads]
+        return [
+            t.name
+            for t in self.topics.values()
+            if t.type in types
+            and (t.payloads or (t.type == CLOUD_TYPE and t.n_messages > 0 and self.again is not None))
+        ]
 
 
 @dataclass
@@ -148,7 +160,7 @@ def candidates(recording: Recording, role: str) -> list[str]:
     """Return the topics that may have a role unless others are selected."""
     if role != "pose":
         return recording.of_type(ROLES[role][1])
-    names = recording.of_type((POSE_TYPE, POSE_COVARIANCE_TYPE))
+    names = recording.of_type((POSE_TYPE, POSE_COVARIANCE_TYPE, TRANSFORM_TYPE))
     # a goal and an initial guess are poses too, but not of the robot over time
     return [name for name in names if "goal" not in name and "initial" not in name]
 
@@ -174,8 +186,10 @@ class ScanSource(NamedTuple):
         return f"{self.topic}@{self.frame}" if self.frame else self.topic
 
 
-def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | None) -> list[ScanSource]:
-    """Return the topics of the scans: those selected, otherwise the only laser, otherwise every Range.
+def choose_scans(
+    recording: Recording, source: str, topics: Mapping[str, str] | None, *, prefer_clouds: bool = False
+) -> list[ScanSource]:
+    """Return the topics of the scans: those selected, or the only laser, or every Range, or the only point cloud.
 
     Several topics are selected with commas or a pattern, one frame with an at sign: `scan=/front,/rear`,
     `scan=/sonar/*`, `scan=/scan@front_laser`.
@@ -200,17 +214,23 @@ def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | 
             sources = [ScanSource(name, frame.strip("/")) for name in mine]
             found += [each for each in sources if each not in found]
         return found
-    lasers = recording.of_type((SCAN_TYPE,))
+    clouds = recording.of_type((CLOUD_TYPE,))
+    lasers = recording.of_type((SCAN_TYPE, MULTI_ECHO_TYPE))
+    if clouds and (prefer_clouds or there == clouds):
+        lasers = clouds
     if ROLES["scan"][0] in lasers or len(lasers) == 1:
         return [ScanSource(ROLES["scan"][0] if ROLES["scan"][0] in lasers else lasers[0])]
     if lasers:
         raise LogError(
-            f"{source} has {len(lasers)} scan topics; select one with {choices(recording, 'scan')}, or combine several "
-            f"into one sensor: `topics` scan={','.join(lasers)}"
+            f"{source} has {len(lasers)} scan topics; select one with "
+            f"{', '.join(f'`topics` scan={name}' for name in lasers)}, or combine several into one sensor: "
+            f"`topics` scan={','.join(lasers)}"
         )
     if not there:
-        raise LogError(f"{source} has no Range and no LaserScan; it has {listing(recording) or 'no topics'}")
-    return [ScanSource(name) for name in there]
+        raise LogError(
+            f"{source} has no PointCloud2, no Range and no LaserScan; it has {listing(recording) or 'no topics'}"
+        )
+    return [ScanSource(name) for name in there if name not in clouds]
 
 
 def choices(recording: Recording, role: str) -> str:

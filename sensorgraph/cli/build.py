@@ -27,6 +27,7 @@ from sensorgraph.cli.options import (
     Force,
     NoReturn,
     PosesFrom,
+    Slice,
     Topics,
 )
 from sensorgraph.cli.progress import progress
@@ -59,6 +60,7 @@ def build(
     no_return: NoReturn = None,
     force: Force = False,
     poses: PosesFrom = None,
+    heights: Slice = None,
 ) -> None:
     """Build a sensorgraph from runs: equations that predict every ray at each (x, y, phi).
 
@@ -79,7 +81,14 @@ def build(
     from logs import parse_topics
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, mounts_of, print_ray_order
+    from sensorgraph.cli.inputs import (
+        check_output,
+        check_poses,
+        check_runs,
+        mounts_of,
+        parse_slice,
+        print_ray_order,
+    )
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
@@ -96,6 +105,7 @@ def build(
         "topics": parse_topics(topic or []),
         "no_return": no_return,
         "mounts": mounts_of(robot),
+        **parse_slice(heights),
     }
     loaded = [_open(path, robot, poses, place, reading, is_alone=len(runs) == 1) for path in runs]
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)

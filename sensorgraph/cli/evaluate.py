@@ -20,6 +20,7 @@ from sensorgraph.cli.options import (
     NoReturn,
     PosesFrom,
     RunRobot,
+    Slice,
     Topics,
 )
 from sensorgraph.cli.progress import progress, reading_bar
@@ -62,6 +63,7 @@ def evaluate(
     force: Force = False,
     robot: RunRobot = None,
     poses: PosesFrom = None,
+    heights: Slice = None,
 ) -> None:
     """Compare the predictions of a sensorgraph with the ranges measured in a run.
 
@@ -82,6 +84,7 @@ def evaluate(
         check_output,
         check_poses,
         mounts_of,
+        parse_slice,
         print_log_notes,
         print_ray_order,
         with_poses_of_graph,
@@ -105,6 +108,7 @@ def evaluate(
             "topics": parse_topics(topic or []),
             "no_return": no_return,
             "mounts": mounts_of(robot),
+            **parse_slice(heights),
         }
         log = read(run, **reading, progress=tick)
     log = with_poses_of_graph(with_robot(log, str(run), robot), run, poses, model, str(graph), reading)

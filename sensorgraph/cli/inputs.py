@@ -72,6 +72,17 @@ def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
     return {} if robot is None else load_robot(robot).mounts
 
 
+def parse_slice(text: str | None) -> dict[str, tuple[float, float]]:
+    """Return the option of `read` for Z0,Z1 of --slice; empty if it is not given."""
+    if text is None:
+        return {}
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise SensorgraphError(f"--slice is {text!r}, expected Z0,Z1 in metres such as 0.1,0.5") from None
+    return {"slice": (low, high)}
+
+
 def with_robot(run: Run, name: str, path: Path | None) -> Run:
     """Return a run with the sweep time of a robot file, which must describe the recording sensor; without a file, the run."""
     from sensorgraph.world.ray_order import bearings_text, ray_order

@@ -15,6 +15,7 @@ from sensorgraph.cli.options import (
     InspectTopic,
     NoReturn,
     RunRobot,
+    Slice,
 )
 
 
@@ -25,6 +26,7 @@ def inspect(
     json: InspectJson = None,
     no_return: NoReturn = None,
     robot: RunRobot = None,
+    heights: Slice = None,
 ) -> None:
     """Show the topics, rates and frames of a log, missing signals and suspicious values; or describe a map.
 
@@ -47,7 +49,7 @@ def inspect(
     from logs import parse_topics
     from logs.inspection import inspect as look
     from planners.maps import MAPS
-    from sensorgraph.cli.inputs import check_output, mounts_of, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, parse_slice, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_in
@@ -65,7 +67,12 @@ def inspect(
         return
     with progress("reading") as tick:
         found = look(
-            file, parse_topics(topic or []), no_return=no_return, mounts=mounts_of(robot), progress=tick
+            file,
+            parse_topics(topic or []),
+            no_return=no_return,
+            mounts=mounts_of(robot),
+            progress=tick,
+            **parse_slice(heights),
         )
     lines: list[str] = []
     oriented = None

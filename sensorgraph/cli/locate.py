@@ -16,6 +16,7 @@ from sensorgraph.cli.options import (
     LocateRun,
     NoReturn,
     RunRobot,
+    Slice,
     Topics,
 )
 
@@ -35,6 +36,7 @@ def locate(
     topic: Topics = None,
     no_return: NoReturn = None,
     robot: RunRobot = None,
+    heights: Slice = None,
 ) -> None:
     """Estimate the pose of each scan from scans and wheel odometry, in a known place or in a new map.
 
@@ -56,6 +58,7 @@ def locate(
     from sensorgraph.cli.inputs import (
         check_output,
         mounts_of,
+        parse_slice,
         print_log_notes,
         with_mount_of,
         with_robot,
@@ -79,7 +82,14 @@ def locate(
     place = None if arena is None else _place(arena)
     with reading_bar() as tick:
         names = parse_topics(topic or [])
-        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
+        log = read(
+            run,
+            topics=names,
+            no_return=no_return,
+            mounts=mounts_of(robot),
+            progress=tick,
+            **parse_slice(heights),
+        )
     log = with_mount_of(with_robot(log, str(run), robot), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
     placed = None if out is None else located_run(log, found)  # before any output: it may raise

@@ -26,6 +26,7 @@ FLAGS = {
     "ray": "--ray",
     "robot": "--robot",
     "router": "--router",
+    "slice": "--slice",
     "start": "--start",
     "topics": "--topic",
     "update": "--update",

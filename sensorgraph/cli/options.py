@@ -39,6 +39,16 @@ NoReturn = Annotated[
     ),
 ]
 
+Slice = Annotated[
+    str | None,
+    typer.Option(
+        "--slice",
+        metavar="Z0,Z1",
+        help="Read a point cloud as a laser: its points from Z0 to Z1 (m) above base_footprint, or else base_link. "
+        "Default: the ring nearest the horizontal.",
+    ),
+]
+
 PosesFrom = Annotated[
     str | None,
     typer.Option(

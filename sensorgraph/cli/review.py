@@ -21,6 +21,7 @@ from sensorgraph.cli.options import (
     ReviewServe,
     ReviewShow,
     RunRobot,
+    Slice,
     TopicsByExample,
 )
 
@@ -40,6 +41,7 @@ def review(
     force: Force = False,
     robot: RunRobot = None,
     poses: PosesFrom = None,
+    heights: Slice = None,
 ) -> None:
     """Show a run, and the errors of a sensorgraph on it by place, heading and ray, as a rerun file.
 
@@ -56,6 +58,7 @@ def review(
         check_output,
         check_poses,
         mounts_of,
+        parse_slice,
         print_log_notes,
         with_poses,
         with_poses_of_graph,
@@ -75,7 +78,8 @@ def review(
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with reading_bar() as tick:
         reading: dict[str, Any] = {
-            "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)
+            "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot),
+            **parse_slice(heights),
         }  # fmt: skip
         log = read(run, **reading, progress=tick)
     log = with_robot(log, run.name, robot)

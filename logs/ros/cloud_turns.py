@@ -1,0 +1,264 @@
+"""Sort the points of a rotating laser into turns, and measure each turn at bearings of a fixed step.
+
+A rotating laser measures a point at bearing b at the time t = t_0 + T q / (2 pi), where q is the angle from the cut to b
+in the direction of rotation, and T is the period. The clouds of many drivers do not start at the same bearing, so points
+are sorted into turns from cut to cut by the times t_0 + n T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.resampling import STEEPEST
+from logs.ros.cloud_points import SETTINGS, Cloud, Plane, Points
+from logs.transforms import wrap
+from logs.types import Floats
+
+TURN = 2 * np.pi
+TIME_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
+"""[s] units of the times of points."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The bearings of the scans and the rotation."""
+
+    n: int
+    """Number of steps in a full turn."""
+    cut: float
+    """[rad] bearing at which a turn starts."""
+    sign: int
+    """1: counter-clockwise, -1: clockwise."""
+    period: float
+    """[s] of a turn; 0: all points of a cloud have one time."""
+    unit: float
+    """[s] unit of the times of points; 0: without times."""
+
+    @property
+    def step(self) -> float:
+        """[rad] between two bearings."""
+        return TURN / self.n
+
+    def angles(self, points: Points) -> Floats:
+        """Return the angles (n,) [rad] from the cut, in the direction of rotation."""
+        return np.asarray((self.sign * (points.bearings - self.cut)) % TURN)
+
+
+@dataclass
+class _Turn:
+    """The points of one turn, perhaps from two clouds."""
+
+    start: int
+    """[ns] time of the cut."""
+    logged: int
+    """[ns] log time of the first cloud."""
+    angles: list[Floats] = field(default_factory=list)
+    ranges: list[Floats] = field(default_factory=list)
+    intensities: list[Floats] = field(default_factory=list)
+    seen: list[tuple[float, float]] = field(default_factory=list)
+    """[rad] intervals of angles that were measured."""
+
+
+def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
+    """Determine the step of the bearings and the rotation from the first clouds."""
+    chosen = [plane.select(cloud.points) for cloud in clouds]
+    full = [one for one in (_fullest_ring(points) for points in chosen) if len(one.xyz) > 2]
+    steps = np.concatenate([np.diff(np.sort(one.bearings)) for one in full] or [np.zeros(0)])
+    is_ring = any(one.ring is not None for one in full) or plane.heights is None
+    steps = steps[steps > 1e-6]
+    step = float(np.median(steps)) if is_ring and len(steps) else SETTINGS.step
+    n = round(TURN / max(step, SETTINGS.finest))
+    unit = _unit(clouds, chosen)
+    found = [rotation for one in full if unit and (rotation := _rotation(one, unit)) is not None]
+    phase = np.exp(1j * n * np.concatenate([one.bearings for one in full] or [np.zeros(1)])).mean()
+    centre = float(np.angle(phase)) / n  # so that points lie in the middle of a step
+    if len(found) <= len(full) / 2 or not found:
+        return Grid(n, _aligned(_start(chosen, n), centre, n), 1, 0.0, unit)
+    slope = float(np.median(found))
+    sign, period = (1 if slope > 0 else -1), TURN / abs(slope)
+    begins = [
+        one.bearings[np.argmin(one.times)]
+        for one in (cloud.points for cloud in clouds)
+        if one.times is not None and len(one.times)
+    ]
+    mean = np.exp(1j * np.array(begins)).mean()
+    cut = float(np.angle(mean)) - sign * 0.5 * TURN / n if abs(mean) > SETTINGS.linear else np.pi
+    return Grid(n, _aligned(cut, centre, n), sign, period, unit)
+
+
+def _aligned(cut: float, centre: float, n: int) -> float:
+    """Return the bearing [rad] nearest to `cut` that lies half a step beside the centre of a step of n in a turn."""
+    border = centre + 0.5 * TURN / n
+    return border + TURN / n * round((cut - border) * n / TURN)
+
+
+def _fullest_ring(points: Points) -> Points:
+    """Return the points of the ring with the most points; all if the rings are unknown."""
+    if points.ring is None or not len(points.ring):
+        return points
+    number, counts = np.unique(points.ring, return_counts=True)
+    return points.take(points.ring == number[np.argmax(counts)])
+
+
+def _unit(clouds: Sequence[Cloud], chosen: Sequence[Points]) -> float:
+    """Return the unit [s] in which the times of a cloud span about the time between clouds; 0 without times."""
+    spans = [
+        float(np.ptp(points.times)) for points in chosen if points.times is not None and len(points.times)
+    ]
+    steps = np.diff([cloud.stamp for cloud in clouds]) / 1e9
+    if not spans or not np.median(spans) > 0:
+        return 0.0
+    period = float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 0.1
+    return min(TIME_UNITS, key=lambda unit: abs(np.log(np.median(spans) * unit / period)))
+
+
+def _rotation(points: Points, unit: float) -> float | None:
+    """Return the turn rate [rad/s] of a ring, positive counter-clockwise; None if times do not follow the bearings."""
+    if points.times is None or len(points.xyz) < 40:
+        return None
+    order = np.argsort(points.times, kind="stable")
+    t, b = (points.times[order] - points.times[order[0]]) * unit, points.bearings[order]
+    lag = len(t) // 20
+    dt, db = t[lag:] - t[:-lag], wrap(b[lag:] - b[:-lag])
+    if not (dt > 0).any():
+        return None
+    rate = float(np.median(db[dt > 0] / dt[dt > 0]))
+    whole = b + TURN * np.rint((b[0] + rate * t - b) / TURN)
+    rate = float(np.polyfit(t, whole, 1)[0])
+    phase = np.exp(1j * (b - rate * t))
+    return rate if abs(phase.mean()) > SETTINGS.linear and rate != 0 else None
+
+
+def _start(chosen: Sequence[Points], n: int) -> float:
+    """Return the bearing [rad] at the end of the largest gap without points; -pi if points are all around."""
+    bearings = np.sort(np.concatenate([points.bearings for points in chosen]))
+    if len(bearings) < 2:
+        return -np.pi
+    gaps = np.append(np.diff(bearings), bearings[0] + TURN - bearings[-1])
+    k = int(np.argmax(gaps))
+    half = 0.5 * TURN / n
+    return float(bearings[(k + 1) % len(bearings)] - half) if gaps[k] > 5 * TURN / n else -np.pi
+
+
+class TurnScan(NamedTuple):
+    """One turn, measured at the bearings of a grid."""
+
+    share: float
+    """Share of the turn that was measured."""
+    start: int
+    """[ns] time of the cut."""
+    logged: int
+    """[ns] log time of the first cloud."""
+    ranges: NDArray[np.float32]
+    """(n,) [m]"""
+    intensities: NDArray[np.float32]
+    """(n,)"""
+
+
+class TurnScans:
+    """Sort the points of clouds into turns, and turns into scans."""
+
+    def __init__(self, grid: Grid, fill: float) -> None:
+        self.grid, self.fill = grid, fill
+        self.centres: Floats = np.asarray((np.arange(grid.n) + 0.5) * grid.step, dtype=np.float64)
+        self.scans: list[TurnScan] = []
+        self._open: _Turn | None = None
+
+    def add(self, points: Points, cloud: Cloud, logged: int) -> None:
+        """Add the points of a cloud that are in the plane."""
+        stamp = cloud.stamp
+        grid, angles, ranges = self.grid, self.grid.angles(points), points.ranges
+        strengths = points.intensities if points.intensities is not None else np.full(len(angles), np.nan)
+        times, every = (_times(some, grid.unit, stamp) for some in (points, cloud.points))
+        if not grid.period:
+            self.close()
+            late = 0.0 if times is None or not len(times) else float(np.median(times))
+            self._open = _Turn(
+                stamp + round(late * 1e9), logged, [angles], [ranges], [strengths], [(0.0, TURN)]
+            )
+            return
+        if times is None or every is None or not len(times):
+            return
+        phase = np.exp(1j * (TURN * times / grid.period - angles)).mean()
+        start = float(np.angle(phase)) * grid.period / TURN
+        number = np.rint((times - start) / grid.period - angles / TURN)
+        for k in np.unique(number).tolist():
+            mine, begin = number == k, start + k * grid.period
+            at = stamp + round(begin * 1e9)
+            if self._open is None or at - self._open.start > grid.period / 2 * 1e9:
+                self.close()
+                self._open = _Turn(at, logged)
+            self._open.angles.append(angles[mine])
+            self._open.ranges.append(ranges[mine])
+            self._open.intensities.append(strengths[mine])
+            first, last = (TURN * (t - begin) / grid.period for t in (every.min(), every.max()))
+            self._open.seen.append((max(first - grid.step, 0.0), min(last + grid.step, TURN)))
+
+    def drop_incomplete(self) -> int:
+        """Drop turns of which less was measured than of most, as the first and the last; return their number."""
+        usual = float(np.median([scan.share for scan in self.scans])) if self.scans else 0.0
+        kept = [scan for scan in self.scans if scan.share >= SETTINGS.whole * usual]
+        n_dropped, self.scans = len(self.scans) - len(kept), kept
+        return n_dropped
+
+    def close(self) -> None:
+        """Make a scan of the open turn."""
+        turn, self._open = self._open, None
+        if turn is None:
+            return
+        ranges, intensities = _row(turn, self.centres, self.grid.step, fill=self.fill)
+        share = sum(stop - start for start, stop in turn.seen) / TURN
+        self.scans.append(
+            TurnScan(
+                share, turn.start, turn.logged, ranges.astype(np.float32), intensities.astype(np.float32)
+            )
+        )
+
+
+def _times(points: Points, unit: float, stamp: int) -> Floats | None:
+    """Return the times (n,) [s] of points after the stamp [ns] of their cloud; None if they are unknown."""
+    if points.times is None or unit == 0 or not len(points.times):
+        return None
+    times = points.times * unit
+    if abs(times[0]) < SETTINGS.absolute:
+        return times
+    after = times - stamp / 1e9
+    return after if abs(after[0]) < SETTINGS.apart else times - times.min()
+
+
+def _row(turn: _Turn, centres: Floats, step: float, *, fill: float) -> tuple[Floats, Floats]:
+    """Return ranges and intensities (n,) at the bearings of the scan.
+
+    Each bearing takes the nearest point within one step. Between two points of one surface, the inverse range is
+    interpolated. A measured bearing without a point near it has the range `fill`, one that was not measured nan.
+    """
+    q, r, strength = (np.concatenate(part) for part in (turn.angles, turn.ranges, turn.intensities))
+    out = np.full(len(centres), np.nan)
+    for start, stop in turn.seen:
+        out[(centres >= start) & (centres <= stop)] = fill
+    if not len(q):
+        return out, np.full(len(centres), np.nan)
+    cell = np.floor(q / step)
+    order = np.lexsort((r, cell))
+    order = order[np.concatenate([[True], np.diff(cell[order]) > 0])]  # the nearest point of each step
+    order = order[np.argsort(q[order], kind="stable")]
+    q, r, strength = q[order], r[order], strength[order]
+    right = np.clip(np.searchsorted(q, centres), 1, max(len(q) - 1, 1))
+    right = np.minimum(right, len(q) - 1)
+    left = np.maximum(right - 1, 0)
+    gap = q[right] - q[left]
+    near = np.where(np.abs(q[left] - centres) <= np.abs(q[right] - centres), left, right)
+    away = np.abs(q[near] - centres)
+    inside = (centres >= q[left]) & (centres <= q[right])
+    is_joined = inside & (gap > 0) & (gap <= 1.5 * step)
+    a, b, share = r[left], r[right], (centres - q[left]) / np.where(gap > 0, gap, 1.0)
+    smooth = is_joined & (np.abs(a - b) <= STEEPEST * gap * np.minimum(a, b))
+    along = 1.0 / ((1 - share) / a + share / b)
+    there = is_joined | (away <= np.where(inside, 0.5, 1.0) * step)
+    out = np.where(there, np.where(smooth, along, r[near]), out)
+    return out, np.where(there, strength[near], np.nan)
