@@ -9,6 +9,7 @@ import numpy as np
 
 from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
+from logs.notes import ODOMETRY_LEFT_OUT
 from logs.ros import own_record
 from logs.ros.composite import combine
 from logs.ros.laser_messages import as_laser_scans
@@ -314,7 +315,7 @@ def _overlapping(motion: RobotMotion, scans: Stamps) -> tuple[RobotMotion, list[
         if apart > CLOCK_LIMITS.offset:
             notes.append(
                 f"{what} and scans do not overlap in time, by stamps and by log times: they are {apart:,.1f} s apart, "
-                f"the {what} was left out"
+                + (ODOMETRY_LEFT_OUT if what == "odometry" else f"the {what} was left out")
             )
         return apart > CLOCK_LIMITS.offset
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from logs.clocks import Signal, settle
 from logs.ros import cdr
-from logs.ros.poses import FIXED_FRAMES
+from logs.ros.poses import FIXED_FRAMES, MAP_FRAMES, base_of
 from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, logged_times
 from logs.ros.transform_tree import Edge, TransformTree
 from logs.types import Bools, Ints
@@ -95,7 +95,7 @@ def settle_clocks(
             name=f"/tf {edge.parent} -> {edge.child}",
             stamps=edge.stamps,
             logged=edge.logged,
-            is_transform=True,
+            is_correction=any(word in name for name in (edge.parent, edge.child) for word in MAP_FRAMES),
         )
         for edge in edges
     ]
@@ -134,9 +134,10 @@ def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:
 
 
 def _moving_edges(tree: TransformTree, sensor: str) -> list[Edge]:
-    """Return the edges between a sensor and the fixed frames that change over time."""
+    """Return the edges between the fixed frames and a sensor, or the base, that change over time."""
     fixed = (frame for frame in tree.frames if any(word in frame for word in FIXED_FRAMES))
-    chains = (tree.path(frame, sensor) or [] for frame in fixed)
+    ends = (sensor, base_of(tree, sensor, ()) or sensor)
+    chains = (tree.path(frame, end) or [] for frame in fixed for end in ends)
     edges = {(edge.parent, edge.child): edge for chain in chains for edge, _ in chain}
     return [edge for edge in edges.values() if not edge.is_constant]
 
@@ -187,7 +188,7 @@ def can_be_read_in_pieces(census: Mapping[str, StampCensus]) -> bool:
     if max((first for first, _ in ends), default=0) > min((last for _, last in ends), default=0):
         return False
     signals = [
-        Signal(name=name, stamps=stamps, logged=logged, is_transform=census[name].type == TF_TYPE)
+        Signal(name=name, stamps=stamps, logged=logged, is_correction=census[name].type == TF_TYPE)
         for name, (stamps, logged) in arrays.items()
     ]
     return not settle(signals).is_changed
