@@ -20,6 +20,8 @@ class WarningLimits:
     """A step is a gap if it exceeds this number of median steps ..."""
     gap: float = 0.5
     """[s] ... and also exceeds this duration."""
+    periods: tuple[float, float] = (1e-3, 20.0)
+    """[s] a scan period outside of this suggests stamps in another unit."""
     jump_speed: float = 5.0
     """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
     jump: float = 0.1
@@ -71,6 +73,10 @@ def _stamp_warnings(run: Run) -> list[str]:
         steps = np.diff(stamps)
         if len(steps) < 2:
             continue
+        period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        low, high = LIMITS.periods
+        if name == "scan" and not low <= period <= high:
+            out.append(f"a scan every {period:.3g} s: check that the stamps are in seconds")
         same = int((steps == 0).sum())
         if same and "duplicates" not in run.meta.get("notes", ""):
             out.append(

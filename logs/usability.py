@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -81,16 +82,17 @@ class Ground:
     def __str__(self) -> str:
         return f"{self.distance:.1f} m, {self.turn:.1f} rad of turns, {self.duration / 60:.1f} min"
 
-    def to_dict(self) -> dict[str, float | bool]:
-        """Return the motion as plain data."""
-        return {
+    def to_dict(self) -> dict[str, float | bool | None]:
+        """Return the motion as plain data; None: not finite."""
+        values = {
             "distance_m": self.distance,
             "turn_rad": self.turn,
             "left_rad": self.left,
             "right_rad": self.right,
             "minutes": self.duration / 60,
-            "revisits": self.revisits,
         }
+        plain = {name: value if np.isfinite(value) else None for name, value in values.items()}
+        return {**plain, "revisits": self.revisits}
 
 
 def ground_of(run: Run) -> Ground | None:
@@ -116,7 +118,7 @@ def _points(poses: Floats) -> Floats:
     """Return the positions (n_kept, 2), each at least a step from the previous one."""
     kept: list[tuple[float, float]] = []
     for x, y in poses[:, :2].tolist():
-        if not kept or (x - kept[-1][0]) ** 2 + (y - kept[-1][1]) ** 2 > LIMITS.step**2:
+        if not kept or math.hypot(x - kept[-1][0], y - kept[-1][1]) > LIMITS.step:
             kept.append((x, y))
     return np.array(kept).reshape(-1, 2)
 

@@ -104,6 +104,7 @@ def test_what_looks_wrong_is_said(tmp_path: Path) -> None:
         (changed(run, ranges=run.ranges * 1000), "probably in millimetres"),
         (changed(run, ranges=run.ranges * 100), "probably in centimetres"),
         (changed(run, stamps=gap), "scan: 1 gaps, the longest 4.10 s"),
+        (changed(run, stamps=1000 * run.stamps), "a scan every 100 s: check that the stamps are in seconds"),
         (changed(run, stamps=run.stamps + 100), "do not overlap in time, they are 94.0 s apart"),
         (changed(run, meta={"pose_source": "slam"}), "estimated from these scans"),
         (changed(run, meta={"pose_source": "odometry /odom"}), "which drifts and distorts a map"),

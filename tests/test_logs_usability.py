@@ -74,6 +74,12 @@ def test_ground_is_the_length_of_the_path_and_the_sum_of_its_turns(
         assert ground.to_dict()["minutes"] == pytest.approx(1.0)
 
 
+def test_numbers_that_overflow_are_no_number_in_json() -> None:
+    with np.errstate(over="ignore"):
+        ground = ground_of(run_of(LOOPS * 1e307))
+    assert ground is not None and ground.to_dict()["distance_m"] is None
+
+
 @pytest.mark.parametrize(
     ("run", "verdicts"),
     [
