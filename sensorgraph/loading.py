@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from logs.errors import LogError
+from logs.formats import format_of
+from logs.recorded_map import read_map
 from logs.run import Run
 from planners import maps
 from planners.arena import Arena
@@ -62,8 +64,6 @@ def load_arena(source: str | Path) -> Arena:
 
 def _is_log(path: Path) -> bool:
     """Return whether a file is a log and no map."""
-    from logs.formats import format_of
-
     if path.is_file() and path.suffix.lower() in maps.MAPS:
         return False
     try:
@@ -74,8 +74,6 @@ def _is_log(path: Path) -> bool:
 
 def _arena_of_log(path: Path) -> Arena:
     """Return the map that was recorded in a log."""
-    from logs.recorded_map import read_map
-
     found = read_map(path)
     logger.warning("%s: the arena is %s", path, found.source)
     if found.arena is not None:
