@@ -299,6 +299,12 @@ def test_words_after_the_ranges_may_have_any_order_or_be_absent(
     assert ("1 invalid lines left out, the first is line 14" in run.meta.get("notes", "")) == with_cut_line
 
 
+def test_a_laser_of_which_every_line_is_broken_is_left_out(tmp_path: Path) -> None:
+    run = logs.read(write(tmp_path / "a.log", [*walk(), "RLASER 181 1.0 2.0", "RLASER x"]))
+    assert run.n_scans == 6
+    assert "2 invalid lines left out, the first is line 9" in run.meta["notes"]
+
+
 def test_a_scan_without_a_time_among_others_lies_between_them(tmp_path: Path) -> None:
     lines = walk()
     lines.insert(3, flaser(np.full(181, 3.0), float("nan"), laser=(2.5, 0, 0.1), robot=(2.5, 0, 0.1)))

@@ -144,6 +144,11 @@ READERS: dict[str, Callable[[], Reader]] = {
     "wean": _log("wean", lambda: (samples.wean(),), ".log"),
     "db3": _log("db3", lambda: (samples.small_bag(),), ".db3"),
     "bag": _log("bag", samples.ros1_bags, ".bag"),
+    "open_bag": _log("open_bag", samples.interrupted_bags, ".bag"),
+    "lasers": _log("lasers", samples.other_lasers, ".bag"),
+    "recover_bag": lambda: Reader(
+        "recover_bag", (*samples.ros1_bags(), *samples.interrupted_bags()), ".bag", _recover
+    ),
     "bag_metadata": lambda: Reader(
         "bag_metadata", (samples.METADATA,), ".yaml", partial(_bag_metadata, db3=samples.small_bag())
     ),

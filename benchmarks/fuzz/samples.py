@@ -177,6 +177,56 @@ def ros1_bags() -> tuple[bytes, ...]:
     return tuple(bytes_of(".bag", lambda path, packing=packing: write(path, packing)) for packing in packings)  # type: ignore[misc]
 
 
+def interrupted_bags() -> tuple[bytes, ...]:
+    """Return ROS 1 bags that were not closed: cut before their index, and inside their last chunk."""
+    return tuple(bag[: len(bag) - cut] for bag in ros1_bags() for cut in (700, 1100))
+
+
+def other_lasers() -> tuple[bytes, ...]:
+    """Return ROS 1 bags of laser scans with several echoes, and of point clouds."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds: dict[str, Any] = store.types
+    echoes_type, cloud_type = "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud2"
+
+    def head(i: int) -> Any:
+        stamp = kinds["builtin_interfaces/msg/Time"](sec=i, nanosec=0)
+        return kinds["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="laser")
+
+    def echoes(i: int) -> Any:
+        rays = [kinds["sensor_msgs/msg/LaserEcho"](echoes=np.ones(n, np.float32)) for n in (1, 0, 2, 1, 3)]
+        return kinds[echoes_type](
+            header=head(i), angle_min=-1.0, angle_max=1.0, angle_increment=0.5, time_increment=0.0, scan_time=0.1,
+            range_min=0.0, range_max=8.0, ranges=rays, intensities=rays,
+        )  # fmt: skip
+
+    def cloud(i: int) -> Any:
+        kind = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+        points = np.zeros(120, kind)
+        turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+        for ring in range(2):
+            rows = points[ring::2]
+            rows["x"], rows["y"], rows["z"] = 2 * np.cos(turn), 2 * np.sin(turn), 0.1 * ring
+            rows["ring"], rows["t"] = ring, turn / (2 * np.pi) * 1e9
+        codes = {"x": 7, "y": 7, "z": 7, "ring": 4, "t": 6}
+        return kinds[cloud_type](
+            header=head(i), height=1, width=120, is_bigendian=False, point_step=kind.itemsize, is_dense=True,
+            row_step=120 * kind.itemsize, data=points.view(np.uint8).copy(),
+            fields=[
+                kinds["sensor_msgs/msg/PointField"](name=name, offset=kind.fields[name][1], datatype=code, count=1)
+                for name, code in codes.items()
+            ],
+        )  # fmt: skip
+
+    def write(path: Path, name: str, message: Callable[[int], Any]) -> None:
+        with Writer(path) as writer:
+            connection = writer.add_connection("/laser", name, typestore=store)
+            for i in range(5):
+                writer.write(connection, i * 10**9, bytes(store.serialize_ros1(message(i), name)))
+
+    pairs = ((echoes_type, echoes), (cloud_type, cloud))
+    return tuple(bytes_of(".bag", lambda path, pair=pair: write(path, *pair)) for pair in pairs)  # type: ignore[misc]
+
+
 def carmen() -> bytes:
     """Return a CARMEN log with each kind of line."""
     lines = ["# CARMEN", "PARAM robot_frontlaser_offset 0.1"]

@@ -62,7 +62,8 @@ def parse_lines(text: list[str], progress: Progress | None) -> ParsedLines:
             continue
         try:
             if word in SCAN_KEYWORDS:
-                found.setdefault(word, []).append(_scan_words(word, rest.split(), number))
+                words = _scan_words(word, rest.split(), number)
+                found.setdefault(word, []).append(words)
             elif word in ("ODOM", "TRUEPOS"):
                 found.setdefault(word, []).append(_Words(number, rest.split()))
             elif word == "PARAM":
