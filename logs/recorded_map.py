@@ -61,14 +61,21 @@ def read_map(path: Path | str) -> RecordedMap:
     (block,) = cdr.unpack([message], topic.type, topic.name, topic.encoding)
     nx, ny = (int(n) for n in block["size"][0])
     data, resolution = block["data"][0].astype(np.int8), float(block["resolution"][0, 0])
-    if len(data) != nx * ny or not data.size or not (0 < resolution < np.inf):
+    origin = to_planar(block["origin"].astype(np.float64))[0]
+    if (
+        len(data) != nx * ny
+        or not data.size
+        or not (0 < resolution < np.inf)
+        or not np.isfinite(origin).all()
+    ):
         raise LogError(
-            f"{path}: the map in {topic.name} has {len(data)} cells of {resolution:g} m, expected {nx} x {ny} cells"
+            f"{path}: the map in {topic.name} has {len(data)} cells of {resolution:g} m at {origin[0]:g}, {origin[1]:g}; "
+            f"expected {nx} x {ny} cells"
         )
     grid = OccupancyMap(
         data=np.where(data > 100, -1, data).reshape(ny, nx).astype(np.int8),
         resolution=resolution,
-        origin=to_planar(block["origin"].astype(np.float64))[0],
+        origin=origin,
     )
     times = "" if topic.n_messages == 1 else f", the last of {topic.n_messages} messages"
     return RecordedMap(arena=None, grid=grid, source=f"{topic.name}{times}")

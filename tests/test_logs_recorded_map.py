@@ -25,10 +25,12 @@ ROOM[2:6, 2:10] = 0
 """(ny, nx) a room of 8 x 4 free cells with walls of one cell."""
 
 
-def grid(stamp: float, cells: np.ndarray, *, topic: str = "/map", yaw: float = 0.0) -> Message:
+def grid(
+    stamp: float, cells: np.ndarray, *, topic: str = "/map", yaw: float = 0.0, resolution: float = 0.5
+) -> Message:
     ny, nx = cells.shape
     return message(
-        topic, GRID_TYPE, stamp, {"frame_id": "map"}, resolution=[0.5], size=[nx, ny],
+        topic, GRID_TYPE, stamp, {"frame_id": "map"}, resolution=[resolution], size=[nx, ny],
         origin=[-1, 2, 0, *quaternion(yaw)], data=cells.reshape(-1),
     )  # fmt: skip
 
@@ -66,6 +68,7 @@ def test_log_without_one_map_says_what_it_has(tmp_path: Path) -> None:
     for k, (bag, words) in enumerate((
         ([scan(0, [1, 2])], r"no occupancy grid; it has /scan \(sensor_msgs"),
         ([grid(0, ROOM, topic="/a"), grid(0, ROOM, topic="/b")], r"several maps \(/a, /b\) and none in /map"),
+        ([grid(0, ROOM, resolution=np.nan)], "has 96 cells of nan m at -1, 2; expected 12 x 8 cells"),
         ([grid(0, np.full((2, 2), -1))], r"no cell is free \(0\.0% free, 0\.0% occupied, 100\.0% unknown\)"),
     )):  # fmt: skip
         with pytest.raises(SensorgraphError, match=words):
