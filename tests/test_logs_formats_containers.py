@@ -144,6 +144,8 @@ def test_unrelated_logs_in_a_folder_are_listed(tmp_path: Path, capsys: pytest.Ca
     assert command(["inspect", str(folder)]) == 2
     assert "holds 2 unrelated logs: monday.mcap, tuesday.mcap; give one of them" in capsys.readouterr().err
     assert logs.read(folder / "tuesday.mcap").n_scans == 10
+    (folder / "tuesday.mcap").rename(folder / "monday.mcap.located.mcap")  # made from the other
+    assert logs.read(folder).n_scans == 10
 
 
 def test_a_folder_of_ros_1_bags_that_were_split_is_one_log(tmp_path: Path) -> None:

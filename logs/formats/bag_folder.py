@@ -74,9 +74,11 @@ def storage_of(file: Path) -> str | None:
 def logs_in(folder: Path) -> list[list[Path]]:
     """Return the logs in a folder: files of one storage whose names differ only in the number of the part, in order."""
     groups: dict[tuple[str, str], list[Path]] = {}
-    for file in sorted(path for path in folder.iterdir() if path.is_file()):
-        storage = storage_of(file)
-        if storage is not None:
+    stored = {file: storage_of(file) for file in sorted(folder.iterdir()) if file.is_file()}
+    names = [file.name for file, storage in stored.items() if storage is not None]
+    for file, storage in stored.items():
+        is_derived = any(file.name.startswith(f"{name}.") for name in names)  # such as NAME.located.mcap
+        if storage is not None and not is_derived:
             groups.setdefault((storage, _PART.sub("", _ENDS.sub("", file.name))), []).append(file)
     return [sorted(files, key=_part_number) for files in groups.values()]
 
