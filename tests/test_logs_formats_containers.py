@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +168,37 @@ def test_compressed_files_and_messages_are_seen_without_metadata(tmp_path: Path)
         assert logs.read(folder).n_scans == 10
     assert data_file(tmp_path / "MESSAGE").read_bytes().count(ZSTD_MAGIC) > 10
     assert logs.read(data_file(tmp_path / "MESSAGE")).n_scans == 10
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_an_empty_last_part_is_no_damage(storage: str, tmp_path: Path) -> None:
+    folder, files = split(tmp_path, storage)
+    last = folder / f"drive_11{files[0].suffix}"
+    last.write_bytes(b"")
+    assert logs.read(folder).n_scans == 10
+    about = {"relative_file_paths": [file.name for file in (*files, last)]}
+    about["storage_identifier"] = "mcap" if storage == "MCAP" else "sqlite3"
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}))
+    run = logs.read(folder)
+    assert run.n_scans == 10
+    assert f"{last.name} is empty" in notes_of(run)
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress], ids=["gzip", "bzip2"])
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_binary_log_that_is_compressed_as_a_whole_is_named(
+    kind: str, pack: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    if kind == "bag":
+        data = write_bag1(tmp_path / "a.bag", trip()).read_bytes()
+    else:
+        data = data_file(
+            write_bag2(tmp_path / "bag", trip(), "MCAP" if kind == "mcap" else "SQLITE3")
+        ).read_bytes()
+    path = tmp_path / f"a.{kind}.packed"
+    path.write_bytes(pack(data))
+    with pytest.raises(logs.LogError, match=r"compressed as a whole; decompress it: (gunzip|bunzip2) -k"):
+        logs.read(path)
 
 
 def in_wal_mode(file: Path, *, n_pending: int = 0) -> Path:

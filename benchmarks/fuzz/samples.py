@@ -133,11 +133,10 @@ def small_bag() -> bytes:
                 "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
             )
             base.execute("INSERT INTO topics VALUES(1, '/scan', 'sensor_msgs/msg/LaserScan', 'cdr')")
-            message = (
-                b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + struct.pack("<I", 6) + b"laser\0" + bytes(2)
-            )
-            message += struct.pack("<7f", -1, 1, 1, 0, 0.1, 0, 8) + struct.pack("<I3f", 3, 1, 2, 3) + bytes(4)
             for i in range(12):
+                message = b"\x00\x01\x00\x00" + struct.pack("<iI", i, 0) + struct.pack("<I", 6)
+                message += b"laser\0" + bytes(2) + struct.pack("<7f", -1, 1, 1, 0, 0.1, 0, 8)
+                message += struct.pack("<I3f", 3, 1, 2, 3) + bytes(4)
                 base.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", (i, i * 10**8, message))
             base.commit()
 

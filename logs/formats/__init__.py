@@ -11,6 +11,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats import carmen, mcap_file, rosbag, table, wean
 from logs.formats.text import first_bytes
+from logs.inflation import BZIP2_MAGIC, GZIP_MAGIC
 from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
 from logs.types import Mounts, Progress
@@ -96,6 +97,7 @@ def format_of(path: Path) -> str:
     head = first_bytes(path)
     for name, known in FORMATS.items():
         if known.matches(path, head):
+            _check_plain(path, name)
             return name
     expected = (
         "expected MCAP, a rosbag2 folder or .db3, a ROS 1 .bag, a CARMEN log or a CSV table with t and r0 ..."
@@ -105,12 +107,24 @@ def format_of(path: Path) -> str:
         raise LogError(f"{path} is a folder without a log (it holds {inside}); {expected}")
     if head.startswith(ZSTD_MAGIC):
         raise LogError(
-            f"{path} is compressed with zstd; give the rosbag2 folder that contains it (with a metadata.yaml), or "
-            f"decompress it: zstd -d {path}"
+            f"{path} is compressed with zstd; give the rosbag2 folder that contains it, or decompress it: zstd -d {path}"
         )
     if not head:
         raise LogError(f"{path} is empty; {expected}")
     raise LogError(f"{path} is not a known log (it starts with {head[:8]!r}); {expected}")
+
+
+def _check_plain(path: Path, kind: str) -> None:
+    """Reject a binary log that is compressed as a whole; only text logs are decompressed while reading."""
+    if kind not in ("mcap", "rosbag") or not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.read(4)
+    for magic, tool in ((GZIP_MAGIC, "gunzip -k"), (BZIP2_MAGIC, "bunzip2 -k")):
+        if start.startswith(magic):
+            raise LogError(
+                f"{path} is a {kind} log that is compressed as a whole; decompress it: {tool} {path}"
+            )
 
 
 def write(

@@ -64,10 +64,13 @@ class BagFiles:
 
 def storage_of(file: Path) -> str | None:
     """Return the storage of a file from its first bytes, also of a compressed one; None: it is no part of a bag."""
-    with file.open("rb") as stream:
-        head = stream.read(HEAD_SIZE)
-        if head.startswith(ZSTD_MAGIC):
-            head = unpack_start(head + stream.read(PACKED_HEAD_SIZE), HEAD_SIZE)
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD_SIZE)
+            if head.startswith(ZSTD_MAGIC):
+                head = unpack_start(head + stream.read(PACKED_HEAD_SIZE), HEAD_SIZE)
+    except PermissionError:  # another file of the folder may be private
+        return None
     return next((name for name, magics in _MAGICS.items() if head.startswith(magics)), None)
 
 
@@ -116,6 +119,10 @@ def files_of(folder: Path) -> BagFiles:
         )
     else:
         raise LogError(_refusal(folder, found, absent, fault))
+    empty = [file.name for file in files if file.stat().st_size == 0]
+    if empty and len(empty) < len(files):  # the recorder stopped before the first message of its last part
+        notes.append(f"{', '.join(empty)} {'is' if len(empty) == 1 else 'are'} empty")
+        files = [file for file in files if file.name not in empty]
     storage = storage_of(files[0])
     if storage is None:
         raise LogError(f"{files[0]} is neither mcap nor sqlite3; convert the bag with `ros2 bag convert`")

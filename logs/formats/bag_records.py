@@ -97,6 +97,7 @@ class BagWalk:
         self._left = most_plain(self.size)  # [bytes] remaining decompressed size allowed for its chunks
         self._after_bad_chunk = False
         self._head = _HEADS[0]
+        self._lost_to = 0  # end of the last loss
 
     def steps(self) -> Iterator[int]:
         """Read to the end and yield the position after each record."""
@@ -105,9 +106,9 @@ class BagWalk:
         while pos < self.size:
             pos = self._step(pos)
             yield pos
-        if self.index_pos and self.index_pos >= self.size:
+        if self.index_pos and self.index_pos >= self.size and self._lost_to < self.size:
             why = f"it is truncated: its index would start at byte {self.index_pos}"
-            self._on_damage(Loss(self.size, self.size, why))
+            self._damage(self.size, self.size, why)
         self.contents.is_finished = self.index_pos != 0
 
     def _step(self, pos: int) -> int:
@@ -126,8 +127,12 @@ class BagWalk:
                 return self._resume(pos, self.size, "it is truncated inside a record")
             self._record(op, fields, self.data, body, end)
         except DamagedRecord as exc:
-            self._on_damage(Loss(pos, end, str(exc)))
+            self._damage(pos, end, str(exc))
         return end
+
+    def _damage(self, start: int, end: int, why: str) -> None:
+        self._lost_to = end
+        self._on_damage(Loss(start, end, why))
 
     def _body(self, stop: int, op: int, fields: Header) -> tuple[int, int]:
         """Return start and end of the data of a record whose header ends at `stop`."""
@@ -221,7 +226,7 @@ class BagWalk:
         except DamagedRecord as exc:
             self.contents.bad_chunks += 1
             self._after_bad_chunk = True
-            self._on_damage(Loss(pos, end, str(exc)))
+            self._damage(pos, end, str(exc))
         return end
 
     def _plain(self, kind: bytes, stored: bytes, size: int) -> bytes:
@@ -295,20 +300,21 @@ class BagWalk:
 
     def _cut_chunk(self, kind: bytes, body: int, pos: int) -> int:
         """Read the complete records at the start of a truncated chunk; return the position of the next record."""
+        self.contents.bad_chunks += 1
         if kind == b"none":
-            stop = self._inner(self.data, body, self.size, is_cut=True)
+            start = stop = self._inner(self.data, body, self.size, is_cut=True)
         else:
-            stop, plain = body, unpack_start(self.data[body : self.size], self._left)
+            start, stop, plain = pos, body, unpack_start(self.data[body : self.size], self._left)
             self._inner(plain, 0, len(plain), is_cut=True)
         after = self._next_record(stop, self.size)
         why = "it is truncated inside a chunk" if after == self.size else "the length of a chunk is wrong"
-        self._on_damage(Loss(pos, after, f"{why}; the complete records at its start were kept"))
+        self._damage(start, after, why if kind == b"none" else f"{why}; `recover` keeps its complete records")
         return after
 
     def _resume(self, start: int, end: int, why: str) -> int:
         """Report the loss from start to the next record before `end`; return the position of that record."""
         pos = self._next_record(start + 1, end)
-        self._on_damage(Loss(start, pos, why))
+        self._damage(start, pos, why)
         return pos
 
     def _next_record(self, pos: int, end: int) -> int:
