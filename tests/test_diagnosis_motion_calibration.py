@@ -123,7 +123,7 @@ def test_a_turn_scale_that_differs_between_runs_is_told_with_its_size(untouched:
     told = [d for d in differences if d.differs and d.is_material]
     assert [d.name for d in told] == ["turn_scale"]
     assert told[0].value == pytest.approx(0.012, abs=2 * told[0].stderr)
-    assert "turn scale of two differs from one's by +1." in verdict(differences, "one", "two")[1]
+    assert "turn scale of two differs from that of one by +1." in verdict(differences, "one", "two")[1]
 
 
 def test_a_turn_scale_that_changes_within_a_run_is_told_with_its_time() -> None:
@@ -152,7 +152,7 @@ def test_effects_say_what_the_simulator_must_be_told() -> None:
 
 def test_a_delay_is_told_in_words() -> None:
     lines = lines_of(calibrate(drive(delay=-0.1)))
-    assert any(line.startswith("clocks: scans are 1") and "older" in line for line in lines)
+    assert any(line.startswith("scan delay: scans are 1") and "older" in line for line in lines)
 
 
 def test_a_part_of_a_run_is_as_good_as_the_run(untouched: LaserMotion) -> None:
@@ -196,7 +196,7 @@ def test_the_page_of_two_runs_stands_alone_and_sets_a_proper_minus(
     later = replace(drive(seed=1, turns=1.03, n=4_000), mount=np.array([-0.04, 0.0, 0.0]))
     save_driving(finding_of(monday=untouched, friday=later), tmp_path / "out", {})
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "<h1>The two runs differ.</h1>" in page and "stated: −4.0" in page
+    assert "<h1>The two runs differ.</h1>" in page and "specified: −4.0" in page
     words = re.sub("<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
     assert not re.search(r"(?<!\w)-\d", words)
     assert not re.search('src=(?!"data:)|href=', page)

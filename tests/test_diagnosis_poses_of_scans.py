@@ -125,7 +125,7 @@ def test_of_laser_map_and_wheels_the_one_that_disagrees_is_wrong(biased: Finding
     assert of_laser.driving is not None
     found = next(iter(of_laser.driving.runs.values()))
     way, error = found.of("way_scale")
-    assert abs(way - 1) < 5e-4 and error > 5e-4 and "against the map's metre" in lines_of(found)[0]
+    assert abs(way - 1) < 5e-4 and error > 5e-4 and "in the map's length scale" in lines_of(found)[0]
     assert not any(rival.name == "range_scale" for rival in of_laser.channels["scan"].rivals)
     of_map = with_driving(finding, driving(1.0001), ROBOT)
     names = [a.name for a in (*of_map.effects, *of_map.undecided)]
