@@ -65,7 +65,7 @@ def sweep(laser: Spinner, k: int) -> dict[str, np.ndarray]:
 
 def cloud(
     stamp: float, columns: dict[str, np.ndarray], kinds: dict[str, str], *, topic: str = "/points",
-    frame: str = "velodyne", height: int = 1, pad: int = 0, big: bool = False, row_pad: int = 0,
+    frame: str = "velodyne", height: int = 1, pad: int = 0, big: bool = False, row_pad: int = 0, row_step: int | None = None,
 ) -> Message:  # fmt: skip
     """Pack points; `pad` bytes follow each point, `row_pad` each row."""
     order = ">" if big else "<"
@@ -92,7 +92,7 @@ def cloud(
     message = types[CLOUD_TYPE](
         header=head, height=height, width=n // height,
         fields=[field(name=name, offset=offsets[name], datatype=NUMBERS[kind], count=1) for name, kind in kinds.items()],
-        is_bigendian=big, point_step=size, row_step=size * (n // height) + row_pad, data=data, is_dense=True,
+        is_bigendian=big, point_step=size, row_step=size * (n // height) + row_pad if row_step is None else row_step, data=data, is_dense=True,
     )  # fmt: skip
     return topic, CLOUD_TYPE, at, bytes(HUMBLE.serialize_cdr(message, CLOUD_TYPE))
 

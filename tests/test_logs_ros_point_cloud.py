@@ -86,12 +86,12 @@ def test_times_of_points_have_the_names_and_units_of_every_driver(
     assert_exact(read(tmp_path, [MOUNT, *bag]), laser)
 
 
-@pytest.mark.parametrize("change", ["big-endian", "padded", "rows", "ROS 1"])
+@pytest.mark.parametrize("change", ["big-endian", "padded", "rows", "row_step 0", "ROS 1"])
 def test_bytes_may_be_laid_out_in_any_way(change: str, tmp_path: Path) -> None:
     laser = Spinner(n=360)
     options: dict[str, Any] = {
-        "big-endian": {"big": True}, "padded": {"pad": 7, "row_pad": 5}, "rows": {}, "ROS 1": {}
-    }[change]  # fmt: skip
+        "big-endian": {"big": True}, "padded": {"pad": 7, "row_pad": 5}, "row_step 0": {"row_step": 0}
+    }.get(change, {})  # fmt: skip
     bag = [MOUNT, *spin(laser, 4, **options)]
     if change == "rows":  # an organised cloud without a field for its rings
         kinds = {name: kind for name, kind in KINDS.items() if name != "ring"}
@@ -191,6 +191,37 @@ def test_a_direction_without_a_point_is_a_missing_return_of_a_ring(tmp_path: Pat
     inside = (bearings > 0.53) & (bearings < 0.87)
     assert np.isposinf(run.ranges[1::2][:, inside]).all()
     assert np.isfinite(run.ranges[::2][:, inside]).all()
+
+
+def test_a_planar_cloud_is_taken_whole(tmp_path: Path) -> None:
+    """The points of a 2-D laser, in its frame and far from level with the base."""
+    laser = Spinner(n=360, rings=(0.0,))
+    bag = [transform(0.0, "base_link", "velodyne", 0, 0, 0, z=0.2, static=True)]
+    for k in range(3):
+        columns = sweep(laser, k)
+        columns["z"] = columns["z"] + 0.31
+        bag.append(cloud(0.1 * k, columns, {"x": "f4", "y": "f4", "z": "f4"}))
+    run = read(tmp_path, bag)
+    assert_exact(run, Spinner(), share=0.97)
+    assert "all points, which lie in one plane" in run.meta["notes"]
+
+
+def test_uneven_bearings_and_noise_cost_no_returns(tmp_path: Path) -> None:
+    """With a jitter of 5% of a step, as many returns are missing as were left out."""
+    rng, n = np.random.default_rng(3), 720
+    bag = [MOUNT]
+    for k in range(12):
+        columns = sweep(Spinner(n=n), k)
+        bearing = np.arctan2(columns["y"], columns["x"]) + 0.05 * 2 * np.pi / n * rng.normal(size=4 * n)
+        distance = wall_distance(0.0, 0.0, bearing) + 0.02 * rng.normal(size=4 * n)
+        columns |= {"x": distance * np.cos(bearing), "y": distance * np.sin(bearing), "t": columns["t"] * 1e9}
+        kept = rng.random(4 * n) > 0.03
+        bag.append(cloud(0.1 * k, {name: values[kept] for name, values in columns.items()}, KINDS))
+    run = read(tmp_path, bag)
+    assert run.sensor.n_rays == n
+    assert np.isposinf(run.ranges).mean() == pytest.approx(0.03, abs=0.01)  # 3 standard errors of 3%
+    error = error_of(run, Spinner())
+    assert np.nanmedian(np.abs(error[np.isfinite(error)])) * 1.48 < 0.021  # no more than the noise
 
 
 def test_a_sensor_that_looks_ahead_alone_has_rays_ahead_alone(tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ class CloudSettings:
     """[rad] gap between the elevations of two rings."""
     far: float = 1.0
     """[m] nearer points do not determine the elevation of a ring, because beams start beside the centre."""
+    flat: float = 1e-3
+    """[m] points whose heights span less were measured by a planar laser."""
     step: float = float(np.radians(0.5))
     """[rad] step of the bearings, if the rings are unknown."""
     finest: float = float(np.radians(0.05))
@@ -130,7 +132,8 @@ def decode(payload: bytes, topic: str, encoding: str, rotation_of: Callable[[str
     if not {"x", "y", "z"} <= set(names):
         raise LogError(f"{topic}: a point has the fields {', '.join(names) or 'none'}; expected x, y and z")
     data = block["data"][0]
-    if row_step * height > len(data) or point_step * width > row_step:
+    row_step = max(row_step, point_step * width)  # some drivers send 0
+    if row_step * height > len(data):
         raise LogError(
             f"{topic}: a cloud of {height} x {width} points of {point_step} bytes holds {len(data)} bytes"
         )
@@ -171,6 +174,8 @@ class Plane:
     heights: tuple[float, float] | None = None
     """[m] lowest and highest, above the sensor."""
     text: str = ""
+    is_slice: bool = False
+    """Whether points of several rings are selected by height."""
 
     def select(self, points: Points) -> Points:
         """Return the points of the scan."""
@@ -190,6 +195,9 @@ def horizontal(clouds: Sequence[Cloud], *, is_level: bool) -> Plane:
     If the sensor is tilted, no ring is horizontal all around, and a band of elevations is used. So it is without
     rings. The ring of an organised cloud is a row.
     """
+    z = np.concatenate([cloud.points.xyz[:, 2] for cloud in clouds])
+    if len(z) and float(np.ptp(z)) < SETTINGS.flat:  # the points of a planar laser
+        return Plane(heights=(float(z.min()), float(z.max())), text="all points, which lie in one plane")
     rings = [cloud.points.ring for cloud in clouds]
     elevations = np.concatenate([cloud.points.elevations for cloud in clouds])
     is_far = np.concatenate([cloud.points.ranges for cloud in clouds]) > SETTINGS.far

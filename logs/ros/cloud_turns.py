@@ -69,9 +69,12 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
     chosen = [plane.select(cloud.points) for cloud in clouds]
     full = [one for one in (_fullest_ring(points) for points in chosen) if len(one.xyz) > 2]
     steps = np.concatenate([np.diff(np.sort(one.bearings)) for one in full] or [np.zeros(0)])
-    is_ring = any(one.ring is not None for one in full) or plane.heights is None
+    is_ring = any(one.ring is not None for one in full) or not plane.is_slice
     steps = steps[steps > 1e-6]
-    step = float(np.median(steps)) if is_ring and len(steps) else SETTINGS.step
+    step = SETTINGS.step
+    if is_ring and len(steps):
+        usual = np.median(steps)
+        step = float(steps[np.abs(steps - usual) < 0.5 * usual].mean())  # without the gaps of missing returns
     n = round(TURN / max(step, SETTINGS.finest))
     unit = _unit(clouds, chosen)
     found = [rotation for one in full if unit and (rotation := _rotation(one, unit)) is not None]

@@ -149,7 +149,7 @@ def _plane(clouds: Sequence[Cloud], level: _Level, heights: tuple[float, float] 
         return horizontal(clouds, is_level=level.tilt <= SETTINGS.band)
     low, high = heights
     text = f"points from {low:g} to {high:g} m above {level.ground}, the nearest in each direction"
-    return Plane(heights=(low - level.height, high - level.height), text=text)
+    return Plane(heights=(low - level.height, high - level.height), text=text, is_slice=True)
 
 
 def _messages(topic: Topic, scans: TurnScans, frame: str) -> Topic:
