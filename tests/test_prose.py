@@ -33,8 +33,8 @@ MOST_IDIOMS = {
     "CHANGELOG.md": 0.3,
     "CONTRIBUTING.md": 0.3,
     "help and messages": 0.3,
-    "docs": 0.5,
-} | (dict.fromkeys(PACKAGES, 0.7))
+    "docs": 0.2,
+} | (dict.fromkeys(PACKAGES, 0.3))
 """Idioms per 1,000 words in each area."""
 
 
