@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
@@ -73,8 +72,8 @@ def test_the_quickstart_prints_what_its_page_shows(
 ) -> None:
     """All commands, word for word, without a display."""
     page = (EXAMPLES.parent / "pages" / "quickstart.md").read_text()
-    for name in ("lab.geojson", "robot.yaml"):
-        shutil.copy(EXAMPLES / name, tmp_path)
+    for name, body in re.findall(r'```\w+ title="(.*?)"\n(.*?)```', page, re.S):
+        (tmp_path / name).write_text(body)
     monkeypatch.chdir(tmp_path)
     used = []
     for commands, shown in shown_outputs(page):
