@@ -78,17 +78,9 @@ def build(
 
       sensorgraph build run.mcap --model narmax --lags 3 -o lagged.sensorgraph
     """
-    from logs import parse_topics
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import (
-        check_output,
-        check_poses,
-        check_runs,
-        mounts_of,
-        parse_slice,
-        print_ray_order,
-    )
+    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, print_ray_order, read_options
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
@@ -101,12 +93,7 @@ def build(
     space = None if arena is None else load_arena(arena)
     known = None if update is None else Sensorgraph.load(update)
     place = (space, arena or "") if known is None else (known, str(update))
-    reading: dict[str, Any] = {
-        "topics": parse_topics(topic or []),
-        "no_return": no_return,
-        "mounts": mounts_of(robot),
-        **parse_slice(heights),
-    }
+    reading = read_options(topic, no_return, robot, heights)
     loaded = [_open(path, robot, poses, place, reading, is_alone=len(runs) == 1) for path in runs]
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
     for path, log in zip(runs, loaded, strict=True):

@@ -64,8 +64,7 @@ def diagnose(
 
       sensorgraph diagnose monday.log friday.log -o wheels
     """
-    from logs import parse_topics
-    from sensorgraph.cli.inputs import mounts_of, parse_slice, with_poses
+    from sensorgraph.cli.inputs import read_options, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
@@ -73,9 +72,7 @@ def diagnose(
     from sensorgraph.diagnosis.without_reference import driving_of, with_described_mount, with_driving
 
     _check(runs, simulation, commissioning, out, poses)
-    reading: dict[str, Any] = {
-        "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot), **parse_slice(heights)
-    }  # fmt: skip
+    reading = read_options(topic, no_return, robot, heights)
     loaded = [_read(path, reading) for path in runs]
     if arena is None and not (effects or commissioning or simulation) and _has_neither(loaded, poses):
         _drive_alone(loaded, runs, robot, out, poses, reading)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -79,14 +79,13 @@ def evaluate(
     """
     from typing import cast
 
-    from logs import parse_topics, read
+    from logs import read
     from sensorgraph.cli.inputs import (
         check_output,
         check_poses,
-        mounts_of,
-        parse_slice,
         print_log_notes,
         print_ray_order,
+        read_options,
         with_poses_of_graph,
         with_robot,
         write_json,
@@ -104,12 +103,7 @@ def evaluate(
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with reading_bar() as tick:
-        reading: dict[str, Any] = {
-            "topics": parse_topics(topic or []),
-            "no_return": no_return,
-            "mounts": mounts_of(robot),
-            **parse_slice(heights),
-        }
+        reading = read_options(topic, no_return, robot, heights)
         log = read(run, **reading, progress=tick)
     log = with_poses_of_graph(with_robot(log, str(run), robot), run, poses, model, str(graph), reading)
     print_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)

@@ -65,14 +65,24 @@ def _probe(folder: Path, output: Path) -> None:
         raise OSError(exc.errno, exc.strerror, str(output)) from exc
 
 
-def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
+def read_options(
+    topics: Sequence[str] | None, no_return: str | None, robot: Path | None, heights: str | None
+) -> dict[str, Any]:
+    """Return the options of `logs.read` for --topic, --no-return, --robot and --slice of a command."""
+    from logs import parse_topics
+
+    roles = parse_topics(topics or [])
+    return {"topics": roles, "no_return": no_return, "mounts": _mounts_of(robot), **_parse_slice(heights)}
+
+
+def _mounts_of(robot: Path | None) -> Mapping[str, Floats]:
     """Return the mount of each named sensor of a robot.yaml, for logs without transforms."""
     from sensorgraph.world.robot import load_robot
 
     return {} if robot is None else load_robot(robot).mounts
 
 
-def parse_slice(text: str | None) -> dict[str, tuple[float, float]]:
+def _parse_slice(text: str | None) -> dict[str, tuple[float, float]]:
     """Return the option of `read` for Z0,Z1 of --slice; empty if it is not given."""
     if text is None:
         return {}

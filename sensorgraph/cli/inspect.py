@@ -46,10 +46,9 @@ def inspect(
 
         sensorgraph inspect others.bag --topic scan=/scan@rear_laser --topic odom=/tf --json found.json
     """
-    from logs import parse_topics
     from logs.inspection import inspect as look
     from planners.maps import MAPS
-    from sensorgraph.cli.inputs import check_output, mounts_of, parse_slice, write_json
+    from sensorgraph.cli.inputs import check_output, read_options, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_in
@@ -66,14 +65,7 @@ def inspect(
         typer.echo("\n".join([f"{file}: a map, {facts['map']}", *(f"  {note}" for note in facts["notes"])]))
         return
     with progress("reading") as tick:
-        found = look(
-            file,
-            parse_topics(topic or []),
-            no_return=no_return,
-            mounts=mounts_of(robot),
-            progress=tick,
-            **parse_slice(heights),
-        )
+        found = look(file, **read_options(topic, no_return, robot, heights), progress=tick)
     lines: list[str] = []
     oriented = None
     if found.run is not None:

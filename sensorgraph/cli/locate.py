@@ -53,13 +53,12 @@ def locate(
 
       sensorgraph locate monday.clf.bz2 --arena lab.sensorgraph --json monday.json --picture monday.png
     """
-    from logs import parse_topics, read, write
+    from logs import read, write
     from logs.files import atomic_file
     from sensorgraph.cli.inputs import (
         check_output,
-        mounts_of,
-        parse_slice,
         print_log_notes,
+        read_options,
         with_mount_of,
         with_robot,
         write_json,
@@ -81,15 +80,7 @@ def locate(
         )
     place = None if arena is None else _place(arena)
     with reading_bar() as tick:
-        names = parse_topics(topic or [])
-        log = read(
-            run,
-            topics=names,
-            no_return=no_return,
-            mounts=mounts_of(robot),
-            progress=tick,
-            **parse_slice(heights),
-        )
+        log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
     log = with_mount_of(with_robot(log, str(run), robot), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
     placed = None if out is None else located_run(log, found)  # before any output: it may raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -53,13 +52,12 @@ def review(
 
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
-    from logs import parse_topics, read
+    from logs import read
     from sensorgraph.cli.inputs import (
         check_output,
         check_poses,
-        mounts_of,
-        parse_slice,
         print_log_notes,
+        read_options,
         with_poses,
         with_poses_of_graph,
         with_robot,
@@ -77,10 +75,7 @@ def review(
     if out.suffix != ".rrd":
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with reading_bar() as tick:
-        reading: dict[str, Any] = {
-            "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot),
-            **parse_slice(heights),
-        }  # fmt: skip
+        reading = read_options(topic, no_return, robot, heights)
         log = read(run, **reading, progress=tick)
     log = with_robot(log, run.name, robot)
     walls = load_arena(arena) if arena is not None else arena_in(log)
