@@ -102,8 +102,13 @@ def chunks_of(
     return chunks, [connection(i, topic, kind) for i, (topic, kind, _) in enumerate(sources)]
 
 
-def bag20(samples: Sequence[Sample], *, is_closed: bool = True, **options: object) -> bytes:
-    """A bag of version 2.0; one that is not closed has no index, and its last chunk states the length 0."""
+def bag20(
+    samples: Sequence[Sample], *, is_closed: bool = True, junk: bytes = b"", **options: object
+) -> bytes:
+    """A bag of version 2.0; one that is not closed has no index, and its last chunk states the length 0.
+
+    `junk` lies between the last chunk and the index.
+    """
     chunks, connections = chunks_of(samples, **options)  # type: ignore[arg-type]
     start = b"#ROSBAG V2.0\n"
     if not is_closed:
@@ -112,11 +117,14 @@ def bag20(samples: Sequence[Sample], *, is_closed: bool = True, **options: objec
         open_chunk = record({"op": b"\x05", "compression": b"none", "size": u4(0)}, b"")
         return start + bag_header(0, 0, 0) + b"".join(chunks[:-1]) + open_chunk + chunks[-1][n : n + last]
     index_pos = len(start) + len(bag_header(0, 0, 0)) + sum(map(len, chunks))
-    infos = [
-        record({"op": b"\x06", "ver": u4(1), "chunk_pos": struct.pack("<Q", 0), "count": u4(0)}, b"")
-    ] * len(chunks)
+    index_pos += len(junk)
     head = bag_header(index_pos, len(connections), len(chunks))
-    return b"".join([start, head, *chunks, *connections, *infos])
+    infos, at = [], len(start) + len(head)
+    for chunk in chunks:
+        about = {"op": b"\x06", "ver": u4(1), "chunk_pos": struct.pack("<Q", at), "count": u4(0)}
+        infos.append(record(about, b""))
+        at += len(chunk)
+    return b"".join([start, head, *chunks, junk, *connections, *infos])
 
 
 def bag12(samples: Sequence[Sample], *, with_header: bool = True) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
-from bag1_samples import bag12, bag20, bag_header, drive, laser, record, u4
+from bag1_samples import bag12, bag20, bag_header, chunks_of, drive, laser, record, twist, u4
 from conftest import peak
 from mcap.reader import make_reader
 
@@ -23,6 +23,11 @@ from logs.recovery import recover
 
 N = 25
 FIRST = np.float32(1 + np.arange(N) / 100)
+
+
+def drive_chunk() -> bytes:
+    """A chunk of other messages."""
+    return chunks_of([laser(2e9, [9, 9, 9, 9, 9])] * 3, compression="bz2")[0][0]
 
 
 def read(path: Path, data: bytes) -> logs.Run:
@@ -78,6 +83,17 @@ def test_a_bag_whose_index_alone_is_cut_is_read_with_one_note(tmp_path: Path) ->
         run = read(tmp_path / "a.bag", whole[:-cut])
         assert_all_there(run)
         assert len(bag_notes(run)) == 1 and "index at the end of the bag is incomplete" in bag_notes(run)[0]
+
+
+@pytest.mark.parametrize("junk", [bytes(700), drive_chunk()[:150]], ids=["zeros", "part of a chunk"])
+def test_bytes_that_reindexing_left_before_the_index_are_no_damage(junk: bytes, tmp_path: Path) -> None:
+    """`rosbag reindex` of a truncated bag does so (ros_comm#2282); rosbag plays it by the index."""
+    run = read(tmp_path / "a.bag", bag20(drive(), junk=junk))
+    assert_all_there(run)
+    assert (
+        len(bag_notes(run)) == 1
+        and "bytes that the index of the bag does not list were skipped" in bag_notes(run)[0]
+    )
 
 
 @pytest.mark.parametrize("is_closed", [True, False])
@@ -193,6 +209,13 @@ def test_an_unknown_compression_is_named(tmp_path: Path) -> None:
     path.write_bytes(b"#ROSBAG V2.0\n" + bag_header(0, 0, 1) + chunk)
     with pytest.raises(logs.LogError, match=r"compression b'xz' is unknown; expected none, bz2 or lz4"):
         logs.read(path)
+
+
+def test_two_types_on_one_topic_are_two_topics(tmp_path: Path) -> None:
+    samples = [replace(twist(1e9 + i / 10, 0.1 * i), topic="/scan") for i in range(5)]
+    run = read(tmp_path / "a.bag", bag20([*(laser(1e9 + i / 10, [1 + i, 2]) for i in range(5)), *samples]))
+    assert run.n_scans == 5
+    np.testing.assert_allclose(run.commands[:, 0], 0.1 * np.arange(5))
 
 
 def test_two_publishers_of_one_topic_stay_in_the_order_of_the_file(tmp_path: Path) -> None:

@@ -86,20 +86,23 @@ def test_times_of_points_have_the_names_and_units_of_every_driver(
     assert_exact(read(tmp_path, [MOUNT, *bag]), laser)
 
 
-@pytest.mark.parametrize("change", ["big-endian", "padded", "rows", "row_step 0", "ROS 1"])
+@pytest.mark.parametrize("change", ["big-endian", "padded", "rows", "columns", "row_step 0", "ROS 1"])
 def test_bytes_may_be_laid_out_in_any_way(change: str, tmp_path: Path) -> None:
     laser = Spinner(n=360)
     options: dict[str, Any] = {
         "big-endian": {"big": True}, "padded": {"pad": 7, "row_pad": 5}, "row_step 0": {"row_step": 0}
     }.get(change, {})  # fmt: skip
     bag = [MOUNT, *spin(laser, 4, **options)]
-    if change == "rows":  # an organised cloud without a field for its rings
+    if change in ("rows", "columns"):  # an organised cloud without a field for its rings
         kinds = {name: kind for name, kind in KINDS.items() if name != "ring"}
         bag = [MOUNT]
         for k in range(4):
-            columns = {name: values.reshape(-1, 4).T.ravel() for name, values in sweep(laser, k).items()}
+            columns, height = sweep(laser, k), 360
+            if change == "rows":
+                columns = {name: values.reshape(-1, 4).T.ravel() for name, values in columns.items()}
+                height = 4
             columns["t"] = columns["t"] * 1e9
-            bag.append(cloud(0.1 * k, columns, kinds, height=4, row_pad=3))
+            bag.append(cloud(0.1 * k, columns, kinds, height=height, row_pad=3))
     path = write_bag1(tmp_path / "a.bag", bag) if change == "ROS 1" else write_bag2(tmp_path / "bag", bag)
     run = logs.read(path)
     assert run.sensor.n_rays == 360

@@ -98,6 +98,10 @@ class BagWalk:
         self._after_bad_chunk = False
         self._head = _HEADS[0]
         self._lost_to = 0  # end of the last loss
+        self._n_losses = 0
+        self._chunks_read: set[int] = set()
+        self._chunks_listed: set[int] = set()
+        self._n_chunks_stated = -1
 
     def steps(self) -> Iterator[int]:
         """Read to the end and yield the position after each record."""
@@ -119,20 +123,38 @@ class BagWalk:
             op = _number(fields, b"op", "<B")
             body, end = self._body(stop, op, fields)
         except DamagedRecord as exc:
-            return self._resume(pos, self.size, str(exc))
+            return self._resume(pos, self._end_of_data(pos), str(exc))
         try:
             if op == CHUNK:
-                return self._chunk(fields, body, end, pos)
-            if end > self.size:
-                return self._resume(pos, self.size, "it is truncated inside a record")
+                n_losses = self._n_losses
+                after = self._chunk(fields, body, end, pos)
+                if self._n_losses == n_losses:
+                    self._chunks_read.add(pos)
+                return after
+            if end > self._end_of_data(pos):
+                return self._resume(pos, self._end_of_data(pos), "it is truncated inside a record")
             self._record(op, fields, self.data, body, end)
         except DamagedRecord as exc:
             self._damage(pos, end, str(exc))
         return end
 
+    @property
+    def has_read_index(self) -> bool:
+        """Return whether the index is complete and every chunk in it was read without a loss.
+
+        Other bytes are no messages: `rosbag reindex` leaves the rest of a truncated chunk in the file.
+        """
+        is_complete = len(self._chunks_listed) == self._n_chunks_stated
+        return is_complete and self._chunks_listed <= self._chunks_read
+
     def _damage(self, start: int, end: int, why: str) -> None:
-        self._lost_to = end
+        self._lost_to, self._n_losses = end, self._n_losses + 1
         self._on_damage(Loss(start, end, why))
+
+    def _end_of_data(self, pos: int) -> int:
+        """Return the end of the section that holds pos: the start of the index, or the end of the file."""
+        is_before = self.index_pos is not None and pos < self.index_pos <= self.size
+        return self.index_pos if is_before and self.index_pos else self.size
 
     def _body(self, stop: int, op: int, fields: Header) -> tuple[int, int]:
         """Return start and end of the data of a record whose header ends at `stop`."""
@@ -165,6 +187,10 @@ class BagWalk:
             self._define(fields)
         elif op == BAG_HEADER:
             self.index_pos = _number(fields, b"index_pos", "<Q")
+            if b"chunk_count" in fields:
+                self._n_chunks_stated = _number(fields, b"chunk_count", "<I")
+        elif op == CHUNK_INFO:
+            self._chunks_listed.add(_number(fields, b"chunk_pos", "<Q"))
         elif op == INDEX and self._after_bad_chunk:
             conn, lost = _number(fields, b"conn", "<I"), self.contents.lost_messages
             lost[conn] = lost.get(conn, 0) + _number(fields, b"count", "<I")
@@ -215,7 +241,7 @@ class BagWalk:
         is_open = body == end and size == 0  # the recorder writes the sizes of a chunk when it closes it
         if is_open and kind == b"none":
             return end
-        if is_open or end > self.size:
+        if is_open or end > self._end_of_data(pos):
             return self._cut_chunk(kind, body, pos)
         if kind == b"none":
             self._inner(self.data, body, end)
@@ -301,13 +327,14 @@ class BagWalk:
     def _cut_chunk(self, kind: bytes, body: int, pos: int) -> int:
         """Read the complete records at the start of a truncated chunk; return the position of the next record."""
         self.contents.bad_chunks += 1
+        end = self._end_of_data(pos)
         if kind == b"none":
-            start = stop = self._inner(self.data, body, self.size, is_cut=True)
+            start = stop = self._inner(self.data, body, end, is_cut=True)
         else:
-            start, stop, plain = pos, body, unpack_start(self.data[body : self.size], self._left)
+            start, stop, plain = pos, body, unpack_start(self.data[body:end], self._left)
             self._inner(plain, 0, len(plain), is_cut=True)
-        after = self._next_record(stop, self.size)
-        why = "it is truncated inside a chunk" if after == self.size else "the length of a chunk is wrong"
+        after = self._next_record(stop, end)
+        why = "it is truncated inside a chunk" if after == end else "the length of a chunk is wrong"
         self._damage(start, after, why if kind == b"none" else f"{why}; `recover` keeps its complete records")
         return after
 

@@ -111,7 +111,7 @@ def topic_of(recording: Recording, contents: Contents, key: int) -> Topic:
     topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
     if topic.type != kind or topic.encoding != channel.encoding:
         name = f"{channel.topic}#{key}"
-        topic = recording.topics.setdefault(name, Topic(channel.topic, kind, channel.encoding))
+        topic = recording.topics.setdefault(name, Topic(name, kind, channel.encoding))
     return topic
 
 

@@ -33,10 +33,15 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
     recording.format = "rosbag1"
     recording.again = partial(messages, path)
     in_messages = [loss for loss in losses if not 0 < (walk.index_pos or 0) <= loss.start]
-    if in_messages:
+    if in_messages and not walk.has_read_index:
         raise LogError(damage_text(path, in_messages[0]))
     n_messages = f"all {walk.contents.n_messages:,} messages were read"
-    if losses:
+    if losses and walk.has_read_index:
+        n_bytes = sum(loss.end - loss.start for loss in losses)
+        recording.notes.append(
+            f"{n_bytes:,} bytes that the index of the bag does not list were skipped, and {n_messages}"
+        )
+    elif losses:
         recording.notes.append(f"the index at the end of the bag is incomplete, but {n_messages}")
     if walk.index_pos == 0:
         recording.notes.append(f"the bag was not closed by its recorder and has no index, but {n_messages}")

@@ -142,20 +142,35 @@ def decode(payload: bytes, topic: str, encoding: str, rotation_of: Callable[[str
     points = np.ascontiguousarray(rows).reshape(-1).view(record)
     xyz = np.stack([points[name].astype(np.float64) for name in "xyz"], axis=-1)
     kept: Bools = np.isfinite(xyz).all(axis=1) & (xyz != 0).any(axis=1)
-    ring = _column(points, RING_FIELDS, kept)
-    if ring is None and height > 1:
-        ring = np.repeat(np.arange(height), width)[kept]
     frame = block.strings["frame_id"].strip("/")
+    level = xyz[kept] @ rotation_of(frame).T
+    numbers = _column(points, RING_FIELDS, kept)
+    ring = None if numbers is None else numbers.astype(np.int64)
+    if ring is None and height > 1:
+        ring = _grid_ring(level, kept, width)
     return Cloud(
         stamp=int(block.stamps_ns[0]),
         frame=frame,
         points=Points(
-            xyz[kept] @ rotation_of(frame).T,
-            None if ring is None else ring.astype(np.int64),
+            level,
+            ring,
             _column(points, TIME_FIELDS, kept),
             _column(points, INTENSITY_FIELDS, kept),
         ),
     )
+
+
+def _grid_ring(level: Floats, kept: Bools, width: int) -> NDArray[np.int64]:
+    """Return the row or the column of each point (n,) in an organised cloud: that whose points have one elevation."""
+    row, column = np.divmod(np.flatnonzero(kept), width)
+    elevations = np.arctan2(level[:, 2], np.hypot(level[:, 0], level[:, 1]))
+
+    def spread(index: NDArray[np.int64]) -> float:
+        count = np.maximum(np.bincount(index), 1)
+        mean = np.bincount(index, elevations) / count
+        return float(((elevations - mean[index]) ** 2).sum())
+
+    return row if not len(row) or spread(row) <= spread(column) else column
 
 
 def _column(points: NDArray[np.void], names: Sequence[str], kept: Bools) -> Floats | None:

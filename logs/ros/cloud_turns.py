@@ -73,8 +73,9 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
     steps = steps[steps > 1e-6]
     step = SETTINGS.step
     if is_ring and len(steps):
-        usual = np.median(steps)
-        step = float(steps[np.abs(steps - usual) < 0.5 * usual].mean())  # without the gaps of missing returns
+        usual = float(np.median(steps))
+        even = steps[np.abs(steps - usual) < 0.5 * usual]  # without the gaps of missing returns
+        step = float(even.mean()) if len(even) else usual
     n = round(TURN / max(step, SETTINGS.finest))
     unit = _unit(clouds, chosen)
     found = [rotation for one in full if unit and (rotation := _rotation(one, unit)) is not None]

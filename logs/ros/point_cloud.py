@@ -189,7 +189,7 @@ def _times_note(name: str, grid: Grid, clouds: Sequence[Cloud]) -> str:
     if grid.period:
         turn = "counter-clockwise" if grid.sign > 0 else "clockwise"
         return f"{name}: a {turn} sweep of {grid.period:.4g} s from the times of the points"
-    if all(cloud.points.times is None for cloud in clouds):
+    if not grid.unit:
         return f"{name}: points have no times, so all rays have the stamp of the cloud"
     return f"{name}: the times of points do not follow a rotation, so all rays have their median time"
 
