@@ -9,7 +9,8 @@ from pathlib import Path
 from logs.errors import LogError
 from logs.files import atomic_file
 from logs.formats import rosbag1
-from logs.formats.bag_records import BagWalk, check_bag
+from logs.formats.bag_fields import check_bag
+from logs.formats.bag_records import BagWalk
 from logs.formats.collecting import WalkOf, open_bytes
 from logs.formats.mcap_file import CHUNK_SIZE
 from logs.mcap.records import MAGIC, Channel, Contents, Loss

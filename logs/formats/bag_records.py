@@ -6,81 +6,38 @@ of `logs.mcap.walk.RecordWalk`, so `recover` copies the messages of both formats
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Iterator, Mapping
-from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from logs.errors import LogError
-from logs.inflation import TooLarge, most_plain, unpack, unpack_start
+from logs.formats.bag_fields import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    HEAD_SIZE,
+    HEADS,
+    INDEX,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_DEFINITION,
+    Header,
+    body_of,
+    fields_of,
+    header_at,
+    next_record,
+    number,
+    plain_chunk,
+    text,
+)
+from logs.inflation import most_plain, unpack_start
 from logs.mcap.records import U4, Channel, Contents, DamagedRecord, Loss, Schema
 
 if TYPE_CHECKING:
     from logs.mcap.records import Data
     from logs.mcap.walk import DamageSink, MessageSink
 
-MESSAGE_DEFINITION, MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(1, 8)
-MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+)\.(\d+)\r?\n")
-VERSIONS = ((1, 2), (2, 0))
-INDEX_ENTRY = 12
-"""[bytes] time and offset of a message in an index of version 1."""
-LONGEST_HEADER = 1 << 20
-"""[bytes] maximum length of a record header; version 1.2 keeps message definitions in headers."""
-SEARCH_BACK = 1 << 16
-"""[bytes] before an `op` field in which the start of its record is searched after damage."""
 _TIME = struct.Struct("<II")
-_OP, _CONN, _AT = (U4.pack(size) + name for size, name in ((4, b"op="), (9, b"conn="), (13, b"time=")))
-_HEAD_SIZE = 38
-"""[bytes] length of the header of a message in version 2.0: the fields op, conn and time in any order."""
-
-Header = Mapping[bytes, bytes]
-
-
-class _MessageHead:
-    """A message of version 2.0 with one order of its fields: header size, fields, data size."""
-
-    def __init__(self, order: tuple[bytes, ...]) -> None:
-        codes = {_OP: "7sB", _CONN: "9sI", _AT: "9sII"}
-        self.unpack_from = struct.Struct(f"<I{''.join(codes[name] for name in order)}I").unpack_from
-        starts = {name: 1 + sum(2 + (other == _AT) for other in order[:i]) for i, name in enumerate(order)}
-        self.op, self.conn, self.time = starts[_OP], starts[_CONN], starts[_AT]
-
-    def fits(self, values: tuple[Any, ...]) -> bool:
-        """Return whether unpacked values are a message with this order of fields."""
-        return bool(
-            values[0] == _HEAD_SIZE
-            and values[self.op] == _OP
-            and values[self.conn] == _CONN
-            and values[self.time] == _AT
-            and values[self.op + 1] == MESSAGE
-        )
-
-
-_HEADS = [_MessageHead(order) for order in permutations((_OP, _CONN, _AT))]
-
-
-def check_bag(path: object, data: Data) -> None:
-    """Reject a bag of another version, or an encrypted one.
-
-    Raises
-    ------
-    LogError
-        If the version is not in `VERSIONS`, or the messages are encrypted.
-    """
-    found = MAGIC.match(data[:64])
-    version = tuple(map(int, found.groups())) if found else None
-    if found is None or version not in VERSIONS:
-        what = f"version {'.'.join(map(str, version))}" if version else f"the first line {data[:13]!r}"
-        raise LogError(
-            f"{path} is a ROS 1 bag with {what}, expected 1.2 or 2.0; convert it with `rosbag fix`"
-        )
-    try:
-        encryptor = _fields(data, *_header(data, found.end(), len(data))).get(b"encryptor")
-    except DamagedRecord:
-        return
-    if encryptor:
-        raise LogError(f"{path} is encrypted ({encryptor!r:.60}); decrypt it with `rosbag decrypt`")
 
 
 class BagWalk:
@@ -96,7 +53,7 @@ class BagWalk:
         self._schemas: dict[tuple[str, bytes], int] = {}
         self._left = most_plain(self.size)  # [bytes] remaining decompressed size allowed for its chunks
         self._after_bad_chunk = False
-        self._head = _HEADS[0]
+        self._head = HEADS[0]
         self._lost_to = 0  # end of the last loss
         self._n_losses = 0
         self._chunks_read: set[int] = set()
@@ -118,10 +75,10 @@ class BagWalk:
     def _step(self, pos: int) -> int:
         """Read the record at pos; return the position of the next one."""
         try:
-            start, stop = _header(self.data, pos, self.size)
-            fields = _fields(self.data, start, stop)
-            op = _number(fields, b"op", "<B")
-            body, end = self._body(stop, op, fields)
+            start, stop = header_at(self.data, pos, self.size)
+            fields = fields_of(self.data, start, stop)
+            op = number(fields, b"op", "<B")
+            body, end = body_of(self.data, stop, op, fields)
         except DamagedRecord as exc:
             return self._resume(pos, self._end_of_data(pos), str(exc))
         try:
@@ -156,44 +113,24 @@ class BagWalk:
         is_before = self.index_pos is not None and pos < self.index_pos <= self.size
         return self.index_pos if is_before and self.index_pos else self.size
 
-    def _body(self, stop: int, op: int, fields: Header) -> tuple[int, int]:
-        """Return start and end of the data of a record whose header ends at `stop`."""
-        if stop + 4 > self.size:
-            raise DamagedRecord("it is truncated inside a record")
-        body = stop + 4
-        end = body + U4.unpack_from(self.data, stop)[0]
-        if op == INDEX and fields.get(b"ver") == U4.pack(1) and b"count" in fields:
-            by_count = body + INDEX_ENTRY * _number(fields, b"count", "<I")  # as rosbag reads it
-            if by_count != end and (by_count == self.size or self._starts_record(by_count)):
-                end = by_count
-        return body, end
-
-    def _starts_record(self, pos: int) -> bool:
-        """Return whether the header of a record starts at pos."""
-        try:
-            fields = _fields(self.data, *_header(self.data, pos, self.size))
-            return MESSAGE_DEFINITION <= _number(fields, b"op", "<B") <= CONNECTION
-        except DamagedRecord:
-            return False
-
     def _record(self, op: int, fields: Header, data: Data, body: int, end: int) -> None:
         if op == MESSAGE:
             self._message(fields, data[body:end])
         elif op == CONNECTION:
-            about = _fields(data, body, end)
+            about = fields_of(data, body, end)
             topic = fields.get(b"topic", about.get(b"topic", b""))
-            self._connect(_number(fields, b"conn", "<I"), topic, about)
+            self._connect(number(fields, b"conn", "<I"), topic, about)
         elif op == MESSAGE_DEFINITION:
             self._define(fields)
         elif op == BAG_HEADER:
-            self.index_pos = _number(fields, b"index_pos", "<Q")
+            self.index_pos = number(fields, b"index_pos", "<Q")
             if b"chunk_count" in fields:
-                self._n_chunks_stated = _number(fields, b"chunk_count", "<I")
+                self._n_chunks_stated = number(fields, b"chunk_count", "<I")
         elif op == CHUNK_INFO:
-            self._chunks_listed.add(_number(fields, b"chunk_pos", "<Q"))
+            self._chunks_listed.add(number(fields, b"chunk_pos", "<Q"))
         elif op == INDEX and self._after_bad_chunk:
-            conn, lost = _number(fields, b"conn", "<I"), self.contents.lost_messages
-            lost[conn] = lost.get(conn, 0) + _number(fields, b"count", "<I")
+            conn, lost = number(fields, b"conn", "<I"), self.contents.lost_messages
+            lost[conn] = lost.get(conn, 0) + number(fields, b"count", "<I")
         elif not MESSAGE_DEFINITION <= op <= CONNECTION:
             raise DamagedRecord(f"a record has the unknown type {op}")
         if op != INDEX:
@@ -201,7 +138,7 @@ class BagWalk:
 
     def _message(self, fields: Header, payload: bytes) -> None:
         if b"conn" in fields:
-            conn, time = _number(fields, b"conn", "<I"), fields.get(b"time", b"")
+            conn, time = number(fields, b"conn", "<I"), fields.get(b"time", b"")
         else:
             time = fields.get(b"sec", b"") + fields.get(b"nsec", b"")
             known = self._ids.get(fields.get(b"topic", b""))
@@ -226,16 +163,16 @@ class BagWalk:
     def _connect(self, key: int, topic: bytes, about: Header) -> None:
         if key in self.contents.channels:
             return
-        kind = (_text(about.get(b"type", b"")), about.get(b"message_definition", b""))
+        kind = (text(about.get(b"type", b"")), about.get(b"message_definition", b""))
         schema = self._schemas.setdefault(kind, len(self._schemas) + 1)
         self.contents.schemas[schema] = Schema(kind[0], "ros1msg", kind[1])
         kept = (b"md5sum", b"callerid", b"latching")
-        others = {_text(name): _text(about[name]) for name in kept if name in about}
-        self.contents.channels[key] = Channel(_text(topic), schema, "ros1", others)
+        others = {text(name): text(about[name]) for name in kept if name in about}
+        self.contents.channels[key] = Channel(text(topic), schema, "ros1", others)
 
     def _chunk(self, fields: Header, body: int, end: int, pos: int) -> int:
         """Read a chunk; return the position of the next record."""
-        kind, size = fields.get(b"compression", b"none"), _number(fields, b"size", "<I")
+        kind, size = fields.get(b"compression", b"none"), number(fields, b"size", "<I")
         self.contents.n_chunks += 1
         self._after_bad_chunk = False
         is_open = body == end and size == 0  # the recorder writes the sizes of a chunk when it closes it
@@ -247,30 +184,14 @@ class BagWalk:
             self._inner(self.data, body, end)
             return end
         try:
-            plain = self._plain(kind, self.data[body:end], size)
+            plain = plain_chunk(kind, self.data[body:end], size, self._left)
+            self._left -= size
             self._inner(plain, 0, size)
         except DamagedRecord as exc:
             self.contents.bad_chunks += 1
             self._after_bad_chunk = True
             self._damage(pos, end, str(exc))
         return end
-
-    def _plain(self, kind: bytes, stored: bytes, size: int) -> bytes:
-        """Decompress a chunk of the stated size [bytes]."""
-        if kind not in (b"bz2", b"lz4"):
-            raise DamagedRecord(f"the compression {kind!r:.20} is unknown; expected none, bz2 or lz4")
-        try:
-            plain = unpack(stored, min(size, self._left))
-        except TooLarge as exc:
-            raise DamagedRecord(
-                f"a chunk {exc}, more than it states or a file of this size can hold"
-            ) from exc
-        except ValueError as exc:
-            raise DamagedRecord(f"a {kind.decode()} chunk cannot be decompressed") from exc
-        self._left -= len(plain)
-        if len(plain) != size:
-            raise DamagedRecord(f"a chunk holds {len(plain)} bytes, expected {size}")
-        return plain
 
     def _inner(self, data: Data, pos: int, end: int, *, is_cut: bool = False) -> int:
         """Read the records of a chunk between two positions; return the position after the last one.
@@ -283,11 +204,11 @@ class BagWalk:
             if pos == end:
                 break
             try:
-                start, stop = _header(data, pos, end)
-                fields = _fields(data, start, stop)
+                start, stop = header_at(data, pos, end)
+                fields = fields_of(data, start, stop)
                 if stop + 4 > end or (after := stop + 4 + U4.unpack_from(data, stop)[0]) > end:
                     raise DamagedRecord("a record runs past the end of its chunk")
-                op = _number(fields, b"op", "<B")
+                op = number(fields, b"op", "<B")
                 if op not in (MESSAGE, CONNECTION):
                     raise DamagedRecord(f"a chunk has a record of type {op}")
                 self._record(op, fields, data, stop + 4, after)
@@ -306,16 +227,16 @@ class BagWalk:
         This does the same as `_record`, but unpacks each header in one step.
         """
         view, head = memoryview(data), self._head
-        while pos + _HEAD_SIZE + 8 <= end:
+        while pos + HEAD_SIZE + 8 <= end:
             values = head.unpack_from(data, pos)
             if not head.fits(values):
-                fitting = (other for other in _HEADS if other.fits(other.unpack_from(data, pos)))
+                fitting = (other for other in HEADS if other.fits(other.unpack_from(data, pos)))
                 found = next(fitting, None)
                 if found is None:
                     return pos
                 self._head = head = found
                 values = head.unpack_from(data, pos)
-            body = pos + _HEAD_SIZE + 8
+            body = pos + HEAD_SIZE + 8
             after = body + values[-1]
             if after > end:
                 return pos
@@ -333,67 +254,13 @@ class BagWalk:
         else:
             start, stop, plain = pos, body, unpack_start(self.data[body:end], self._left)
             self._inner(plain, 0, len(plain), is_cut=True)
-        after = self._next_record(stop, end)
+        after = next_record(self.data, stop, end)
         why = "it is truncated inside a chunk" if after == end else "the length of a chunk is wrong"
         self._damage(start, after, why if kind == b"none" else f"{why}; `recover` keeps its complete records")
         return after
 
     def _resume(self, start: int, end: int, why: str) -> int:
         """Report the loss from start to the next record before `end`; return the position of that record."""
-        pos = self._next_record(start + 1, end)
+        pos = next_record(self.data, start + 1, end)
         self._damage(start, pos, why)
         return pos
-
-    def _next_record(self, pos: int, end: int) -> int:
-        """Return the first position from pos to `end` where a complete record starts, or `end`."""
-        first = pos
-        while (found := self.data.find(_OP, pos, end)) >= 0:
-            for start in range(found - 4, max(first, found - SEARCH_BACK) - 1, -1):
-                try:
-                    begin, stop = _header(self.data, start, end)
-                    fields = _fields(self.data, begin, stop)
-                    op = _number(fields, b"op", "<B")
-                    _, after = self._body(stop, op, fields)
-                except DamagedRecord:
-                    continue
-                if MESSAGE_DEFINITION <= op <= CONNECTION and after <= end:
-                    return start
-            pos = found + len(_OP)
-        return end
-
-
-def _header(data: Data, pos: int, end: int) -> tuple[int, int]:
-    """Return start and end of the header of the record at pos, if its length is plausible."""
-    if pos + 4 > end:
-        raise DamagedRecord("it is truncated inside a record")
-    (size,) = U4.unpack_from(data, pos)
-    if not len(_OP) < size <= LONGEST_HEADER:
-        raise DamagedRecord(f"no record starts here (its header would have {size} bytes)")
-    if pos + 4 + size > end:
-        raise DamagedRecord("it is truncated inside a record")
-    return pos + 4, pos + 4 + size
-
-
-def _fields(data: Data, pos: int, end: int) -> dict[bytes, bytes]:
-    """Read the fields of a header."""
-    fields = {}
-    while pos < end:
-        if pos + 4 > end or (after := pos + 4 + U4.unpack_from(data, pos)[0]) > end:
-            raise DamagedRecord("a field runs past the end of its header")
-        name, equals, value = data[pos + 4 : after].partition(b"=")
-        if not equals:
-            raise DamagedRecord("a header has a field without a name")
-        fields[name] = value
-        pos = after
-    return fields
-
-
-def _number(fields: Header, name: bytes, code: str) -> int:
-    try:
-        return int(struct.unpack(code, fields[name])[0])
-    except (KeyError, struct.error):
-        raise DamagedRecord(f"a record has no valid field `{name.decode()}`") from None
-
-
-def _text(data: bytes) -> str:
-    return data.decode("utf-8", errors="replace")

@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.formats.bag_records import BagWalk, check_bag
+from logs.formats.bag_fields import check_bag
+from logs.formats.bag_records import BagWalk
 from logs.formats.collecting import collect, damage_text, messages_of, open_bytes
 from logs.mcap.records import Loss
 from logs.ros.recording import Recording

@@ -32,7 +32,7 @@ class CloudSettings:
     gap: float = float(np.radians(0.1))
     """[rad] gap between the elevations of two rings."""
     far: float = 1.0
-    """[m] nearer points do not determine the elevation of a ring, because beams start beside the centre."""
+    """[m] nearer points do not determine the elevation of a ring, because beams start off the centre."""
     flat: float = 1e-3
     """[m] points whose heights span less were measured by a planar laser."""
     step: float = float(np.radians(0.5))

@@ -1,8 +1,11 @@
 """Sort the points of a rotating laser into turns, and measure each turn at bearings of a fixed step.
 
-A rotating laser measures a point at bearing b at the time t = t_0 + T q / (2 pi), where q is the angle from the cut to b
-in the direction of rotation, and T is the period. The clouds of many drivers do not start at the same bearing, so points
-are sorted into turns from cut to cut by the times t_0 + n T.
+A rotating laser measures a point at bearing b at the time
+
+    t = t_0 + T q / (2 pi)
+
+Here q is the angle from the cut to b in the direction of rotation, and T is the period of a turn. The clouds of many
+drivers do not start at the same bearing, so points are sorted into turns from cut to cut by the times t_0 + n T.
 """
 
 from __future__ import annotations
@@ -96,7 +99,7 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
 
 
 def _aligned(cut: float, centre: float, n: int) -> float:
-    """Return the bearing [rad] nearest to `cut` that lies half a step beside the centre of a step of n in a turn."""
+    """Return the bearing [rad] nearest to `cut` that is a border between two of n steps in a turn."""
     border = centre + 0.5 * TURN / n
     return border + TURN / n * round((cut - border) * n / TURN)
 
