@@ -22,7 +22,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.world.ray_intersection import nearest_walls_plain
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot import bearings
+from sensorgraph.world.robot_sensor import bearings
 
 N_CAST_RAYS = 360
 

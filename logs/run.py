@@ -135,6 +135,11 @@ class RangeSensor:
         return (ray[::-1] if self.is_clockwise else ray) / self.n_rays
 
     @property
+    def ray_0_after_first(self) -> float:
+        """[s] from the ray that is measured first to ray 0, which a clockwise laser measures last."""
+        return -self.sweep_time * (self.n_rays - 1) / self.n_rays if self.is_clockwise else 0.0
+
+    @property
     def has_ray_delays(self) -> bool:
         """Return whether the rays of a scan have times that differ from its stamp."""
         return self.sweep_time != 0 or self.sweep_period != 0 or self.first_ray_delay != 0

@@ -256,7 +256,10 @@ class McapStream:
                 pose_frame=self.head.pose_frame,
             )
         notes = "; ".join(dict.fromkeys((*notes_of(self.head), *notes_of(run))))
-        return replace(run, sensor=self.head.sensor, meta={**run.meta, **({"notes": notes} if notes else {})})
+        sensor = self.head.sensor  # its ray times may be those of a robot.yaml; then ray 0 has another time
+        stamps = run.stamps + (sensor.ray_0_after_first - run.sensor.ray_0_after_first)
+        meta = {**run.meta, **({"notes": notes} if notes else {})}
+        return replace(run, sensor=sensor, stamps=stamps, meta=meta)
 
 
 class _Window:

@@ -30,7 +30,7 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
-from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
+from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for
 from sensorgraph.localization.locate import LocatedRun, has_reference, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
@@ -40,8 +40,9 @@ from sensorgraph.recording.record import Commands
 from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
+from sensorgraph.world.described import with_robot
 from sensorgraph.world.identified_arena import arena_of
-from sensorgraph.world.robot import Robot, load_robot
+from sensorgraph.world.robot import Robot, default_robot, load_robot
 
 __all__ = [
     "build", "diagnose", "evaluate", "identify", "locate", "plan", "predict", "read", "record", "review",
@@ -72,15 +73,16 @@ def read(
     ----------
     topics : Role (`scan`, `pose`, `odom`, `cmd`) -> topic, if the log has other names.
     no_return : Value of a missing return: `range_max`, `zero`, `inf` or `nan`. None: detected from its frequency.
-    robot : Robot with the mounts of its `sensors`, for logs without transforms.
+    robot : Robot that recorded the log. The ray times and the mounts that it states are used, in place of the log's.
     slice : [m] Lowest and highest point of a PointCloud2 that is read as a laser. None: its ring nearest the horizontal.
 
     Raises
     ------
-    SensorgraphError : The file is not a log, or is damaged.
+    SensorgraphError : The file is not a log, or is damaged, or the robot states other rays.
     """
-    mounts = {} if robot is None else _robot(robot).mounts
-    return logs.read(path, topics=topics, no_return=no_return, mounts=mounts, slice=slice)
+    machine = default_robot() if robot is None else _robot(robot)
+    run = logs.read(path, topics=topics, no_return=no_return, mounts=machine.mounts, slice=slice)
+    return with_robot(run, machine, name=str(path))
 
 
 @as_sensorgraph_error
@@ -200,16 +202,12 @@ def evaluate(
 
 @as_sensorgraph_error
 def predict(graph: GraphLike, poses: ArrayLike | Path, *, point: Point = "mode") -> Prediction:
-    """Predict every ray at given poses.
+    """Predict every ray at given poses: arrays (n_poses, n_rays).
 
     Parameters
     ----------
     poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map; or a CSV with these columns.
     point : Point value of the mixture in `ranges`.
-
-    Returns
-    -------
-    Prediction with arrays (n_poses, n_rays).
 
     Raises
     ------
@@ -249,8 +247,7 @@ def diagnose(
 
     Raises
     ------
-    SensorgraphError
-        A run with reference poses has no arena, a run without them has no odometry, or the second run is of another place.
+    SensorgraphError : An arena or odometry is missing, or the second run is of another place.
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
@@ -259,7 +256,7 @@ def diagnose(
             raise SensorgraphError("the run keeps no arena; give the arena in which it was recorded")
         several = [log] if second is None else [log, _run(second)]
         return DrivingDiagnosis.of(drive_alone(several, None if robot is None else _robot(robot)))
-    machine = (robot_in(log) or robot_for(log)) if robot is None else _robot(robot)
+    machine = robot_for(log, robot)
     log = located_in(log, walls, machine)
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     effects_file.check_places(known, walls)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import logging
-from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,9 @@ from planners.maps import geojson, ros_map
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
+from sensorgraph.world.described import completed
 from sensorgraph.world.identified_arena import arena_of
-from sensorgraph.world.ray_order import ray_order
-from sensorgraph.world.robot import Robot, load_robot, parse_robot
+from sensorgraph.world.robot import Robot, default_robot, load_robot, parse_robot
 
 logger = logging.getLogger(__name__)
 
@@ -160,10 +159,19 @@ def robot_in(run: Run) -> Robot | None:
     return parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
 
 
-def robot_for(run: Run, source: str | Path | None = None) -> Robot:
-    """Load a robot.yaml; without a source, return the shipped robot with the sensor of the run."""
-    robot = load_robot(source)
-    if source is None and ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
-        height = run.sensor.height or robot.sensor.height
-        return replace(robot, sensor=replace(run.sensor, height=height), stated=frozenset())
-    return robot
+def robot_for(run: Run, source: Robot | str | Path | None = None) -> Robot:
+    """Return a robot, else the one kept in the run, else defaults; values that it does not state are the run's.
+
+    Parameters
+    ----------
+    source : A robot, or the path of a robot.yaml.
+
+    Raises
+    ------
+    SensorgraphError : A file is invalid or contradicts the run.
+    """
+    if isinstance(source, Robot):
+        robot = source
+    else:
+        robot = load_robot(source) if source is not None else robot_in(run) or default_robot()
+    return completed(robot, run.sensor)

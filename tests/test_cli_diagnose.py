@@ -241,7 +241,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
         (["run.mcap", "--effects", "robot.yaml"], "robot.yaml"),
         (
             ["run.mcap", "--robot", "default.yaml"],
-            "the run has other rays than robot.yaml describes (61 rays",
+            "default.yaml (61 rays from -90° to 90°, expected 181",
         ),
         (["short.mcap"], "50 or more"),
         (["run.mcap", "run.mcap"], "given twice"),
@@ -257,7 +257,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
 def test_bad_input_gets_one_line(
     folder: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (folder / "default.yaml").write_text("name: other\n")
+    (folder / "default.yaml").write_text("sensor: {n_rays: 181}\n")
     run = driven_run(0)
     logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
     logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.world.robot import Robot, bearings, load_robot, parse_robot
+from sensorgraph.world.robot import SECTIONS, TOP, Robot, load_robot, parse_robot
+from sensorgraph.world.robot_sensor import MOUNTED, RING, bearings
+from sensorgraph.world.robot_values import KINDS
 
 
 def plain(robot: Robot) -> dict[str, object]:
@@ -58,15 +60,78 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("footprint_radius: 0", "expected a value above 0"),
         ("sensor: {n_rays: 1.5}", "expected a whole number"),
         ("sensor: {n_rays: true}", "expected a whole number"),
-        ("sensor: {fov: 180}", "write an angle in degrees as `180 deg`"),
-        ("sensors: [{n_rays: 5, fov: 180}]", "sensors[0].fov is 180.0 rad, expected at most 2 pi"),
+        ("sensor: {fov: 270}", "`sensor.fov` is 270; expected radians, at most 6.28; write 270 deg"),
+        ("sensor: {fov: 400 deg}", "`sensor.fov` is 400 deg; expected at most 360 deg"),
+        (
+            "sensor: {mount: [0.1, 0, 180]}",
+            "`sensor.mount` is 180; expected radians, at most 6.28; write 180 deg",
+        ),
+        (
+            "sensor: {mount: [120, 0, 0]}",
+            "expected metres, at most 20; write 120 mm, or 120 m if metres are meant",
+        ),
+        (
+            "sensors: [{n_rays: 5, fov: 180}]",
+            "`sensors[0].fov` is 180; expected radians, at most 6.28; write 180 deg",
+        ),
+        (
+            "sensor: {range_max: 12000}",
+            "`sensor.range_max` is 12000; expected metres, at most 200; write 12000 mm, or",
+        ),
+        ("footprint_radius: 25", "expected metres, at most 20; write 25 cm, or 25 m if metres are meant"),
+        (
+            "sensor: {sweep_time: 33}",
+            "`sensor.sweep_time` is 33; expected seconds, at most 10; write 33 ms, or 33 s",
+        ),
+        (
+            "limits: {omega: 90}",
+            "`limits.omega` is 90; expected rad/s, at most 20; write 90 deg/s, or 90 rad/s",
+        ),
+        ("limits: {v: 400}", "expected m/s, at most 30; write 400 mm/s"),
+        ("tolerances: {map: 4.5}", "`tolerances.map` is 4.5; expected metres, at most 1; write 4.5 mm"),
+        ("tolerances: {pose_yaw: 1.5}", "expected radians, at most 1; write 1.5 deg"),
+        ("sensor: {rate: 20 kHz}", "`sensor.rate` is 20 kHz; expected at most 10 kHz"),
+        ("sensor: {rate: 10 ms}", "expected a number such as 10.0, in hertz or with a unit (Hz, kHz, rpm)"),
         (
             "sensor: {fov: 360 grad}",
-            "expected a number of radians, or an angle with its unit such as `180 deg`",
+            "expected a number such as 3.14159265, in radians or with a unit (rad, deg, °",
         ),
         ("sensor: {range_max: .inf}", "`sensor.range_max` is inf, expected a number such as 8.0"),
         ("sensor: {range_max: 8 deg}", "`sensor.range_max` is '8 deg', expected a number such as 8.0"),
         ("sensor: {mount: [1, 2]}", "expected 3 numbers"),
+        (
+            "sensor: {angle_min: -179 deg}",
+            "`sensor.angle_min` alone does not determine the rays; expected n_rays and two of",
+        ),
+        (
+            "sensor: {angle_min: -1, fov: 2}",
+            "`sensor.fov` does not go with `sensor.angle_min`; remove one of them",
+        ),
+        (
+            "sensor: {angle_min: -180 deg, angle_max: 180 deg, angle_increment: 0.007}",
+            "has 897.6 times angle_increment from angle_min to angle_max, expected a whole number, 0 or more; give n_rays",
+        ),
+        (
+            "sensor: {angle_min: 0, angle_max: 270 deg, angle_increment: 0.25 deg, n_rays: 541}",
+            "`sensor` has 541 rays, but 1081 with angle_increment from angle_min to angle_max",
+        ),
+        (
+            "sensor: {angle_min: 0, angle_increment: 1 deg, n_rays: 720}",
+            "has 720 rays, 1° apart; expected at most a full",
+        ),
+        ("sensor: {angle_min: 0, angle_max: 0, n_rays: 7}", "has an angle between rays of 0"),
+        (
+            "sensor: {angle_min: 0, angle_max: 1, angle_increment: -0.1}",
+            "`sensor` has -10 times angle_increment",
+        ),
+        (
+            "sensor: {angle_min: 1, angle_max: -1, n_rays: 5, interlaced_sweeps: 2, sweep_period: 0.1}",
+            "write a positive angle_increment, and a negative sweep_time",
+        ),
+        (
+            "sensors: [{n_rays: 5, fov: 1}]\nsensor: {angle_min: 1}",
+            "`sensor.angle_min` does not go with `sensors`",
+        ),
         ("sensor: {sigma: -0.1}", "expected 0 or more"),
         ("sensor: {range_min: 9.0}", "expected 0 <= min < max"),
         ("sensor: {range_max: .nan}", "expected a number"),
@@ -105,3 +170,106 @@ def test_angles_may_be_written_in_degrees() -> None:
     np.testing.assert_allclose(np.degrees(ring.bearings), [-135, -45, 45, 135])
     np.testing.assert_allclose(np.degrees(ring.cones), 15)
     assert parse_robot("sensor: {fov: 3.0 rad}").sensor.bearings[-1] == pytest.approx(1.5)
+
+
+def test_every_number_takes_a_unit() -> None:
+    """A new key needs a quantity; whole numbers are counts, a mount has its own."""
+    keys = {
+        key
+        for group in (*SECTIONS.values(), TOP, RING, MOUNTED)
+        for key, value in group.items()
+        if isinstance(value, float | None)
+    }
+    assert keys == set(KINDS)
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ("5 cm", 0.05), ("120 mm", 0.12), ("120mm", 0.12), ("0.12 m", 0.12), ("250 um", 0.00025), ("1.5e-1 m", 0.15),
+    ],
+)  # fmt: skip
+def test_lengths_have_units(written: str, read: float) -> None:
+    assert parse_robot(f"sensor: {{height: {written}}}").sensor.height == pytest.approx(read)
+    assert parse_robot(f"sensor: {{mount: [{written}, -{written}, 0]}}").sensor.mount[1] == pytest.approx(
+        -read
+    )
+    assert parse_robot(f"tolerances: {{map: {written}}}").tolerances.map == pytest.approx(read)
+    assert parse_robot(f"footprint_radius: {written}").footprint_radius == pytest.approx(read)
+
+
+def test_all_quantities_have_units() -> None:
+    robot = parse_robot(
+        "limits: {v: 40 cm/s, omega: 90 deg/s, a: 500 mm/s^2, alpha: 114.6 deg/s2}\n"
+        "sensor: {rate: 600 rpm, sweep_time: 33 ms, angle_min: −135 deg, angle_max: 135°, n_rays: 1081}\n"
+        "pose: {rate: 2 Hz, sigma_yaw: 0.1 deg}\nwheels: {sigma_v: 4 mm/s, sigma_omega: 0.3 deg/s}\n"
+        "actuators: {tau: 120 ms}\ntolerances: {stamp: 3.5 ms, mount_yaw: 0.05 deg, control_period: 20 ms}"
+    )
+    limits = robot.limits
+    assert (limits.v, limits.a) == pytest.approx((0.4, 0.5))
+    assert (limits.omega, limits.alpha) == pytest.approx((np.pi / 2, 2.0), rel=1e-3)
+    assert (robot.sensor.rate, robot.sensor.sweep_time, robot.pose.rate) == pytest.approx((10.0, 0.033, 2.0))
+    np.testing.assert_allclose(np.degrees(robot.sensor.bearings[[0, -1]]), [-135, 135])
+    assert (robot.wheels.sigma_v, robot.wheels.sigma_omega) == pytest.approx((0.004, np.radians(0.3)))
+    assert (robot.actuators.tau, robot.tolerances.stamp) == pytest.approx((0.12, 0.0035))
+    assert (robot.tolerances.mount_yaw, robot.tolerances.control_period) == pytest.approx(
+        (np.radians(0.05), 0.02)
+    )
+
+
+def test_a_unit_allows_what_a_bare_number_does_not() -> None:
+    """A laser may see 250 m; written without a unit this is more likely in cm."""
+    assert parse_robot("sensor: {range_max: 250 m}").sensor.range_max == 250
+    with pytest.raises(SensorgraphError, match="250; expected metres, at most 200"):
+        parse_robot("sensor: {range_max: 250}")
+
+
+@pytest.mark.parametrize("fov", ["6.28", "6.2832", "6.283185307", "360 deg", "6.2832 rad"])
+def test_a_rounded_full_turn_is_a_full_turn(fov: str) -> None:
+    sensor = parse_robot(f"sensor: {{n_rays: 360, fov: {fov}}}").sensor
+    np.testing.assert_allclose(np.degrees(sensor.bearings), np.arange(-180, 180))
+
+
+@pytest.mark.parametrize(
+    ("keys", "first", "step", "n_rays"),
+    [
+        ("angle_min: -179 deg, angle_max: 180 deg, n_rays: 720", -179, 359 / 719, 720),  # RPLIDAR
+        ("angle_min: -3.14159, angle_increment: 0.007, n_rays: 897", -180, np.degrees(0.007), 897),  # Velodyne
+        ("angle_min: -3.14159, angle_max: 3.14159, angle_increment: 0.007, n_rays: 897", -180, np.degrees(0.007), 897),
+        ("angle_min: -135 deg, angle_max: 135 deg, angle_increment: 0.25 deg", -135, 0.25, 1081),
+        ("angle_max: 135 deg, angle_increment: 0.25 deg, n_rays: 1081", -135, 0.25, 1081),
+        ("angle_min: 0, angle_max: 6.28319, n_rays: 361", 0, 1, 360),  # of a full turn the last ray repeats the first
+        ("angle_min: 10 deg, n_rays: 1", 10, 1, 1),
+    ],
+)  # fmt: skip
+def test_rays_are_described_as_in_a_scan_message(keys: str, first: float, step: float, n_rays: int) -> None:
+    sensor = parse_robot(f"sensor: {{{keys}}}").sensor
+    np.testing.assert_allclose(np.degrees(sensor.bearings), first + step * np.arange(n_rays), atol=1e-3)
+    assert not sensor.is_clockwise
+
+
+@pytest.mark.parametrize(
+    ("keys", "is_clockwise"),
+    [
+        ("angle_min: -90 deg, angle_max: 90 deg, n_rays: 5, sweep_time: 0.1", False),
+        ("angle_min: -90 deg, angle_max: 90 deg, n_rays: 5, sweep_time: -0.1", True),
+        ("angle_min: 90 deg, angle_increment: -45 deg, n_rays: 5, sweep_time: 0.1", True),
+        ("angle_min: 90 deg, angle_max: -90 deg, n_rays: 5, sweep_time: 0.1", True),
+        ("angle_min: 90 deg, angle_increment: -45 deg, n_rays: 5, sweep_time: -0.1", False),
+        ("angle_min: 90 deg, angle_increment: -45 deg, n_rays: 5", True),
+        ("fov: 180 deg, n_rays: 5, sweep_time: -0.1", True),
+    ],
+)
+def test_rays_and_their_times_go_either_way(keys: str, is_clockwise: bool) -> None:
+    """Bearings rise in memory; times follow the order of the file, from its last ray if the sweep time is negative."""
+    sensor = parse_robot(f"sensor: {{{keys}}}").sensor
+    np.testing.assert_allclose(np.degrees(sensor.bearings), [-90, -45, 0, 45, 90], atol=1e-9)
+    assert sensor.is_clockwise == is_clockwise
+    if "sweep_time" in keys:
+        assert (np.diff(sensor.ray_delays) < 0).all() == is_clockwise
+
+
+def test_several_lasers_have_rays_as_they_are() -> None:
+    text = "sensors: [{name: /front, mount: [0.2, 0, 0], angle_min: 40 deg, angle_increment: -20 deg, n_rays: 4}, {mount: [-0.2, 0, 180 deg]}]"
+    sensor = parse_robot(text).sensor
+    np.testing.assert_allclose(np.degrees(sensor.bearings), [-20, 0, 20, 40, 180])

@@ -64,7 +64,7 @@ def diagnose(
 
       sensorgraph diagnose monday.log friday.log -o wheels
     """
-    from sensorgraph.cli.inputs import read_options, with_poses
+    from sensorgraph.cli.inputs import read_options, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
@@ -78,20 +78,21 @@ def diagnose(
         _drive_alone(loaded, runs, robot, out, poses, reading)
         return
     walls, machine = _place(loaded[0], runs[0], arena, robot)
-    place = arena or "the arena kept in the run"
-    loaded = [
-        with_described_mount(with_poses(run, path, poses, walls, name=place, options=reading), machine)
-        for run, path in zip(loaded, runs, strict=True)
-    ]
+    place, kept = arena or "the arena kept in the run", str(robot or "the robot.yaml kept in the run")
+
+    def posed(run: Run, path: Path) -> Run:
+        stated = with_robot(run, str(path), machine, kept)
+        return with_described_mount(
+            with_poses(stated, path, poses, walls, name=place, options=reading), machine
+        )
+
+    loaded = [posed(run, path) for run, path in zip(loaded, runs, strict=True)]
     _print_ray_orders(runs, loaded, machine)
     known = _known(effects, walls)
     baseline = _commission([_read(path, reading) for path in commissioning or ()], walls, machine, seed)
     options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
     if simulation is not None:
-        simulated = with_poses(
-            _read(simulation, reading), simulation, poses, walls, name=place, options=reading
-        )
-        options |= {"simulation": with_described_mount(simulated, machine), "name": str(simulation)}
+        options |= {"simulation": posed(_read(simulation, reading), simulation), "name": str(simulation)}
     driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # free the scans of a long log as soon as they are no longer needed
@@ -155,13 +156,17 @@ def _drive_alone(
     reading: Mapping[str, Any],
 ) -> None:
     """Estimate wheels and mount from runs without arena and reference poses."""
-    from sensorgraph.cli.inputs import print_log_notes, with_poses
+    from sensorgraph.cli.inputs import print_log_notes, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.driving_files import save_driving
     from sensorgraph.intake import log_notes
     from sensorgraph.world.robot import load_robot
 
+    machine = None if robot is None else load_robot(robot)
+    loaded = [
+        with_robot(run, str(path), machine, str(robot)) for run, path in zip(loaded, paths, strict=True)
+    ]
     for run, path in zip(loaded, paths, strict=True):
         check_odometry(run, name=path.name)
     names = [path.name if len({p.name for p in paths}) == len(paths) else str(path) for path in paths]
@@ -169,7 +174,7 @@ def _drive_alone(
         name: (run, with_poses(run, path, poses, options=reading))
         for name, run, path in zip(names, loaded, paths, strict=True)
     }
-    base = None if robot is None else load_robot(robot).wheels.base
+    base = None if machine is None else machine.stated_base
     finding = diagnose_driving(runs, base=base, progress=progress)
     save_driving(finding, out, {"runs": names, "robot": robot and robot.name}, log_notes(*loaded))
     print_log_notes(*loaded)
@@ -180,7 +185,7 @@ def _drive_alone(
     )
     if base is None:
         typer.echo(
-            "effects.yaml lacks the heading bias: unequal wheel radii need a known wheelbase; give --robot"
+            "effects.yaml lacks the heading bias: unequal wheel radii need a known wheelbase; give --robot with wheels.base"
         )
     typer.echo(f"wrote {out / 'report.html'}, report.json, effects.yaml, calibration.png")
 
@@ -242,15 +247,14 @@ def _read(path: Path, reading: Mapping[str, Any]) -> Run:
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:
     """Return the arena and the robot that were given, else those kept in the run."""
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.loading import arena_in, load_arena, robot_for, robot_in
+    from sensorgraph.loading import arena_in, load_arena, robot_for
 
     walls = load_arena(arena) if arena is not None else arena_in(run)
     if walls is None:
         raise SensorgraphError(
             f"{name} keeps no arena; give one with --arena, or use --poses locate to estimate only wheels and mount"
         )
-    machine = robot_in(run) if robot is None else None
-    return walls, robot_for(run, robot) if machine is None else machine
+    return walls, robot_for(run, robot)
 
 
 def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:

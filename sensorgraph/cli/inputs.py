@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from planners.arena import Arena
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.types import Floats
+    from sensorgraph.world.robot import Robot
 
 
 def check_output(path: Path, *inputs: Path) -> None:
@@ -93,38 +94,29 @@ def _parse_slice(text: str | None) -> dict[str, tuple[float, float]]:
     return {"slice": (low, high)}
 
 
-def with_robot(run: Run, name: str, path: Path | None) -> Run:
-    """Return a run with the sweep time of a robot file, which must describe the recording sensor; without a file, the run."""
-    from sensorgraph.world.ray_order import bearings_text, ray_order
-    from sensorgraph.world.robot import load_robot
-    from sensorgraph.world.sweep import sweep_warning, with_sweep_of
+def with_robot(run: Run, name: str, robot: Robot | Path | None, robot_name: str | None = None) -> Run:
+    """Return a run with the ray times and the mount that a robot states; without a robot, the run.
 
-    if path is None:
+    Parameters
+    ----------
+    name, robot_name : Names for messages; the robot's is by default its path.
+
+    Raises
+    ------
+    SensorgraphError : The robot states other rays than those of the run.
+    """
+    from sensorgraph.world.described import with_robot as as_stated
+    from sensorgraph.world.robot import load_robot
+    from sensorgraph.world.sweep import sweep_warning
+
+    if robot is None:
         return run
-    robot = load_robot(path)
-    if ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
-        raise SensorgraphError(
-            f"the rays of {name} differ from those of {path} "
-            f"({bearings_text(run.sensor.bearings, robot.sensor.bearings)}); "
-            "give the robot.yaml of the robot that recorded the run"
-        )
-    warning = sweep_warning(run, robot, name=str(path))
+    machine, described = (load_robot(robot) if isinstance(robot, Path) else robot), robot_name or str(robot)
+    stated = as_stated(run, machine, name=name, robot_name=described)
+    warning = sweep_warning(run, machine, name=described)
     if warning is not None:
         typer.echo(f"warning: {name}: {warning}", err=True)
-    return with_sweep_of(run, robot)
-
-
-def with_mount_of(run: Run, path: Path | None) -> Run:
-    """Return a run of one laser with the mount that a robot file specifies, instead of the transform in the log."""
-    from sensorgraph.world.robot import load_robot
-
-    if path is None or run.sensor.is_composite:
-        return run
-    robot = load_robot(path)
-    if "sensor.mount" not in robot.stated:
-        return run
-    meta = {key: value for key, value in run.meta.items() if key != "mount"}
-    return replace(run, sensor=replace(run.sensor, mount=robot.sensor.mount), meta=meta)
+    return stated
 
 
 def check_poses(poses: str | None) -> None:
@@ -159,15 +151,17 @@ def with_poses(
 
     if not needs_locating(run, run.n_scans if n_scans is None else n_scans, poses):
         return run
-    settings = options or {}
+    settings = {**(options or {}), **_stated(run)}
     if n_scans is not None and n_scans != run.n_scans:
-        run = replace(logs.read(path, **settings), sensor=run.sensor)
+        whole, sensor = logs.read(path, **(options or {})), run.sensor
+        later = sensor.ray_0_after_first - whole.sensor.ray_0_after_first
+        run = replace(whole, sensor=sensor, stamps=whole.stamps + later, meta={**run.meta, **whole.meta})
     why = "--poses locate" if poses == "locate" else "no reference poses"
     where = f"in {name}" if place is not None else "in a new map"
     typer.echo(
         f"{path.name}: {why}: locating {where} from scans and wheels (--poses log uses the poses in the log)"
     )
-    found = located(path, run, place, name=name, options={**settings, **_ray_times(run)}, progress=progress)
+    found = located(path, run, place, name=name, options=settings, progress=progress)
     for line in found.lines:
         typer.echo(f"  {line}")
     if found.path is not None:
@@ -184,20 +178,23 @@ def with_poses_of_graph(
     if not needs_locating(run, run.n_scans, poses):
         return run
     if any(entry.get("name") == path.name for entry in graph.origin.get("inputs", ())):
-        own = kept_own(path, {**options, **_ray_times(run)})
+        own = kept_own(path, {**options, **_stated(run)})
         if own is not None:
             typer.echo(f"{path.name}: using the poses from which {graph_name} was built")
             return own
     return with_poses(run, path, poses, graph, name=graph_name, options=options)
 
 
-def _ray_times(run: Run) -> dict[str, Any]:
-    """Return the ray times of a log or a robot file, which are part of the key of a kept located run."""
+def _stated(run: Run) -> dict[str, Any]:
+    """Return ray times, and what a robot file states, which are part of the key of a kept located run."""
     from logs.run import rare_times
+    from sensorgraph.world.described import MOUNT
+    from sensorgraph.world.sweep import RAY_TIMES
 
-    return (
-        {"sweep_time": run.sensor.sweep_time, **rare_times(run.sensor)} if run.sensor.has_ray_delays else {}
-    )
+    sensor = run.sensor
+    times = {"sweep_time": sensor.sweep_time, **rare_times(sensor)} if sensor.has_ray_delays else {}
+    stated = {key: run.meta[key] for key in (RAY_TIMES, MOUNT) if key in run.meta}
+    return {**times, **stated, **({"laser": sensor.mount.tolist()} if MOUNT in stated else {})}
 
 
 def print_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:

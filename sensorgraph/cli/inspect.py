@@ -52,9 +52,9 @@ def inspect(
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_in
+    from sensorgraph.world.described import differences, with_robot
     from sensorgraph.world.orientation import orientation
     from sensorgraph.world.robot import load_robot
-    from sensorgraph.world.sweep import sweep_warning
 
     if json is not None:
         check_output(json, file)
@@ -76,10 +76,14 @@ def inspect(
                 walls = arena_in(found.run)
             except SensorgraphError as exc:
                 lines += [f"WARNING: {exc}"]
-        machine = robot_in(found.run) if robot is None else load_robot(robot)
-        warning = None if machine is None else sweep_warning(found.run, machine)
-        lines += [] if warning is None else [f"WARNING: {warning}"]
-        oriented = orientation(found.run, walls)
+        machine, stated = robot_in(found.run) if robot is None else load_robot(robot), found.run
+        if machine is not None:
+            rays, times = differences(
+                stated, machine, robot_name=str(robot or "the robot.yaml kept in the run")
+            )
+            lines += [f"WARNING: {line}" for line in (rays, times) if line]
+            stated = stated if rays else with_robot(stated, machine)
+        oriented = orientation(stated, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     if json is not None:
         facts = {**found.to_dict(), "orientation": None}

@@ -59,7 +59,6 @@ def locate(
         check_output,
         print_log_notes,
         read_options,
-        with_mount_of,
         with_robot,
         write_json,
     )
@@ -81,7 +80,7 @@ def locate(
     place = None if arena is None else _place(arena)
     with reading_bar() as tick:
         log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
-    log = with_mount_of(with_robot(log, str(run), robot), robot)
+    log = with_robot(log, str(run), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
     placed = None if out is None else located_run(log, found)  # before any output: it may raise
     print_log_notes(log)

@@ -29,7 +29,7 @@ RunRobot = Annotated[
     Path | None,
     typer.Option(
         "--robot",
-        help="robot.yaml of the recording robot: its sweep time, and the mounts of its `sensors` that the log lacks.",
+        help="robot.yaml of the recording robot: the ray times and mounts that it states replace those of the log.",
     ),
 ]
 NoReturn = Annotated[
@@ -199,7 +199,7 @@ BuildArena = Annotated[
 BuildRobot = Annotated[
     Path | None,
     typer.Option(
-        help="robot.yaml of the recording robot: its sweep time, and the mounts of its `sensors` that the log lacks."
+        help="robot.yaml of the recording robot: the ray times and mounts that it states replace those of the log."
     ),
 ]
 BuildModel = Annotated[
@@ -364,7 +364,12 @@ DiagnoseArena = Annotated[
         help="GeoJSON file, map_server yaml, log with /map, or a shipped arena; default: the arena kept in the run."
     ),
 ]
-DiagnoseRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the robot kept in the run.")]
+DiagnoseRobot = Annotated[
+    Path | None,
+    typer.Option(
+        help="robot.yaml; default: the robot kept in the run. The sensor's unstated values are those of the run."
+    ),
+]
 DiagnoseOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")]
 DiagnoseEffects = Annotated[
     Path | None, typer.Option(help="effects.yaml with effects that the simulation already includes.")

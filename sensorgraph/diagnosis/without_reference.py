@@ -25,6 +25,7 @@ from sensorgraph.localization.kept import needs_locating
 from sensorgraph.localization.locate import is_located, locate, located_run
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
+from sensorgraph.world.sweep import with_sweep_of
 
 STRETCHES = (RANGE_SCALE, MAP_SCALE)
 METRES = "a wall of the map measured with a tape, or wheels with a known distance scale"
@@ -37,20 +38,22 @@ def located_in(run: Run, walls: Arena | None, robot: Robot | None = None) -> Run
     Parameters
     ----------
     walls : Where it is located; None: in a map built from the run itself.
-    robot : Specifies the mount of the laser; None: as logged.
+    robot : States ray times and the mount of the laser; None: as logged.
     """
+    run = run if robot is None else with_sweep_of(run, robot)
     if needs_locating(run, run.n_scans, None):
         run = located_run(run, locate(run, walls, name="the map" if walls is None else "the arena"))
     return run if robot is None else with_described_mount(run, robot)
 
 
 def with_described_mount(run: Run, robot: Robot) -> Run:
-    """Return a located run with the laser mount of robot.yaml.
+    """Return a located run with the laser mount that robot.yaml states.
 
     The scans locate the laser, so that the poses of the base follow from the mount.
     """
     said, logged = np.asarray(robot.sensor.mount), np.asarray(run.sensor.mount)
-    if not is_located(run) or run.sensor.is_composite or np.array_equal(said, logged):
+    is_stated = "sensor.mount" in robot.stated
+    if not is_stated or not is_located(run) or run.sensor.is_composite or np.array_equal(said, logged):
         return run
     base = compose(np.broadcast_to(logged, (1, 3)), invert(said[None]))
     poses = compose(run.poses, np.broadcast_to(base, run.poses.shape))
@@ -68,7 +71,7 @@ def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
     for run, name in zip(runs, names, strict=True):
         check_odometry(run, name=name)
     pairs = {name: (run, located_in(run, None)) for name, run in zip(names, runs, strict=True)}
-    return diagnose_driving(pairs, base=None if robot is None else robot.wheels.base)
+    return diagnose_driving(pairs, base=None if robot is None else robot.stated_base)
 
 
 def _wrong_metre(
@@ -88,7 +91,7 @@ def _wrong_metre(
         return driving, None
     if agrees_with_laser:
         return driving, MAP_SCALE
-    effects = effects_of(in_map, robot.wheels.base)
+    effects = effects_of(in_map, robot.stated_base)
     return replace(driving, runs={**driving.runs, name: in_map}, effects=effects), RANGE_SCALE
 
 
@@ -145,7 +148,7 @@ def driving_of(
     if not is_located(run):
         return None
     try:
-        return diagnose_driving({name: (run, run)}, base=robot.wheels.base, progress=progress)
+        return diagnose_driving({name: (run, run)}, base=robot.stated_base, progress=progress)
     except SensorgraphError as exc:
         return Untold(why=str(exc))
 

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from sensorgraph.exporting.world import ExportedWorld
-from sensorgraph.world.robot import bearings as even_bearings
+from sensorgraph.world.robot_sensor import bearings as even_bearings
 
 STEP = 0.01
 """[s] Time step of the simulation."""

@@ -29,6 +29,7 @@ from sensorgraph.models.narmax.model import RayNarmax
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
+from sensorgraph.world.described import rays_text
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.ray_order import bearings_text, ray_order
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
@@ -110,10 +111,12 @@ class IdentifiedWorld:
     def __init__(self, graph: Sensorgraph, robot: Robot, seed: int) -> None:
         rays = ray_order(graph.sensor.bearings, robot.sensor.bearings)
         if rays is None:
+            keys = rays_text(graph.sensor.bearings)
             raise SensorgraphError(
                 "the rays of the robot differ from those of the graph "
                 f"({bearings_text(robot.sensor.bearings, graph.sensor.bearings)}); "
                 "give the robot.yaml of the sensor with which the graph was built"
+                + (f", or write sensor: {{{keys}}}" if keys else "")
             )
         check_rays(
             robot.sensor, robot.name, takes="an identified world draws",

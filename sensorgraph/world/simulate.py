@@ -24,12 +24,13 @@ SCANS_PER_STEP = 1000  # scans between two progress updates
 
 
 def scan_stamps(driven: ExecutedDrive, sensor: RangeSensor) -> Floats:
-    """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last scan ends within the drive."""
-    return np.arange(
+    """Return the stamps (n_scans,) [s] of ray 0, at the sensor's rate; the last scan ends within the drive."""
+    first = np.arange(
         0.0,
         driven.stamps[-1] - sensor.scan_duration - max(sensor.first_ray_delay, 0.0) + 1e-9,
         1.0 / sensor.rate,
     )
+    return first + sensor.ray_0_after_first
 
 
 def simulate(

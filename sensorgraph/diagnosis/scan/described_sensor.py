@@ -9,12 +9,13 @@ import numpy as np
 from logs.run import RangeSensor, Run
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.world.described import completed
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot
 
 
 def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSensor:
-    """Return the sensor of robot.yaml, with the ray order of the run.
+    """Return the sensor of robot.yaml, with the ray order of the run; values that it does not state are the run's.
 
     Parameters
     ----------
@@ -25,6 +26,7 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
     SensorgraphError
         If the run is of another sensor, or the sensor has too few rays or no noise.
     """
+    robot = completed(robot, run.sensor)
     if robot.sensor.sigma <= 0:
         raise SensorgraphError(
             "sensor.sigma of robot.yaml is 0; expected the standard deviation [m] of a reading, above 0. Enter the value of "
@@ -34,7 +36,7 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
     described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
     if described is None:
         raise SensorgraphError(
-            "the run has other rays than robot.yaml describes "
+            "the rays of the run differ from those of robot.yaml "
             f"({bearings_text(recorded, robot.sensor.bearings)}); pass the robot that recorded it"
         )
     if described.n_rays < settings.min_rays:
@@ -56,10 +58,6 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
         described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
     if several or run.sensor.cones.any() or described.cones.any():
         described = replace(described, cones=run.sensor.cones)
-    # the default height of robot.yaml carries no information; 0 means that the log does not contain it either
-    if "sensor.height" not in robot.stated and run.sensor.height > 0:
-        described = replace(described, height=run.sensor.height)
     mount = np.zeros(3) if is_laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
-    sweep = float(np.copysign(described.sweep_time, run.sensor.sweep_time))
-    return replace(described, mount=mount, sigma=float(sigma), sweep_time=sweep)
+    return replace(described, mount=mount, sigma=float(sigma))
