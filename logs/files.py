@@ -11,6 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
+unfinished: set[Path] = set()
+"""Temporary files that are being written; a process that must end at once removes them."""
+
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
@@ -24,9 +27,12 @@ def atomic_file(path: Path) -> Iterator[Path]:
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))
     part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
+    unfinished.add(part)
     try:
         yield part
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+    finally:
+        unfinished.discard(part)

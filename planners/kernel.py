@@ -97,11 +97,9 @@ def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> Non
             [sys.executable, "-c", HELPER], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         assert helper.stdin is not None
-        with (
-            suppress(BrokenPipeError),
-            helper.stdin as pipe,
-        ):  # if the process died at its start, this process compiles its share
-            pipe.write(pickle.dumps((sys.path, new[1::2])))
+        with suppress(BrokenPipeError):  # if the process died at its start, this process compiles its share
+            helper.stdin.write(pickle.dumps((sys.path, new[1::2])))
+            helper.stdin.flush()  # not closed: the helper ends when the pipe closes
     theirs = {name for _, name, _ in new[1::2]} if helper else set()
     try:
         for function, kinds in types:
@@ -109,18 +107,24 @@ def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> Non
                 function.compile(kinds)
         if helper is not None:
             helper.wait()
-    except BaseException:
+    finally:
         if helper is not None:
             helper.kill()
-            helper.wait()
-        raise
+            with suppress(BrokenPipeError):
+                helper.communicate()
     for function, kinds in types:
         function.compile(kinds)
 
 
 HELPER = """
-import importlib, pickle, sys
+import importlib, os, pickle, sys, threading
 sys.path[:], jobs = pickle.load(sys.stdin.buffer)
+
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+threading.Thread(target=end_with_parent, daemon=True).start()
 for module, name, kinds in jobs:
     getattr(importlib.import_module(module), name).compile(kinds)
 """

@@ -1,4 +1,4 @@
-"""Complete work that Ctrl-C must not interrupt; Ctrl-C takes effect afterwards."""
+"""Complete work that Ctrl-C and SIGTERM must not interrupt; they take effect afterwards."""
 
 from __future__ import annotations
 
@@ -14,33 +14,38 @@ Result = TypeVar("Result")
 
 
 def uninterrupted(work: Callable[[], Result]) -> Result:
-    """Complete some work even if Ctrl-C is pressed meanwhile; then call the original handler of Ctrl-C.
+    """Complete some work even if Ctrl-C or SIGTERM arrives meanwhile; then call the original handler.
 
-    This is mainly for compilers: LLVM calls back into Python, cannot pass on a KeyboardInterrupt, and crashes.
+    This is mainly for compilers: LLVM calls back into Python, cannot pass on an exception of a handler, and crashes.
     Python handles signals in its main thread; other threads are never interrupted.
     """
-    before = signal.getsignal(signal.SIGINT)
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or not callable(before) or isinstance(before, _Later):
+    before = {
+        number: handler
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if callable(handler := signal.getsignal(number)) and not isinstance(handler, _Later)
+    }
+    if threading.current_thread() is not threading.main_thread() or not before:
         return work()
     later = _Later()
-    signal.signal(signal.SIGINT, later)
+    for number in before:
+        signal.signal(number, later)
     try:
         result = work()
     finally:
-        signal.signal(signal.SIGINT, before)
-    if later.frames:
-        before(signal.SIGINT, later.frames[0])
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for arrived, frame in later.arrived.items():
+        before[signal.Signals(arrived)](arrived, frame)
     return result
 
 
 class _Later:
-    """A signal handler that records the signal and warns once."""
+    """A signal handler that records the signals and warns once."""
 
     def __init__(self) -> None:
-        self.frames: list[FrameType | None] = []
+        self.arrived: dict[int, FrameType | None] = {}
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if not self.frames:
+        if not self.arrived:
             logger.warning("stopping after the current compilation")
-        self.frames.append(frame)
+        self.arrived.setdefault(number, frame)

@@ -12,6 +12,9 @@ from typing import Any
 
 from logs.files import atomic_file
 
+unfinished: set[Path] = set()
+"""Temporary folders that are being written; a process that must end at once removes them."""
+
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
@@ -23,6 +26,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = Path(mkdtemp(prefix=".part-", dir=folder))
+        unfinished.add(part)
         try:
             yield part
             for path in sorted(p for p in part.rglob("*") if p.is_file()):
@@ -31,6 +35,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
                 path.replace(target)
         finally:
             shutil.rmtree(part, ignore_errors=True)
+            unfinished.discard(part)
     except BaseException:
         with suppress(OSError):  # another command may write there
             for path in made:

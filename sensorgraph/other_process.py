@@ -9,11 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
+from multiprocessing import parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
+from sensorgraph import termination
+from sensorgraph.termination import Terminated
 from sensorgraph.types import Progress, ProgressBars
 
 Result = TypeVar("Result")
@@ -38,15 +40,13 @@ class OtherProcess(Generic[Result]):
     def __enter__(self) -> OtherProcess[Result]:
         if (os.cpu_count() or 1) > 1:
             context = multiprocessing.get_context("spawn")
-            ours, theirs = context.Pipe(duplex=False)
-            self._process = context.Process(
-                target=_run, args=(theirs, self._work, self._arguments), daemon=True
-            )
+            ours, theirs = context.Pipe()
+            self._process = context.Process(target=_run, args=(theirs,), daemon=True)
             resource_tracker.ensure_running()  # else it starts with the process and does not block Ctrl-C
             with _interrupt_blocked():  # also for the new process, until it can end without a traceback
                 self._process.start()
             theirs.close()
-            self._reader = threading.Thread(target=self._read, args=(ours,), daemon=True)
+            self._reader = threading.Thread(target=self._exchange, args=(ours,), daemon=True)
             self._reader.start()
         return self
 
@@ -55,6 +55,8 @@ class OtherProcess(Generic[Result]):
     ) -> None:
         if self._process is not None:
             self._process.terminate()
+            self._process.join(2 * termination.SETTINGS.cleanup)
+            self._process.kill()
             self._process.join()
 
     def result(self, progress: ProgressBars) -> Result:
@@ -84,12 +86,19 @@ class OtherProcess(Generic[Result]):
         result: Result = value
         return result
 
-    def _read(self, pipe: Connection) -> None:
-        """Receive messages (stage, unit, done, total) and the last message (success, result or error)."""
+    def _exchange(self, pipe: Connection) -> None:
+        """Send the work; receive messages (stage, unit, done, total) and the last message (success, result or error)."""
+        try:
+            pipe.send((self._work, self._arguments))
+        except OSError:
+            return
+        except Exception as error:  # an argument cannot be pickled
+            self._answer = False, error
+            return
         while True:
             try:
                 message = pipe.recv()
-            except EOFError:
+            except (EOFError, OSError):
                 return
             if len(message) == 2:
                 self._answer = message
@@ -113,8 +122,24 @@ def _interrupt_blocked() -> Iterator[None]:
         _block_interrupt(False)
 
 
-def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object, ...]) -> None:
-    """Run the work in this process and send its progress and its result."""
+def _end_with_parent() -> None:
+    """End this process as on SIGTERM when its parent is gone, even if that was killed."""
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def _run(pipe: Connection) -> None:
+    """Receive the work, run it in this process, and send its progress and its result.
+
+    The work is received only here, because its imports take seconds, in which SIGTERM may arrive.
+    """
 
     @contextmanager
     def progress(title: str, unit: str = "") -> Iterator[Progress]:
@@ -129,11 +154,17 @@ def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object,
         yield tick
 
     try:
+        termination.install()
+        _end_with_parent()
         _block_interrupt(False)
-        answer = True, work(*arguments, progress=progress)
-    except KeyboardInterrupt:
+        try:
+            work, arguments = pipe.recv()
+            answer = True, work(*arguments, progress=progress)
+        except Exception as error:
+            pipe.send((False, error))
+        else:
+            pipe.send(answer)
+    except (KeyboardInterrupt, OSError):  # OSError: the other process is gone
         return
-    except BaseException as error:
-        pipe.send((False, error))
-        return
-    pipe.send(answer)
+    except Terminated:
+        os._exit(termination.TERMINATED)  # the shutdown of the interpreter takes seconds

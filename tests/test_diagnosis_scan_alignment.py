@@ -14,7 +14,7 @@ from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.scan.map_alignment import align
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.world.robot import default_robot, parse_robot
+from sensorgraph.world.robot import parse_robot
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
 
 def test_another_sensor_is_refused(hall: Arena) -> None:
     with pytest.raises(SensorgraphError, match=r"61 rays from .*, expected 181"):
-        prepare_scans(drive(hall), hall, default_robot())
+        prepare_scans(drive(hall), hall, parse_robot("sensor: {n_rays: 181}"))
 
 
 def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_walls(hall: Arena) -> None:

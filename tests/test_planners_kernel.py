@@ -107,10 +107,15 @@ import signal
 import numba.core.event as event
 from {package}.kernel import inner_kernel, kernel
 
-class CtrlC(event.Listener):
+def interrupt(number, frame):
+    raise KeyboardInterrupt
+
+class Interrupt(event.Listener):
     def on_start(self, what):
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.{number})
     on_end = on_start
+
+signal.signal(signal.{number}, interrupt)
 
 @inner_kernel
 def half(x):
@@ -120,20 +125,23 @@ def half(x):
 def quarter(x):
     return half(half(x))
 
-event.register("numba:llvm_lock", CtrlC())  # begins and ends again and again while LLVM is at work
-event.register("numba:compile", CtrlC())
+event.register("numba:llvm_lock", Interrupt())  # begins and ends again and again while LLVM is at work
+event.register("numba:compile", Interrupt())
 try:
     quarter(1.0)
 except KeyboardInterrupt:
     print("interrupted", len(quarter.signatures), len(half.signatures))
-signal.signal(signal.SIGINT, signal.SIG_IGN)
+signal.signal(signal.{number}, signal.SIG_IGN)
 print(quarter(8.0))
 """
 
 
 @pytest.mark.parametrize("package", ["planners", "robotmodic_ident"])
-def test_ctrl_c_while_a_kernel_compiles_is_raised_once_it_is_compiled(package: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+def test_a_signal_while_a_kernel_compiles_is_handled_once_it_is_compiled(
+    number: str, package: str, tmp_path: Path
+) -> None:
     """Also if it comes again, and within the kernels that it calls."""
-    done = run(tmp_path, INTERRUPTED.format(package=package))
+    done = run(tmp_path, INTERRUPTED.format(package=package, number=number))
     assert done.stdout == "interrupted 1 1\n2.0\n"
     assert done.stderr.count("stopping after the current compilation") == 1

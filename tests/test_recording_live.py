@@ -225,6 +225,23 @@ def test_ctrl_c_ends_a_recording_as_it_should(
     assert logs.read(tmp_path / "run.mcap").n_scans >= 20
 
 
+def test_sigterm_ends_a_recording_as_ctrl_c_does(port: int, tmp_path: Path) -> None:
+    """`docker stop` of a recorder: the file is complete."""
+    robot = lab.Robot(port, ["/scan"], domain=7)
+    where = ["--router", f"127.0.0.1:{port}", "--domain", "7", "-o", str(tmp_path / "run.mcap")]
+    words = [sys.executable, "-m", "sensorgraph", "record", "--live", *where]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        drive(robot, 0.6).join()
+        time.sleep(0.3)
+        process.terminate()
+        said, _ = process.communicate(timeout=30)
+    robot.close()
+    assert process.returncode == 143
+    assert "terminated after" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    assert logs.read(tmp_path / "run.mcap").n_scans >= 20
+
+
 def test_a_recording_goes_on_when_router_and_robot_restart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,6 +89,24 @@ def test_the_page_and_the_recording_are_served_on_loopback_until_ctrl_c(address:
     assert is_open(source)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_viewer_ends_with_the_command(number: signal.Signals, run_file: Path) -> None:
+    words = ["review", str(run_file), "-o", str(run_file.with_suffix(".rrd")), "--serve"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "sensorgraph", *words], stdout=subprocess.PIPE, text=True
+    ) as work:
+        assert work.stdout is not None
+        served = next(found[1] for line in work.stdout if (found := re.fullmatch(r"serving (\S+)\n", line)))
+        (source,) = parse_qs(urlsplit(served).query)["url"]
+        assert is_open(source)
+        work.send_signal(number)
+        assert work.wait(timeout=5) == (143 if number == signal.SIGTERM else -signal.SIGKILL)
+    end = time.monotonic() + 5
+    while is_open(source) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not is_open(source)
+
+
 def test_a_server_that_does_not_start_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rerun_file, "_viewer", lambda path: shutil.which("false"))
     with (

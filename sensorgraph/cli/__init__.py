@@ -33,6 +33,7 @@ from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
 from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
+from sensorgraph.termination import TERMINATED, Terminated, install
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
@@ -54,6 +55,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 
 INTERRUPTED = 130
+TERMINATED_LINE = "terminated"
 
 app = typer.Typer(
     name="sensorgraph",
@@ -99,7 +101,10 @@ def _one_line(exc: BaseException) -> str:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run one command; return 0 on success, 2 for an error in the input, 1 for an internal error, 130 if interrupted."""
+    """Run one command; return 0 on success, 2 for an error in the input, 1 for an internal error.
+
+    Ctrl-C returns 130, and SIGTERM 143.
+    """
     command = typer.main.get_command(app)
     if is_narrow():
         set_narrow(command)
@@ -111,18 +116,23 @@ def run(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _print_error("interrupted")
         return INTERRUPTED
+    except Terminated:
+        _print_error(TERMINATED_LINE)
+        return TERMINATED
     except Exception as exc:
-        if _is_interrupt(exc):
-            _print_error("interrupted")
-            return INTERRUPTED
-        return _report_error(exc)
+        cause = _signal_of(exc)
+        if cause is None:
+            return _report_error(exc)
+        is_terminated = isinstance(cause, Terminated)
+        _print_error(TERMINATED_LINE if is_terminated else "interrupted")
+        return TERMINATED if is_terminated else INTERRUPTED
 
 
-def _is_interrupt(exc: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error; Ctrl-C while compiled code returns raises a SystemError."""
-    while exc is not None and not isinstance(exc, KeyboardInterrupt):
+def _signal_of(exc: BaseException | None) -> BaseException | None:
+    """Return the signal that caused an error, or None; a signal while compiled code returns raises a SystemError."""
+    while exc is not None and not isinstance(exc, KeyboardInterrupt | Terminated):
         exc = exc.__cause__ or exc.__context__
-    return exc is not None
+    return exc
 
 
 def _report_error(exc: Exception) -> int:
@@ -168,6 +178,7 @@ def main() -> None:
     """Run as the console script `sensorgraph`."""
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `sensorgraph show ... | head` ends quietly
+    install(TERMINATED_LINE)
     code = run()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):  # closed by the caller, or a full disk

@@ -82,9 +82,8 @@ def diagnose(
 
     def posed(run: Run, path: Path) -> Run:
         stated = with_robot(run, str(path), machine, kept)
-        return with_described_mount(
-            with_poses(stated, path, poses, walls, name=place, options=reading), machine
-        )
+        located = with_poses(stated, path, poses, walls, name=place, options=reading)
+        return with_described_mount(located, machine)
 
     loaded = [posed(run, path) for run, path in zip(loaded, runs, strict=True)]
     _print_ray_orders(runs, loaded, machine)

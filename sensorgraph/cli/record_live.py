@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sensorgraph.termination import TERMINATED, Terminated, allow_to_finish
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
@@ -100,7 +102,7 @@ def record_live(
         RosNetwork(router or DEFAULT_ROUTER, domain, wait=wait) as network,
         LiveRecording(out, network, topics=parse_topics(topics or []), attachments=kept) as recording,
     ):
-        why = _listen(recording, coverage, share, duration, wait)
+        why, code = _listen(recording, coverage, share, duration, wait)
         ended = time.time()
     for line in _summary(recording, ended):
         typer.echo(line)
@@ -109,6 +111,8 @@ def record_live(
         if coverage.missing.any():
             typer.echo(f"plan the missing bins: sensorgraph plan ARENA --resume {out} -o rest")
     typer.echo(f"{why}; wrote {out}")
+    if code:
+        raise typer.Exit(code)
 
 
 def _summary(recording: LiveRecording, ended: float) -> list[str]:
@@ -138,8 +142,8 @@ def _listen(
     share: float,
     duration: float | None,
     wait: float | None,
-) -> str:
-    """Record and show the state; return the reason why the recording ended."""
+) -> tuple[str, int]:
+    """Record and show the state; return the reason why the recording ended, and the exit code."""
     began = time.monotonic()
     knows_place = False
     try:
@@ -153,12 +157,15 @@ def _listen(
                     run = recording.recent()
                     knows_place = (run is not None and coverage.add(run)) or knows_place
                     if coverage.share >= share:
-                        return "the plan is covered"
+                        return "the plan is covered", 0
                 state = [_outage_text(recording), _coverage_text(coverage, knows_place)]
                 show(recording, "; ".join(text for text in state if text), time.monotonic() - began)
     except KeyboardInterrupt:
-        return f"stopped after {time.monotonic() - began:.0f} s"
-    return f"reached the duration of {duration:g} s"
+        return f"stopped after {time.monotonic() - began:.0f} s", 0
+    except Terminated:
+        allow_to_finish()
+        return f"terminated after {time.monotonic() - began:.0f} s", TERMINATED
+    return f"reached the duration of {duration:g} s", 0
 
 
 def _outage_text(recording: LiveRecording) -> str:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sensorgraph.termination import TERMINATED, Terminated, install
+
 if TYPE_CHECKING:
     from sensorgraph.exporting.twin import Simulator
 
@@ -33,6 +35,7 @@ def run_script(folder: Path, make: Callable[[], Simulator], world: str) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="random seed of all noise; default: 0")
     options = parser.parse_args()
+    install("terminated")
     try:
         missing = [name for name in (world, "arena.geojson", "robot.yaml") if not (folder / name).is_file()]
         if missing:
@@ -45,6 +48,9 @@ def run_script(folder: Path, make: Callable[[], Simulator], world: str) -> None:
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         raise SystemExit(130) from None
+    except Terminated:
+        sys.stderr.write("terminated\n")
+        raise SystemExit(TERMINATED) from None
     sys.stdout.write(
         f"{run.n_scans:,} scans of {run.sensor.n_rays} rays in {run.stamps[-1]:,.0f} s, "
         f"at most {100 * float(run.meta['off_plan_m']):.1f} cm off the plan\nwrote {options.out}\n"

@@ -92,8 +92,9 @@ def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
     command = [_viewer(path), str(path), "--serve-web", "--bind", LOOPBACK, "--port", str(data)]
     log = ["--web-viewer-port", str(page)]
     server = subprocess.Popen(
-        [*command, *log], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
+        [sys.executable, "-c", WITH_PARENT, *command, *log],
+        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
     try:
         end = time.monotonic() + patience
         while not (_answers(page) and _answers(data)):
@@ -105,7 +106,20 @@ def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
     finally:
         with suppress(ProcessLookupError):
             os.killpg(server.pid, signal.SIGTERM)  # `rerun` is a script that starts the viewer as a child
-        server.wait()
+        server.communicate()
+
+
+WITH_PARENT = """
+import os, signal, subprocess, sys, threading
+
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os.killpg(0, signal.SIGTERM)
+
+threading.Thread(target=end_with_parent, daemon=True).start()
+sys.exit(subprocess.call(sys.argv[1:], stdin=subprocess.DEVNULL))
+"""
+"""Runs a command in a process group that ends when the pipe to this process closes, even if this process is killed."""
 
 
 def _viewer(path: Path) -> str:
