@@ -32,6 +32,8 @@
     Locates a file once and keeps the located run next to it.
 `odometry_check`
     Checks the units of the odometry and the ray order of the laser.
+`ray_times`, `scan_lag`, `time_settings`
+    Time of each ray and lag of the scans, from the run itself; their tuning parameters.
 `in_map`, `map_tracking`
     A run in a known place: search, track, recover, smooth.
 `graph_walls`

@@ -14,7 +14,7 @@ from logs.errors import LogError
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.localization import map_settings, settings
+from sensorgraph.localization import map_settings, settings, time_settings
 from sensorgraph.localization.locate import (
     MIN_SCANS,
     has_reference,
@@ -129,7 +129,7 @@ def _key(path: Path, place: Arena | Sensorgraph | None, name: str, options: Mapp
         digest.update(Path(name).read_bytes())
     tuned = {
         label: asdict(value)
-        for module in (settings, map_settings)
+        for module in (settings, map_settings, time_settings)
         for label, value in vars(module).items()
         if hasattr(value, "__dataclass_fields__") and not isinstance(value, type)
     }

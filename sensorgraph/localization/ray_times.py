@@ -30,7 +30,8 @@ from sensorgraph.localization.refinement import (
 )
 from sensorgraph.localization.scan_lag import scan_lag, with_stamp_of
 from sensorgraph.localization.scans import ScanPoints, scan_points
-from sensorgraph.localization.settings import RAY_TIMES, REFINEMENT, RayTimeSettings
+from sensorgraph.localization.settings import REFINEMENT
+from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 

@@ -19,7 +19,7 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.localization.front_end import ScanTrack
-from sensorgraph.localization.settings import SCAN_LAG, ScanLagSettings
+from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.types import Floats
 
 

@@ -155,17 +155,7 @@ def collect(
         part = replace(part, pose_stamps=part.stamps, poses=poses, pose_covariances=np.zeros((0, 3, 3)))
     evaluation = held_out = predicted = None
     if graph is not None:
-        with progress("evaluating", "scans") as tick:
-            evaluation = evaluate(graph, part, force=True, progress=tick)
-    if graph is not None and evaluation is not None:
-        split = graph.origin.get("split")
-        if split is not None and training_scans(graph, run) is not None:
-            with progress("evaluating held-out scans", "scans") as tick:
-                held_out = evaluate(graph, run, split=split, force=True, progress=tick)
-        predicted = np.full(part.ranges.shape, np.nan)
-        with progress("predicting", ""):
-            prediction = evaluation.prediction
-        predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)
+        evaluation, held_out, predicted = _evaluated(graph, run, part, progress)
     lasers = ray_poses(run, pairing, shown)
     lasers = lasers if run.pose_frame == "laser" else laser_poses(lasers, run.sensor.mount)
     rays = np.stack([lasers[..., 2] + run.sensor.bearings, part.ranges], axis=-1)
@@ -197,6 +187,29 @@ def collect(
         intensities=part.intensities if len(part.intensities) else None,
         deviations=_deviations(run, shown),
     )
+
+
+def _evaluated(
+    graph: Sensorgraph, run: Run, part: Run, progress: ProgressBars
+) -> tuple[Evaluation, Evaluation | None, Floats]:
+    """Return the evaluation of the shown scans, that of held-out scans, and the answered ranges (n_shown, n_rays) [m].
+
+    Parameters
+    ----------
+    part : The shown scans of the run.
+    """
+    with progress("evaluating", "scans") as tick:
+        evaluation = evaluate(graph, part, force=True, progress=tick)
+    held_out = None
+    split = graph.origin.get("split")
+    if split is not None and training_scans(graph, run) is not None:
+        with progress("evaluating held-out scans", "scans") as tick:
+            held_out = evaluate(graph, run, split=split, force=True, progress=tick)
+    predicted = np.full(part.ranges.shape, np.nan)
+    with progress("predicting", ""):
+        prediction = evaluation.prediction
+    predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)
+    return evaluation, held_out, predicted
 
 
 def _deviations(run: Run, shown: NDArray[np.intp]) -> Floats | None:
