@@ -70,6 +70,7 @@ def test_a_robot_file_of_a_sweep_alone_goes_with_every_command(
     monkeypatch.chdir(folder)
     assert command([*words, "--robot", "sweep.yaml"]) == 0
     said = "".join(capfd.readouterr())
+    assert "set sensor.sweep_time" not in said
     assert (
         said.count(
             "a sweep takes 0 s in the log and 0.2 s in sweep.yaml (`sensor.sweep_time`), which is used"

@@ -55,7 +55,12 @@ SONARS = b"""sensors:
   - {name: /front, mount: [0.25, 0.0, 0.0], n_rays: 5, fov: 1.57}
 sensor: {range_min: 0.05, range_max: 4.0, sigma: 0.01, rate: 10.0}
 """
-ROBOTS = (ROBOT, CAR, SONARS)
+CLOCKWISE = b"""footprint_radius: 20 cm
+limits: {v: 40 cm/s, omega: 60 deg/s, a: 500 mm/s^2, alpha: 2 rad/s2}
+sensor: {mount: [120 mm, 0, 1.5 deg], angle_min: 179 deg, angle_max: -179 deg, angle_increment: -0.25 deg, n_rays: 1433,
+  sweep_time: 33 ms, rate: 600 rpm}
+"""
+ROBOTS = (ROBOT, CAR, SONARS, CLOCKWISE)
 EFFECTS_FILE = b"""- name: mount_yaw
   parameters: {delta: 0.02}
   stderr: {delta: 0.001}
