@@ -163,7 +163,10 @@ def test_another_robot_or_arena_than_the_plan_has_is_warned_of(
             "is an arena or a robot, expected a plan's",
         ),
         (["record", "{plan}", "--arena", "square", "-o", "{tmp}/a.bag"], "name it a.mcap"),
-        (["record", "{plan}", "--arena", "square", "-o", "{tmp}/no/a.mcap"], "create it or write to another folder"),
+        (
+            ["record", "{plan}", "--arena", "square", "-o", "{tmp}/no/a.mcap"],
+            "create it or write to another folder",
+        ),
         (
             ["record", "{plan}", "--arena", "square", "--robot", "{tmp}", "-o", "{tmp}/a.mcap"],
             "is a directory",

@@ -322,7 +322,8 @@ def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> Non
     assert "mount_yaw" not in [a.name for a in hidden.effects]
     text = summarise(hidden).details[-1]
     assert re.search(
-        r"wide \(mount_yaw\); they hide: .*mounting yaw of up to 4\.\d+° \(this run may have 1\.[67]\d*°\)", text
+        r"wide \(mount_yaw\); they hide: .*mounting yaw of up to 4\.\d+° \(this run may have 1\.[67]\d*°\)",
+        text,
     )
     assert not any(
         "tolerances" in line for line in summarise(silent).details

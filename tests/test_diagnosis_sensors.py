@@ -105,5 +105,7 @@ def test_an_effect_of_one_sensor_changes_its_rays_alone(hall: Arena) -> None:
     turned = scenes[1].run([EFFECTS["mount_yaw"](delta=0.2).at("sensor 1")]).reading
     np.testing.assert_allclose(turned[:, owner == 0], plain[:, owner == 0], rtol=1e-12)
     assert (np.abs(turned - plain)[:, owner == 1] > 1e-3).all()
-    with pytest.raises(SensorgraphError, match="applies to `sensor 2`, but the robot has sensor 0 to sensor 1"):
+    with pytest.raises(
+        SensorgraphError, match="applies to `sensor 2`, but the robot has sensor 0 to sensor 1"
+    ):
         scenes[2].run([EFFECTS["range_bias"](b=0.1).at("sensor 2")])

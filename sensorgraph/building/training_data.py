@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from logs.run_warnings import warnings_of
 from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
+from logs.run_warnings import warnings_of
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
