@@ -1,0 +1,229 @@
+"""Counts: rays, scans, gaps, drives that hardly move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.fuzz.structure.draft import Draft, Laser
+from benchmarks.fuzz.structure.start import Kind, Start
+
+
+def varying_rays(start: Start) -> Draft:
+    """A driver sends a few rays more or less in each scan, over the same angle."""
+    draft = start.draft(spins=True)
+    few = start.pick((1, 3, 10))
+    for item in draft.scans:
+        c = item.content
+        n = len(c["ranges"]) - int(start.rng.integers(0, few + 1))
+        if start.chance(0.5):  # the last rays are missing
+            c["ranges"] = c["ranges"][:n]
+            c["angle_max"] = c["angle_min"] + c["angle_increment"] * (n - 1)
+        else:  # fewer rays over the same angle
+            old = np.arange(len(c["ranges"]))
+            nearest = np.linspace(0, len(old) - 1, n)
+            c["ranges"] = np.interp(nearest, old, np.where(np.isfinite(c["ranges"]), c["ranges"], 50.0))
+            c["angle_increment"] = (c["angle_max"] - c["angle_min"]) / (n - 1)
+            c["time_increment"] *= (len(old) - 1) / (n - 1)
+        c["intensities"] = np.zeros(0) if not len(c["intensities"]) else item.scan + np.linspace(0.25, 0.75, n)
+    return draft
+
+
+def few_scans(start: Start) -> Draft:
+    draft = start.draft()
+    n = start.pick((0, 1, 2, 3, 5, 9, 10, 12, 20, 40))
+    kept = draft.scans[60 : 60 + n]
+    draft.keep(lambda item: item.topic != "/scan")
+    draft.add(*kept)
+    draft.usable = n >= 10
+    if n == 0:
+        draft.empty = [("/scan", "LaserScan")]
+    return draft
+
+
+def few_rays(start: Start) -> Draft:
+    n = start.pick((1, 2, 3, 5, 8, 16, 30))
+    laser = start.pick((Laser(sweep=0, first=-90, n=n, stride=180 // n), Laser(sweep=1, first=-180, n=n, stride=360 // n)))
+    draft = start.draft(laser)
+    draft.usable = n >= 30
+    return draft
+
+
+def narrow(start: Start) -> Draft:
+    angle = start.pick((10, 30, 60, 90))
+    draft = start.draft(Laser(sweep=start.pick((0, 1)), first=-angle // 2, n=angle + 1))
+    draft.usable = angle >= 90
+    return draft
+
+
+def empty_scans(start: Start) -> Draft:
+    """Some messages have no rays at all."""
+    draft = start.draft()
+    for item in draft.scans:
+        if start.chance(0.1):
+            item.content |= {"ranges": np.zeros(0), "intensities": np.zeros(0)}
+    return draft
+
+
+def blind_stretch(start: Start) -> Draft:
+    """For some seconds no ray returns."""
+    draft = start.draft()
+    first, last = sorted(start.rng.uniform(3, 18, 2))
+    for item in draft.scans:
+        if first < item.stamp < min(last, first + 5):
+            item.content["ranges"] = np.full(len(item.content["ranges"]), start.pick((np.inf, 0.0)))
+    return draft
+
+
+def gap_of_scans(start: Start) -> Draft:
+    draft = start.draft()
+    at, width = float(start.rng.uniform(4, 14)), start.pick((0.5, 2.0, 5.0))
+    draft.keep(lambda item: item.topic != "/scan" or not at < item.stamp < at + width)
+    return draft
+
+
+def gap_of_odometry(start: Start) -> Draft:
+    draft = start.draft()
+    at, width = float(start.rng.uniform(4, 14)), start.pick((0.5, 2.0, 5.0))
+    draft.keep(lambda item: item.topic not in ("/odom", "/tf") or not at < item.stamp < at + width)
+    return draft
+
+
+def gap_of_all(start: Start) -> Draft:
+    """Nothing is recorded for a while, and the robot has moved on."""
+    draft = start.draft()
+    at, width = float(start.rng.uniform(4, 12)), start.pick((1.0, 3.0, 6.0))
+    draft.keep(lambda item: item.topic == "/tf_static" or not at < item.stamp < at + width)
+    return draft
+
+
+def pause(start: Start) -> Draft:
+    """The recorder is stopped and started again an hour later, where the robot still stands."""
+    draft = start.draft()
+    at = float(start.rng.uniform(6, 14))
+    for item in draft.items:
+        late = 3600.0 * (item.stamp > at)
+        item.stamp, item.log, item.arrival = item.stamp + late, item.log + late, item.arrival + late
+    return draft
+
+
+def lost_scans(start: Start) -> Draft:
+    draft = start.draft()
+    share = start.pick((0.1, 0.5))
+    draft.keep(lambda item: item.topic != "/scan" or start.rng.random() > share)
+    return draft
+
+
+def rare_scans(start: Start) -> Draft:
+    """A scan every second or more."""
+    return start.draft(every=start.pick((5, 10, 20)))
+
+
+def rare_odometry(start: Start) -> Draft:
+    draft = start.draft()
+    every = start.pick((5, 25, 50))
+    for topic in ("/odom", "/tf"):
+        kept = {id(item) for item in draft.on(topic)[::every]}
+        draft.keep(lambda item, topic=topic, kept=kept: item.topic != topic or id(item) in kept)  # type: ignore[misc]
+    return draft
+
+
+def short_odometry(start: Start) -> Draft:
+    """Odometry starts late or ends early."""
+    draft = start.draft()
+    first, last = start.pick(((6.0, 99.0), (0.0, 12.0), (5.0, 15.0), (0.0, 0.25), (-1.0, -0.5)))
+    draft.keep(lambda item: item.topic not in ("/odom", "/tf") or first < item.stamp < last)
+    if last < 1:
+        draft.expects.discard("odom")
+    return draft
+
+
+def short_pose(start: Start) -> Draft:
+    draft = start.draft(reference=1.0)
+    first, last = start.pick(((6.0, 99.0), (0.0, 12.0), (0.0, 0.3)))
+    draft.keep(lambda item: item.topic != "/pose" or first < item.stamp < last)
+    draft.expects.discard("pose")
+    return draft
+
+
+def standing(start: Start) -> Draft:
+    """The robot never moves."""
+    draft = start.draft()
+    still = replace(draft.drive, poses=np.repeat(draft.drive.poses[:1], len(draft.drive.poses), axis=0),
+                    odometry=np.zeros_like(draft.drive.odometry))  # fmt: skip
+    first = draft.scans[0].content["ranges"]
+    for item in draft.items:
+        if item.scan >= 0:
+            item.content["ranges"] = np.round(first + 0.01 * start.rng.normal(size=len(first)), 3)
+        if item.kind == "Odometry":
+            item.content = item.content | {"pose": np.r_[np.zeros(6), 1.0], "twist": np.zeros(6)}
+        if item.kind == "PoseStamped":
+            item.content["pose"] = draft.on("/pose")[0].content["pose"]
+        if item.topic == "/tf":
+            item.content["transforms"] = [("odom", "base_link", np.r_[np.zeros(6), 1.0])]
+    draft.drive = still
+    draft.expects = set()
+    return draft
+
+
+def spin(start: Start) -> Draft:
+    draft = start.draft(drive="spin")
+    if start.chance():
+        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
+        draft.expects.discard("odom")
+    return draft
+
+
+def corridor(start: Start) -> Draft:
+    draft = start.draft(drive="corridor", range_max=start.pick((5.0, 8.0)))
+    if start.chance():
+        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
+        draft.expects.discard("odom")
+        draft.usable = False
+        draft.said = "ambiguous|along|corridor"
+    return draft
+
+
+def short_range(start: Start) -> Draft:
+    draft = start.draft(range_max=start.pick((0.8, 1.5, 2.5)))
+    draft.usable = draft.laser.range_max > 2
+    return draft
+
+
+def dense_odometry(start: Start) -> Draft:
+    """Two hundred messages of odometry a second."""
+    draft = start.draft()
+    times = np.arange(0.0, draft.drive.odom_times[-1], 0.005)
+    poses = np.stack([np.interp(times, draft.drive.odom_times, c) for c in draft.drive.odometry.T], axis=1)
+    from benchmarks.fuzz.structure.draft import Item, logged, vec7
+
+    draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
+    for t, pose in zip(times, poses, strict=True):
+        content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": "base_link"}
+        draft.add(Item("/odom", "Odometry", t, logged(t, draft.rng), "odom", content))
+    return draft
+
+
+COUNTS: dict[str, Kind] = {
+    "varying_rays": varying_rays,
+    "few_scans": few_scans,
+    "few_rays": few_rays,
+    "narrow": narrow,
+    "empty_scans": empty_scans,
+    "blind_stretch": blind_stretch,
+    "gap_of_scans": gap_of_scans,
+    "gap_of_odometry": gap_of_odometry,
+    "gap_of_all": gap_of_all,
+    "pause": pause,
+    "lost_scans": lost_scans,
+    "rare_scans": rare_scans,
+    "rare_odometry": rare_odometry,
+    "short_odometry": short_odometry,
+    "short_pose": short_pose,
+    "standing": standing,
+    "spin": spin,
+    "corridor": corridor,
+    "short_range": short_range,
+    "dense_odometry": dense_odometry,
+}

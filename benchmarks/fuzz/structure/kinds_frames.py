@@ -1,0 +1,302 @@
+"""Frames: names, missing and inverted transforms, other roots, mounts of every kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.fuzz.structure.draft import Draft, Floats, Item, compose, inverse, logged, mount_of, vec7
+from benchmarks.fuzz.structure.start import LASERS, Kind, Start
+
+
+def _planar(value: Floats) -> Floats:
+    return np.array([value[0], value[1], 2 * np.arctan2(value[5], value[6])])
+
+
+def _turned(start: Start, yaw: float) -> Draft:
+    """Return a log whose laser is turned in base_link; its first ray is where its own bearings begin."""
+    laser = start.pick(LASERS)
+    return start.draft(replace(laser, yaw=yaw, first=round(laser.first + yaw)))
+
+
+def prefixed(start: Start) -> Draft:
+    draft = start.draft()
+    prefix = start.pick(("robot1/", "/robot1/", "robot_1/base/"))
+    draft.frames(lambda name: prefix + name if name not in ("", "map") else name)
+    return draft
+
+
+def leading_slash(start: Start) -> Draft:
+    draft = start.draft()
+    some = start.pick((("laser",), ("laser", "base_link"), ("odom", "base_link", "laser", "map")))
+    if start.chance():  # the messages only, not the transforms
+        for item in draft.items:
+            item.frame = "/" + item.frame if item.frame in some else item.frame
+    else:
+        draft.frames(lambda name: "/" + name if name in some else name)
+    return draft
+
+
+def other_names(start: Start) -> Draft:
+    names = {
+        "base_link": start.pick(("base", "chassis", "body", "robot_base", "base_link_1")),
+        "odom": start.pick(("odom", "odom_combined", "wheel_odom", "Odometry", "odom_frame")),
+        "laser": start.pick(("lidar_link", "hokuyo", "base_laser_link", "velodyne")),
+    }
+    draft = start.draft()
+    draft.frames(lambda name: names.get(name, name))
+    return draft
+
+
+def no_mount(start: Start) -> Draft:
+    draft = start.draft()
+    draft.keep(lambda item: item.topic != "/tf_static")
+    draft.gauges.add("lever")
+    draft.said = "no transform|mount"
+    return draft
+
+
+def no_mount_turned(start: Start) -> Draft:
+    """A laser that looks backwards or sideways, and no transform says so."""
+    draft = _turned(start, start.pick((180.0, 90.0, -90.0, 30.0)))
+    draft.keep(lambda item: item.topic != "/tf_static")
+    draft.gauges.add("lever")
+    draft.said = "turned|backwards|yaw|180"
+    return draft
+
+
+def no_frame(start: Start) -> Draft:
+    draft = start.draft()
+    for item in draft.on("/scan"):
+        item.frame = ""
+    draft.gauges.add("lever")
+    return draft
+
+
+def frame_is_base(start: Start) -> Draft:
+    draft = start.draft()
+    draft.keep(lambda item: item.topic != "/tf_static")
+    for item in draft.on("/scan"):
+        item.frame = "base_link"
+    draft.gauges.add("lever")
+    return draft
+
+
+def inverted_mount(start: Start) -> Draft:
+    draft = start.draft()
+
+    def invert(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
+        return [(b, a, vec7(*inverse(_planar(value)), z=-value[2]))] if b == "laser" else [(a, b, value)]
+
+    draft.edges(invert)
+    return draft
+
+
+def inverted_odometry(start: Start) -> Draft:
+    """The tree hangs from base_link: base_link -> odom."""
+    draft = start.draft(reference=0.0)
+    draft.edges(lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))] if a == "odom" else [(a, b, value)])
+    if start.chance():
+        draft.keep(lambda item: item.topic != "/odom")
+    return draft
+
+
+def map_below_odom(start: Start) -> Draft:
+    draft = start.draft(reference=0.0)
+    for t, odometry in list(zip(draft.drive.odom_times, draft.drive.odometry, strict=True))[::5]:
+        shift = compose(odometry, inverse(draft.drive.pose_at(t)))
+        edges = {"transforms": [("odom", "map", vec7(*shift))]}
+        draft.add(Item("/tf", "TFMessage", t, logged(t, draft.rng), "", edges))
+    draft.expects.add("pose")
+    return draft
+
+
+def footprint_root(start: Start) -> Draft:
+    draft = start.draft()
+    height = start.pick((0.0, 0.1, 0.33))
+    draft.frames(lambda name: "base_footprint" if name == "base_link" else name)
+    draft.edges(lambda a, b, value: [("base_link", b, value)] if b == "laser" else [(a, b, value)])
+    static = [("base_footprint", "base_link", vec7(0.0, 0.0, 0.0, z=height))]
+    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
+    return draft
+
+
+def long_chain(start: Start) -> Draft:
+    draft = start.draft()
+    mount = mount_of(draft.laser)
+    turn = np.array([0.2, -0.1, float(start.rng.uniform(-3, 3))])
+    chain = [
+        ("base_link", "torso", vec7(*turn, z=0.5)),
+        ("torso", "arm", vec7(0.0, 0.0, 0.0, z=-0.2)),
+        ("arm", "laser", vec7(*compose(inverse(turn), mount))),
+    ]
+    draft.edges(lambda a, b, value: chain if b == "laser" else [(a, b, value)])
+    if start.chance():  # each transform in a message, some of them in /tf
+        parts = [replace(item, content={"transforms": [edge]}, topic=start.pick(("/tf", "/tf_static")))
+                 for item in draft.on("/tf_static") for edge in item.content["transforms"]]  # fmt: skip
+        draft.keep(lambda item: item.topic != "/tf_static")
+        draft.add(*parts)
+    return draft
+
+
+def static_in_tf(start: Start) -> Draft:
+    draft = start.draft()
+    static = draft.on("/tf_static")[0].content
+    draft.keep(lambda item: item.topic != "/tf_static")
+    period = start.pick((0.02, 0.5, 5.0))
+    draft.add(*(Item("/tf", "TFMessage", t + start.pick((0.0, 0.1)), logged(t, draft.rng), "", static)
+                for t in np.arange(0.0, 21.0, period)))  # fmt: skip
+    return draft
+
+
+def static_repeated(start: Start) -> Draft:
+    draft = start.draft()
+    first = draft.on("/tf_static")[0]
+    draft.add(*(replace(first, stamp=t, log=t, arrival=t) for t in (3.0, 9.0, 15.0)))
+    return draft
+
+
+def several_in_one(start: Start) -> Draft:
+    """Each message of /tf holds many transforms: wheels, casters, an arm."""
+    draft = start.draft()
+    for item in draft.on("/tf"):
+        angle = 5.0 * item.stamp
+        more = [("base_link", f"wheel_{i}", vec7(0.0, 0.2 * i, 0.0, pitch=angle)) for i in (-1, 1)]
+        item.content["transforms"] = [*more, *item.content["transforms"], ("torso", "head", vec7(0.0, 0.0, 0.1))]
+    return draft
+
+
+def upside_down(start: Start) -> Draft:
+    """Mounted upside down: seen from the laser, a clockwise turn counts up."""
+    spins = start.chance()
+    laser = start.pick([one for one in LASERS if (one.sweep != 0) == spins])
+    sweep, first = -laser.sweep, -laser.first
+    draft = start.draft(replace(laser, sweep=sweep or -1, first=first)) if spins else start.draft(laser)
+    yaw = start.pick((0.0, np.pi)) if laser.n * laser.stride == 360 and spins else 0.0
+    for item in draft.scans:
+        content = item.content
+        if not spins:
+            content["ranges"] = content["ranges"][::-1].copy()
+            content["intensities"] = content["intensities"][::-1].copy()
+        low = np.radians(laser.first) + yaw
+        content |= {"angle_min": low, "angle_increment": np.radians(laser.stride)}
+        content["angle_max"] = low + content["angle_increment"] * (laser.n - 1)
+    mount = vec7(*mount_of(draft.laser)[:2], yaw, z=0.25, roll=np.pi)
+    draft.edges(lambda a, b, value: [(a, b, mount)] if b == "laser" else [(a, b, value)])
+    return draft
+
+
+def backwards(start: Start) -> Draft:
+    return _turned(start, 180.0)
+
+
+def any_yaw(start: Start) -> Draft:
+    return _turned(start, float(start.rng.integers(-179, 180)))
+
+
+def tilted_little(start: Start) -> Draft:
+    draft = start.draft()
+    roll, pitch = np.radians(start.rng.uniform(-3.0, 3.0, 2))
+    mount = vec7(*mount_of(draft.laser), z=0.25, roll=roll, pitch=pitch)
+    draft.edges(lambda a, b, value: [(a, b, mount)] if b == "laser" else [(a, b, value)])
+    return draft
+
+
+def high_mount(start: Start) -> Draft:
+    draft = start.draft()
+    draft.edges(lambda a, b, value: [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])] if b == "laser" else [(a, b, value)])
+    return draft
+
+
+def two_parents(start: Start) -> Draft:
+    """A localizer publishes map -> base_link beside odom -> base_link."""
+    draft = start.draft(reference=0.0)
+    for t in np.arange(0.05, 21.0, start.pick((0.1, 0.5))):
+        edges = {"transforms": [("map", "base_link", vec7(*draft.drive.pose_at(t)))]}
+        draft.add(Item("/tf", "TFMessage", t, logged(t, draft.rng), "", edges))
+    draft.expects.add("pose")
+    return draft
+
+
+def two_trees(start: Start) -> Draft:
+    draft = start.draft()
+    static = [("table", "camera", vec7(1.0, 1.0, 0.0)), ("world", "table", vec7(3.0, 0.0, 0.0))]
+    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
+    return draft
+
+
+def world_above_map(start: Start) -> Draft:
+    draft = start.draft()
+    static = [("world", "map", vec7(3.0, 1.0, 0.5)), ("map", "odom", vec7(0.0, 0.0, 0.0))]
+    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
+    return draft
+
+
+def no_child(start: Start) -> Draft:
+    draft = start.draft()
+    for item in draft.on("/odom"):
+        item.content = item.content | {"child": ""}
+    if start.chance():
+        draft.keep(lambda item: item.topic != "/tf")
+    return draft
+
+
+def frame_changes(start: Start) -> Draft:
+    """A driver is started again with another frame name, which is in the tree too."""
+    draft = start.draft()
+    for item in draft.on("/scan"):
+        item.frame = "laser" if item.stamp < 12.0 else "laser_frame"
+    draft.edges(lambda a, b, value: [(a, b, value), (a, "laser_frame", value)] if b == "laser" else [(a, b, value)])
+    return draft
+
+
+def rounded_quaternion(start: Start) -> Draft:
+    draft = start.draft()
+    sign = start.pick((1.0, -1.0))
+
+    def rough(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
+        return [(a, b, np.r_[value[:3], sign * np.round(value[3:], 4) * 1.003])]
+
+    draft.edges(rough)
+    return draft
+
+
+def late_transforms(start: Start) -> Draft:
+    draft = start.draft()
+    late = start.pick((2.0, 5.0))
+    draft.keep(lambda item: not item.topic.startswith("/tf") or item.log > late or item.topic == "/tf_static")
+    for item in draft.on("/tf_static"):
+        item.stamp = item.log = item.arrival = late
+    return draft
+
+
+FRAMES: dict[str, Kind] = {
+    "prefixed": prefixed,
+    "leading_slash": leading_slash,
+    "other_names": other_names,
+    "no_mount": no_mount,
+    "no_mount_turned": no_mount_turned,
+    "no_frame": no_frame,
+    "frame_is_base": frame_is_base,
+    "inverted_mount": inverted_mount,
+    "inverted_odometry": inverted_odometry,
+    "map_below_odom": map_below_odom,
+    "footprint_root": footprint_root,
+    "long_chain": long_chain,
+    "static_in_tf": static_in_tf,
+    "static_repeated": static_repeated,
+    "several_in_one": several_in_one,
+    "upside_down": upside_down,
+    "backwards": backwards,
+    "any_yaw": any_yaw,
+    "tilted_little": tilted_little,
+    "high_mount": high_mount,
+    "two_parents": two_parents,
+    "two_trees": two_trees,
+    "world_above_map": world_above_map,
+    "no_child": no_child,
+    "frame_changes": frame_changes,
+    "rounded_quaternion": rounded_quaternion,
+    "late_transforms": late_transforms,
+}

@@ -1,0 +1,221 @@
+"""The order of the rays, their bearings and their times, as drivers state them and as they get them wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.fuzz.structure.draft import Draft, Item, Laser, start_of
+from benchmarks.fuzz.structure.drives import PERIOD
+from benchmarks.fuzz.structure.start import LASERS, Kind, Start
+
+TURN = (Laser(sweep=1, first=-180, n=360), Laser(sweep=1, first=-180, n=180, stride=2))
+"""Lasers with rays all around."""
+SPINNING = LASERS[:3]
+
+
+def _clockwise(laser: Laser) -> Laser:
+    """Return the laser that measures the same rays the other way."""
+    return replace(laser, sweep=-1, first=laser.first + laser.stride * (laser.n - 1))
+
+
+def _reverse(item: Item) -> None:
+    """Let the driver send the array the other way, with bearings that fit."""
+    c = item.content
+    c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
+    c |= {"angle_min": c["angle_max"], "angle_max": c["angle_min"], "angle_increment": -c["angle_increment"]}
+
+
+def clockwise(start: Start) -> Draft:
+    """It spins clockwise, and says so: the increment of the bearings is negative."""
+    return start.draft(_clockwise(start.pick(SPINNING)))
+
+
+def reversed_array(start: Start) -> Draft:
+    """It spins clockwise; the driver reverses the array and keeps the time increment."""
+    draft = start.draft(_clockwise(start.pick(SPINNING)))
+    for item in draft.scans:
+        _reverse(item)
+    return draft
+
+
+def reversed_increment(start: Start) -> Draft:
+    """It spins clockwise; the driver reverses the array and negates the time increment."""
+    draft = start.draft(_clockwise(start.pick(SPINNING)))
+    for item in draft.scans:
+        _reverse(item)
+        c = item.content
+        item.stamp += c["time_increment"] * (len(c["ranges"]) - 1)
+        c["time_increment"] *= -1
+    return draft
+
+
+def silent(start: Start) -> Draft:
+    """It spins either way and states no times of rays."""
+    laser = start.pick(SPINNING)
+    ahead = start.chance()
+    draft = start.draft(laser if ahead else _clockwise(laser))
+    for item in draft.scans:
+        if not ahead:
+            _reverse(item)
+        item.content["time_increment"] = 0.0
+        item.content["scan_time"] = start.pick((0.0, PERIOD))
+    return draft
+
+
+def wrong_sign(start: Start) -> Draft:
+    """It spins counter-clockwise; the driver states a negative time increment."""
+    draft = start.draft(spins=True)
+    for item in draft.scans:
+        item.content["time_increment"] *= -1
+    return draft
+
+
+def invented_increment(start: Start) -> Draft:
+    """All rays are measured at once; the driver states a sweep."""
+    draft = start.draft(spins=False)
+    for item in draft.scans:
+        item.content["time_increment"] = PERIOD / len(item.content["ranges"])
+    return draft
+
+
+def too_long(start: Start) -> Draft:
+    draft = start.draft(spins=True)
+    factor = start.pick((1.5, 2.0, 10.0, 100.0, 360.0, 1e4))
+    for item in draft.scans:
+        item.content["time_increment"] *= factor
+    return draft
+
+
+def too_short(start: Start) -> Draft:
+    draft = start.draft(spins=True)
+    factor = start.pick((0.5, 0.1, 1e-3))
+    for item in draft.scans:
+        item.content["time_increment"] *= factor
+    return draft
+
+
+def stamp_at_end(start: Start) -> Draft:
+    """The driver stamps a scan when it is complete, or in its middle."""
+    draft = start.draft(spins=True)
+    share = start.pick((1.0, 0.5))
+    for item in draft.scans:
+        item.stamp += share * item.content["time_increment"] * len(item.content["ranges"])
+    has_wheels = start.chance(0.7)
+    if not has_wheels:
+        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
+        draft.expects.discard("odom")
+    return draft
+
+
+def zero_to_turn(start: Start) -> Draft:
+    """Bearings from 0 to 2 pi."""
+    laser = replace(start.pick(TURN), first=0)
+    draft = start.draft(laser)
+    if start.chance():
+        _repeat_end(draft)
+    return draft
+
+
+def any_start(start: Start) -> Draft:
+    """Bearings that begin anywhere and go all around, beyond pi."""
+    return start.draft(replace(start.pick(TURN), first=int(start.rng.integers(-180, 180))))
+
+
+def _repeat_end(draft: Draft) -> None:
+    """Repeat the first ray at the end: from -pi to pi inclusive."""
+    for item in draft.scans:
+        c = item.content
+        c["ranges"] = np.append(c["ranges"], c["ranges"][0])
+        c["angle_max"] = c["angle_min"] + c["angle_increment"] * (len(c["ranges"]) - 1)
+        if len(c["intensities"]):
+            c["intensities"] = np.append(c["intensities"], c["intensities"][0])
+
+
+def repeated_end(start: Start) -> Draft:
+    draft = start.draft(start.pick(TURN))
+    _repeat_end(draft)
+    return draft
+
+
+def overlapping(start: Start) -> Draft:
+    """A scan is a little more than one turn."""
+    draft = start.draft(start.pick(TURN))
+    more = start.pick((3, 20))
+    for item in draft.scans:
+        c = item.content
+        c["ranges"] = np.append(c["ranges"], c["ranges"][:more])
+        c["angle_max"] = c["angle_min"] + c["angle_increment"] * (len(c["ranges"]) - 1)
+        if len(c["intensities"]):
+            c["intensities"] = np.append(c["intensities"], c["intensities"][:more])
+    return draft
+
+
+def turning_start(start: Start) -> Draft:
+    """The laser takes scans of a little more or less than a turn, so that each begins elsewhere."""
+    n = start.pick((350, 340))
+    draft = start.draft(replace(TURN[0], first=0, n=n), reference=0.0)
+    drive, laser = draft.drive, draft.laser
+    scans = draft.scans
+    for k, item in enumerate(scans):
+        j = k * n
+        z = drive.turns[1][j : j + n] + 0.01 * draft.rng.normal(size=n)
+        z = np.where(z > laser.range_max, np.inf, np.round(z, 3))
+        low = (np.radians(j) + np.pi) % (2 * np.pi) - np.pi
+        c = item.content
+        c |= {"ranges": z, "angle_min": low, "angle_max": low + np.radians(n - 1), "scan_time": PERIOD * n / 360}
+        item.stamp = start_of(laser, 0) + PERIOD * j / 360
+        item.log = item.arrival = item.stamp + 0.11
+        draft.true_times[item.scan], draft.first_rays[item.scan] = item.stamp, j
+    return draft
+
+
+def uneven_ends(start: Start) -> Draft:
+    """The last bearing disagrees with the first, the step and the number of rays."""
+    draft = start.draft()
+    form = start.pick(("one_more", "degrees_rounded", "no_step", "no_end"))
+    for item in draft.scans:
+        c = item.content
+        step = c["angle_increment"]
+        if form == "one_more":
+            c["angle_max"] += step
+        elif form == "degrees_rounded":
+            c["angle_increment"] = np.sign(step) * round(abs(step), 4)
+        elif form == "no_step":
+            c["angle_increment"] = 0.0
+        else:
+            c["angle_max"] = 0.0
+    draft.usable = form not in ("no_step", "no_end")
+    return draft
+
+
+def mirrored(start: Start) -> Draft:
+    """A driver that reverses the array and keeps the bearings: the room is seen in a mirror."""
+    draft = start.draft(reference=0.0)
+    for item in draft.scans:
+        c = item.content
+        c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
+    draft.usable = False
+    draft.said = "mirror|turn"
+    return draft
+
+
+RAYS: dict[str, Kind] = {
+    "clockwise": clockwise,
+    "reversed_array": reversed_array,
+    "reversed_increment": reversed_increment,
+    "silent": silent,
+    "wrong_sign": wrong_sign,
+    "invented_increment": invented_increment,
+    "too_long": too_long,
+    "too_short": too_short,
+    "stamp_at_end": stamp_at_end,
+    "zero_to_turn": zero_to_turn,
+    "any_start": any_start,
+    "repeated_end": repeated_end,
+    "overlapping": overlapping,
+    "turning_start": turning_start,
+    "uneven_ends": uneven_ends,
+    "mirrored": mirrored,
+}
