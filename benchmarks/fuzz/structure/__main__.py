@@ -28,7 +28,9 @@ WORST = 25
 
 def table(results: Sequence[Outcome]) -> list[str]:
     """Return a table by group and kind, and the worst cases."""
-    lines = [f"{'kind':34} {'logs':>5} {'crash':>5} {'silent':>6} {'unsaid':>6} {'unread':>6} {'usable':>6} {'used':>6} {'covered':>7} {'s':>5}"]
+    lines = [
+        f"{'kind':34} {'logs':>5} {'crash':>5} {'silent':>6} {'unsaid':>6} {'unread':>6} {'usable':>6} {'used':>6} {'covered':>7} {'s':>5}"
+    ]
 
     def row(name: str, part: Sequence[Outcome]) -> str:
         usable = [one for one in part if one.usable]
@@ -66,14 +68,22 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument("--n", type=int, default=1000, help="number of logs")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="kinds, or patterns such as 'clocks.*', separated by commas")
-    parser.add_argument("--number", type=int, help="the one log of this number, as listed among the worst cases")
-    parser.add_argument("--keep", type=Path, help="JSON lines of the results; what is there already is not repeated")
+    parser.add_argument(
+        "--only", default="", help="kinds, or patterns such as 'clocks.*', separated by commas"
+    )
+    parser.add_argument(
+        "--number", type=int, help="the one log of this number, as listed among the worst cases"
+    )
+    parser.add_argument(
+        "--keep", type=Path, help="JSON lines of the results; what is there already is not repeated"
+    )
     parser.add_argument("--logs", type=Path, help="only write the logs, into this folder")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--cache", type=Path, default=drives.CACHE, help="folder of the recorded drives")
     given = parser.parse_args()
-    names = [name for name in KINDS if not given.only or any(fnmatchcase(name, p) for p in given.only.split(","))]
+    names = [
+        name for name in KINDS if not given.only or any(fnmatchcase(name, p) for p in given.only.split(","))
+    ]
     jobs = list(jobs_of(names, given.n)) if given.number is None else [(name, given.number) for name in names]
     for name in drives.NAMES:
         drives.load(name, given.cache)

@@ -58,7 +58,12 @@ def _about(draft: Draft, topic: str, kind: str) -> dict[str, bytes]:
 
 
 def _header(index_pos: int, n_connections: int, n_chunks: int) -> bytes:
-    values = {"op": b"\x03", "index_pos": _u8(index_pos), "conn_count": _u4(n_connections), "chunk_count": _u4(n_chunks)}
+    values = {
+        "op": b"\x03",
+        "index_pos": _u8(index_pos),
+        "conn_count": _u4(n_connections),
+        "chunk_count": _u4(n_chunks),
+    }
     size = len(_fields(values))
     return _record(values, b" " * (4096 - size - 8))
 
@@ -85,7 +90,11 @@ def bag20(draft: Draft, style: Style = Style()) -> bytes:  # noqa: B008 - frozen
             values = {"op": b"\x02", "conn": _u4(link), "time": _time(item.log)}
             plain += _record({name: values[name] for name in style.order}, payload(item, ros1=True))
         is_open = not style.is_closed and first + style.per_chunk >= len(draft.items)
-        about = {"op": b"\x05", "compression": style.compression.encode(), "size": _u4(0 if is_open else len(plain))}
+        about = {
+            "op": b"\x05",
+            "compression": style.compression.encode(),
+            "size": _u4(0 if is_open else len(plain)),
+        }
         packed = bytes(plain) if is_open else PACKERS[style.compression](bytes(plain))
         chunk = _record(about, packed, 0 if is_open else None)
         for link, entries in () if is_open else index.items():

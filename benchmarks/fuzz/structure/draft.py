@@ -124,9 +124,7 @@ class Draft:
     def edges(self, change: Callable[[str, str, Floats], Iterable[tuple[str, str, Floats]]]) -> None:
         """Replace each transform by others."""
         for item in self.of("TFMessage"):
-            item.content["transforms"] = [
-                new for edge in item.content["transforms"] for new in change(*edge)
-            ]
+            item.content["transforms"] = [new for edge in item.content["transforms"] for new in change(*edge)]
         self.keep(lambda item: item.kind != "TFMessage" or bool(item.content["transforms"]))
 
     def add(self, *items: Item) -> None:
@@ -156,9 +154,7 @@ def inverse(a: Floats) -> Floats:
     """Return the inverse of planar poses (..., 3)."""
     a = np.asarray(a, dtype=float)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], -a[..., 2]], axis=-1
-    )
+    return np.stack([-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], -a[..., 2]], axis=-1)
 
 
 def measured(drive: Drive, laser: Laser, k: int, rng: np.random.Generator) -> Floats:

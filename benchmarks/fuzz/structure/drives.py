@@ -138,7 +138,9 @@ def record(name: str) -> Drive:
     flashes = [np.zeros((0, N_TURN))] * 2
     for i, at in enumerate((MOUNT, REAR_MOUNT)):
         when = PAUSE + PERIOD * np.repeat(np.arange(n_turns), N_TURN)
-        flashes[i] = cast(when, np.tile(step * np.arange(N_TURN), n_turns), at, N_TURN).reshape(n_turns, N_TURN)
+        flashes[i] = cast(when, np.tile(step * np.arange(N_TURN), n_turns), at, N_TURN).reshape(
+            n_turns, N_TURN
+        )
     return Drive(
         times=times, poses=poses, odom_times=odom_times, odometry=odometry, twists=twists,
         cmd_times=driven.cmd_stamps, commands=driven.commands, turns=turns, flashes=flashes[0], rear_flashes=flashes[1],
@@ -151,6 +153,6 @@ def _integrate(wheels: Floats, radius: float, base: float, step: float) -> tuple
     way, turn = moved.mean(axis=1), (moved[:, 1] - moved[:, 0]) / base
     phi = np.cumsum(turn)
     middle = phi - turn / 2
-    return np.column_stack([np.cumsum(way * np.cos(middle)), np.cumsum(way * np.sin(middle)), phi]), np.column_stack(
-        [way, turn]
-    ) / step
+    return np.column_stack(
+        [np.cumsum(way * np.cos(middle)), np.cumsum(way * np.sin(middle)), phi]
+    ), np.column_stack([way, turn]) / step

@@ -162,7 +162,9 @@ def look(draft: Draft, path: Path, kind: str, seed: int) -> Outcome:
     return out
 
 
-def _compare(out: Outcome, draft: Draft, run: Run, found: Localization, ok: NDArrayBool, *, locate_said: str) -> None:
+def _compare(
+    out: Outcome, draft: Draft, run: Run, found: Localization, ok: NDArrayBool, *, locate_said: str
+) -> None:
     """Hold the poses with status ok against the truth, after alignment."""
     if run.sensor.is_composite:  # its stamps are those of several lasers
         used, when = ok, run.stamps[ok] + (run.epoch_ns / 1e9 - EPOCH)

@@ -109,7 +109,9 @@ def reset_of_all(start: Start) -> Draft:
 
 def zero_stamps(start: Start) -> Draft:
     draft = start.draft()
-    chosen: Choice = start.pick((_scans, lambda item: item.topic == "/odom", lambda item: item.topic != "/tf_static"))
+    chosen: Choice = start.pick(
+        (_scans, lambda item: item.topic == "/odom", lambda item: item.topic != "/tf_static")
+    )
     share = start.pick((1.0, 1.0, 0.1))
     whole = draft.rng.random(len(draft.items)) < share
     for item, zero in zip(draft.items, whole, strict=True):

@@ -26,7 +26,9 @@ def varying_rays(start: Start) -> Draft:
             c["ranges"] = np.interp(nearest, old, np.where(np.isfinite(c["ranges"]), c["ranges"], 50.0))
             c["angle_increment"] = (c["angle_max"] - c["angle_min"]) / (n - 1)
             c["time_increment"] *= (len(old) - 1) / (n - 1)
-        c["intensities"] = np.zeros(0) if not len(c["intensities"]) else item.scan + np.linspace(0.25, 0.75, n)
+        c["intensities"] = (
+            np.zeros(0) if not len(c["intensities"]) else item.scan + np.linspace(0.25, 0.75, n)
+        )
     return draft
 
 
@@ -44,7 +46,9 @@ def few_scans(start: Start) -> Draft:
 
 def few_rays(start: Start) -> Draft:
     n = start.pick((1, 2, 3, 5, 8, 16, 30))
-    laser = start.pick((Laser(sweep=0, first=-90, n=n, stride=180 // n), Laser(sweep=1, first=-180, n=n, stride=360 // n)))
+    laser = start.pick(
+        (Laser(sweep=0, first=-90, n=n, stride=180 // n), Laser(sweep=1, first=-180, n=n, stride=360 // n))
+    )
     draft = start.draft(laser)
     draft.usable = n >= 30
     return draft

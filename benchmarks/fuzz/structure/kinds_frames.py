@@ -96,7 +96,9 @@ def inverted_mount(start: Start) -> Draft:
 def inverted_odometry(start: Start) -> Draft:
     """The tree hangs from base_link: base_link -> odom."""
     draft = start.draft(reference=0.0)
-    draft.edges(lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))] if a == "odom" else [(a, b, value)])
+    draft.edges(
+        lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))] if a == "odom" else [(a, b, value)]
+    )
     if start.chance():
         draft.keep(lambda item: item.topic != "/odom")
     return draft
@@ -163,7 +165,11 @@ def several_in_one(start: Start) -> Draft:
     for item in draft.on("/tf"):
         angle = 5.0 * item.stamp
         more = [("base_link", f"wheel_{i}", vec7(0.0, 0.2 * i, 0.0, pitch=angle)) for i in (-1, 1)]
-        item.content["transforms"] = [*more, *item.content["transforms"], ("torso", "head", vec7(0.0, 0.0, 0.1))]
+        item.content["transforms"] = [
+            *more,
+            *item.content["transforms"],
+            ("torso", "head", vec7(0.0, 0.0, 0.1)),
+        ]
     return draft
 
 
@@ -205,7 +211,11 @@ def tilted_little(start: Start) -> Draft:
 
 def high_mount(start: Start) -> Draft:
     draft = start.draft()
-    draft.edges(lambda a, b, value: [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])] if b == "laser" else [(a, b, value)])
+    draft.edges(
+        lambda a, b, value: (
+            [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])] if b == "laser" else [(a, b, value)]
+        )
+    )
     return draft
 
 
@@ -247,7 +257,9 @@ def frame_changes(start: Start) -> Draft:
     draft = start.draft()
     for item in draft.on("/scan"):
         item.frame = "laser" if item.stamp < 12.0 else "laser_frame"
-    draft.edges(lambda a, b, value: [(a, b, value), (a, "laser_frame", value)] if b == "laser" else [(a, b, value)])
+    draft.edges(
+        lambda a, b, value: [(a, b, value), (a, "laser_frame", value)] if b == "laser" else [(a, b, value)]
+    )
     return draft
 
 

@@ -164,7 +164,12 @@ def turning_start(start: Start) -> Draft:
         z = np.where(z > laser.range_max, np.inf, np.round(z, 3))
         low = (np.radians(j) + np.pi) % (2 * np.pi) - np.pi
         c = item.content
-        c |= {"ranges": z, "angle_min": low, "angle_max": low + np.radians(n - 1), "scan_time": PERIOD * n / 360}
+        c |= {
+            "ranges": z,
+            "angle_min": low,
+            "angle_max": low + np.radians(n - 1),
+            "scan_time": PERIOD * n / 360,
+        }
         item.stamp = start_of(laser, 0) + PERIOD * j / 360
         item.log = item.arrival = item.stamp + 0.11
         draft.true_times[item.scan], draft.first_rays[item.scan] = item.stamp, j

@@ -7,14 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import (
-    EPOCH, Draft, Item, add_reference, compose, inverse, logged, rear_scans, vec7,
+    EPOCH,
+    Draft,
+    Item,
+    add_reference,
+    compose,
+    inverse,
+    logged,
+    rear_scans,
+    vec7,
 )
 from benchmarks.fuzz.structure.start import Kind, Start
 
 SCAN_NAMES = (
     "/base_scan", "/front/scan", "/robot_1/lidar/scan_raw", "/LIDAR", "/scan_filtered", "scan", "/lidar/a/b/front_left",
 )  # fmt: skip
-ODOM_NAMES = ("/wheel_odom", "/odometry/filtered", "/robot_base/odom", "/diff_drive_controller/odom", "/RosAria/pose")
+ODOM_NAMES = (
+    "/wheel_odom",
+    "/odometry/filtered",
+    "/robot_base/odom",
+    "/diff_drive_controller/odom",
+    "/RosAria/pose",
+)
 
 
 def scan_name(start: Start) -> Draft:
@@ -31,7 +45,9 @@ def odom_name(start: Start) -> Draft:
 
 def pose_name(start: Start) -> Draft:
     draft = start.draft(reference=0.0)
-    name = start.pick(("/mocap/base", "/vrpn_client_node/robot/pose", "/ground_truth", "/NAV/pose", "/amcl_pose"))
+    name = start.pick(
+        ("/mocap/base", "/vrpn_client_node/robot/pose", "/ground_truth", "/NAV/pose", "/amcl_pose")
+    )
     kinds = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
     kind = start.pick(kinds[:3])
     add_reference(draft, name, kind, rate=start.pick((2.0, 10.0, 50.0)))
@@ -107,7 +123,10 @@ def two_poses(start: Start) -> Draft:
 
 def goals(start: Start) -> Draft:
     draft = start.draft()
-    for topic, kind in (("/move_base_simple/goal", "PoseStamped"), ("/initialpose", "PoseWithCovarianceStamped")):
+    for topic, kind in (
+        ("/move_base_simple/goal", "PoseStamped"),
+        ("/initialpose", "PoseWithCovarianceStamped"),
+    ):
         for t in draft.rng.uniform(1.0, 20.0, 3):
             content = {"pose": vec7(9.0, 9.0, 1.0), "covariance": np.zeros(36)}
             draft.add(Item(topic, kind, t, logged(t, draft.rng), "map", content))
@@ -177,19 +196,28 @@ def other_types(start: Start) -> Draft:
         for i, name in enumerate(own):
             draft.add(Item(f"/own_{i}", name, t, log, "", {"payload": bytes(16 + 8 * i)}))
     if start.chance():
-        draft.add(*(Item(f"/camera/raw_{k}", "String", 1.0, 1.0, "", {"text": "x" * 200_000}) for k in range(3)))
+        draft.add(
+            *(Item(f"/camera/raw_{k}", "String", 1.0, 1.0, "", {"text": "x" * 200_000}) for k in range(3))
+        )
     return draft
 
 
 def many_topics(start: Start) -> Draft:
     draft = start.draft()
-    draft.add(*(Item(f"/joint_{k}/state", "Float64", 1.0, 1.0 + k / 100, "", {"value": 0.0}) for k in range(120)))
+    draft.add(
+        *(Item(f"/joint_{k}/state", "Float64", 1.0, 1.0 + k / 100, "", {"value": 0.0}) for k in range(120))
+    )
     return draft
 
 
 def empty_topics(start: Start) -> Draft:
     draft = start.draft(reference=0.0)
-    draft.empty = [("/pose", "PoseStamped"), ("/scan_rear", "LaserScan"), ("/odometry/filtered", "Odometry"), ("/points", "PointCloud2")]
+    draft.empty = [
+        ("/pose", "PoseStamped"),
+        ("/scan_rear", "LaserScan"),
+        ("/odometry/filtered", "Odometry"),
+        ("/points", "PointCloud2"),
+    ]
     if start.chance():
         draft.keep(lambda item: item.topic != "/odom")
         draft.empty.append(("/odom", "Odometry"))
@@ -198,7 +226,10 @@ def empty_topics(start: Start) -> Draft:
 
 def commands(start: Start) -> Draft:
     draft = start.draft()
-    stamped = [replace(item, topic="/cmd_vel_stamped", kind="TwistStamped", frame="base_link") for item in draft.on("/cmd_vel")]
+    stamped = [
+        replace(item, topic="/cmd_vel_stamped", kind="TwistStamped", frame="base_link")
+        for item in draft.on("/cmd_vel")
+    ]
     if start.chance():
         draft.keep(lambda item: item.kind != "Twist")
     draft.add(*stamped)
@@ -231,7 +262,6 @@ def map_in_transforms(start: Start) -> Draft:
     draft = start.draft(reference=0.0)
     every = start.pick((1, 5, 25, 50))
     for t, odometry in list(zip(draft.drive.odom_times, draft.drive.odometry, strict=True))[::every]:
-
         shift = compose(draft.drive.pose_at(t), inverse(odometry))
         ahead = start.pick((0.0, 0.1)) if every > 1 else 0.0
         edges = {"transforms": [("map", "odom", vec7(*shift))]}

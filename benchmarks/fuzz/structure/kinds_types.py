@@ -34,13 +34,28 @@ def _bearings(item: Item) -> Floats:
     return np.asarray(c["angle_min"] + c["angle_increment"] * np.arange(len(c["ranges"])))
 
 
-def _as_cloud(item: Item, columns: dict[str, Any], kinds: dict[str, str], *, height: int = 1, pad: int = 0, big: bool = False) -> None:
+def _as_cloud(
+    item: Item,
+    columns: dict[str, Any],
+    kinds: dict[str, str],
+    *,
+    height: int = 1,
+    pad: int = 0,
+    big: bool = False,
+) -> None:
     offsets, size = [], 0
     for kind in kinds.values():
         offsets.append(size)
         size += np.dtype(kind).itemsize
     order = ">" if big else "<"
-    form = np.dtype({"names": list(kinds), "formats": [order + k for k in kinds.values()], "offsets": offsets, "itemsize": size + pad})
+    form = np.dtype(
+        {
+            "names": list(kinds),
+            "formats": [order + k for k in kinds.values()],
+            "offsets": offsets,
+            "itemsize": size + pad,
+        }
+    )
     n = len(columns["x"])
     points: NDArray[Any] = np.zeros(n, form)
     for name in kinds:
@@ -57,7 +72,11 @@ def flat_cloud(start: Start) -> Draft:
         z, bearing = item.content["ranges"], _bearings(item)
         seen = np.isfinite(z) if layout != "nan" else np.ones(len(z), dtype=bool)
         z = np.where(np.isfinite(z), z, np.nan)
-        columns = {"x": (z * np.cos(bearing))[seen], "y": (z * np.sin(bearing))[seen], "z": np.zeros(int(seen.sum()))}
+        columns = {
+            "x": (z * np.cos(bearing))[seen],
+            "y": (z * np.sin(bearing))[seen],
+            "z": np.zeros(int(seen.sum())),
+        }
         kinds = dict.fromkeys("xyz", "f8" if layout == "double" else "f4")
         if layout == "intensity":
             columns["intensity"] = np.full(len(columns["x"]), 7.0)
@@ -105,10 +124,14 @@ def ring_cloud(start: Start) -> Draft:
 
 def cloud_beside_scan(start: Start) -> Draft:
     draft = start.draft()
-    clouds = [replace(item, scan=-1, topic="/points", content=dict(item.content)) for item in draft.scans[::5]]
+    clouds = [
+        replace(item, scan=-1, topic="/points", content=dict(item.content)) for item in draft.scans[::5]
+    ]
     for item in clouds:
         bearing, z = _bearings(item), np.nan_to_num(item.content["ranges"], posinf=0.0)
-        _as_cloud(item, {"x": z * np.cos(bearing), "y": z * np.sin(bearing), "z": 0 * z}, dict.fromkeys("xyz", "f4"))
+        _as_cloud(
+            item, {"x": z * np.cos(bearing), "y": z * np.sin(bearing), "z": 0 * z}, dict.fromkeys("xyz", "f4")
+        )
     draft.add(*clouds)
     return draft
 
@@ -183,7 +206,11 @@ def not_finite(start: Start) -> Draft:
     for item in draft.on(topic):
         if start.chance(0.05):
             bad = np.full(7, start.pick((np.nan, np.inf, 1e300)))
-            item.content = ({"transforms": [("odom", "base_link", bad)]} if topic == "/tf" else item.content | {"pose": bad})
+            item.content = (
+                {"transforms": [("odom", "base_link", bad)]}
+                if topic == "/tf"
+                else item.content | {"pose": bad}
+            )
     return draft
 
 
@@ -218,7 +245,13 @@ def slow_cloud(start: Start) -> Draft:
         bearing = np.tile(_bearings(item), 2)
         after = np.arange(720) * PERIOD / 360
         seen = np.isfinite(z)
-        columns = {"x": z * np.cos(bearing), "y": z * np.sin(bearing), "z": 0 * z, "t": after * 1e9, "ring": 0 * z}
+        columns = {
+            "x": z * np.cos(bearing),
+            "y": z * np.sin(bearing),
+            "z": 0 * z,
+            "t": after * 1e9,
+            "ring": 0 * z,
+        }
         _as_cloud(item, {name: v[seen] for name, v in columns.items()},
                   {"x": "f4", "y": "f4", "z": "f4", "t": "u4", "ring": "u2"})  # fmt: skip
         item.log = item.arrival = more.log

@@ -49,7 +49,9 @@ def odometry_scale(start: Start) -> Draft:
     draft = start.draft(reference=0.0)
     way, turn = start.pick((0.5, 0.9, 1.1, 2.0)), start.pick((0.8, 0.95, 1.0, 1.2))
     steps = np.diff(draft.drive.odometry, axis=0, prepend=draft.drive.odometry[:1])
-    forward = np.cos(draft.drive.odometry[:, 2]) * steps[:, 0] + np.sin(draft.drive.odometry[:, 2]) * steps[:, 1]
+    forward = (
+        np.cos(draft.drive.odometry[:, 2]) * steps[:, 0] + np.sin(draft.drive.odometry[:, 2]) * steps[:, 1]
+    )
     phi = turn * draft.drive.odometry[:, 2]
     xy = np.cumsum(way * forward[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0)
     wrong = [vec7(*pose) for pose in np.column_stack([xy, phi])]
@@ -108,7 +110,16 @@ def stamp_unit(start: Start) -> Draft:
 def limits(start: Start) -> Draft:
     draft = start.draft()
     low, high = start.pick(
-        ((0.0, 0.0), (0.05, np.inf), (np.nan, np.nan), (0.05, 1e6), (12.0, 0.05), (0.0, 12.0), (-1.0, 12.0), (0.05, 3.0))
+        (
+            (0.0, 0.0),
+            (0.05, np.inf),
+            (np.nan, np.nan),
+            (0.05, 1e6),
+            (12.0, 0.05),
+            (0.0, 12.0),
+            (-1.0, 12.0),
+            (0.05, 3.0),
+        )
     )
     for item in draft.scans:
         item.content |= {"range_min": low, "range_max": high}
@@ -126,7 +137,9 @@ def scan_time(start: Start) -> Draft:
 def no_return_code(start: Start) -> Draft:
     draft = start.draft(range_max=start.pick((3.0, 5.0)), spins=start.chance())
     high = draft.laser.range_max
-    code = start.pick((0.0, np.nan, np.inf, -1.0, high, high + 1.0, 65.533, 1e30, -np.inf, 0.001, high - 0.001))
+    code = start.pick(
+        (0.0, np.nan, np.inf, -1.0, high, high + 1.0, 65.533, 1e30, -np.inf, 0.001, high - 0.001)
+    )
     for item in draft.scans:
         z = item.content["ranges"]
         item.content["ranges"] = np.where(np.isfinite(z), z, code)

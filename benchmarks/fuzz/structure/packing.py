@@ -147,7 +147,11 @@ def _range(p: Packer, c: dict[str, Any]) -> None:
 
 
 def _imu(p: Packer, c: dict[str, Any]) -> None:
-    p.array("f8", [0, 0, 0, 1, *np.zeros(9), 0, 0, c["omega"], *np.zeros(9), 0, 0, 9.81, *np.zeros(9)], sized=False)
+    p.array(
+        "f8",
+        [0, 0, 0, 1, *np.zeros(9), 0, 0, c["omega"], *np.zeros(9), 0, 0, 9.81, *np.zeros(9)],
+        sized=False,
+    )
 
 
 def _columns(*names: str) -> Any:

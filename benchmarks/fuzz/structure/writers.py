@@ -43,7 +43,9 @@ def _sources(draft: Draft) -> list[tuple[str, str]]:
 def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, packed: bool = False) -> None:
     """Write a .db3; `schema` 1 has no quality of service, 4 has hashes and definitions."""
     pack = zstandard.ZstdCompressor().compress if packed else bytes
-    columns = "id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL"
+    columns = (
+        "id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL"
+    )
     columns += ", offered_qos_profiles TEXT NOT NULL" if schema >= 3 else ""
     columns += ", type_description_hash TEXT NOT NULL" if schema >= 4 else ""
     with closing(sqlite3.connect(path)) as base:
@@ -51,7 +53,9 @@ def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, pac
             base.execute("CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)")
             base.execute("INSERT INTO schema VALUES(?, 'iron')", (schema,))
         if schema >= 4:
-            base.execute("CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL)")
+            base.execute(
+                "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL)"
+            )
             base.execute(
                 "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL, "
                 "encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL)"
@@ -77,7 +81,15 @@ def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, pac
         base.commit()
 
 
-def _mcap(path: Path, draft: Draft, items: list[Item], *, ros1: bool = False, packed: bool = False, **options: object) -> None:
+def _mcap(
+    path: Path,
+    draft: Draft,
+    items: list[Item],
+    *,
+    ros1: bool = False,
+    packed: bool = False,
+    **options: object,
+) -> None:
     pack = zstandard.ZstdCompressor().compress if packed else bytes
     with path.open("wb") as file:
         writer = Writer(file, **options)  # type: ignore[arg-type]
@@ -85,7 +97,9 @@ def _mcap(path: Path, draft: Draft, items: list[Item], *, ros1: bool = False, pa
         channels: dict[tuple[str, str], int] = {}
         for topic, kind in _sources(draft):
             text, _ = definition(kind, draft.definitions.get(kind, ""), ros1=ros1)
-            schema = writer.register_schema(full(kind, ros1=ros1), "ros1msg" if ros1 else "ros2msg", text.encode())
+            schema = writer.register_schema(
+                full(kind, ros1=ros1), "ros1msg" if ros1 else "ros2msg", text.encode()
+            )
             encoding = "ros1" if ros1 else "cdr"
             channels[topic, kind] = writer.register_channel(topic, encoding, schema)
         for item in items:
@@ -112,11 +126,18 @@ def _wal(draft: Draft, folder: Path) -> Path:
 
 
 def _no_summary(draft: Draft, folder: Path) -> Path:
-    off = {"use_statistics": False, "use_summary_offsets": False, "repeat_channels": False, "repeat_schemas": False}
+    off = {
+        "use_statistics": False,
+        "use_summary_offsets": False,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+    }
     return _single(".mcap", index_types=IndexType.NONE, **off)(draft, folder)
 
 
-def _metadata(draft: Draft, names: list[str], storage: str, *, version: int, mode: str = "", count: int | None = None) -> str:
+def _metadata(
+    draft: Draft, names: list[str], storage: str, *, version: int, mode: str = "", count: int | None = None
+) -> str:
     """Return the text of a metadata.yaml."""
     counts: Mapping[tuple[str, str], int] = {
         source: sum(source == (item.topic, item.kind) for item in draft.items) for source in _sources(draft)
@@ -130,9 +151,17 @@ def _metadata(draft: Draft, names: list[str], storage: str, *, version: int, mod
     ]  # fmt: skip
     for (topic, kind), n in counts.items():
         lines += ["    - topic_metadata:", f"        name: {topic}", f"        type: {full(kind)}"]
-        lines += ["        serialization_format: cdr", '        offered_qos_profiles: ""', f"      message_count: {n}"]
+        lines += [
+            "        serialization_format: cdr",
+            '        offered_qos_profiles: ""',
+            f"      message_count: {n}",
+        ]
     packed = "zstd" if mode else '""'
-    lines += [f"  compression_format: {packed}", f"  compression_mode: {mode or chr(34) * 2}", "  relative_file_paths:"]
+    lines += [
+        f"  compression_format: {packed}",
+        f"  compression_mode: {mode or chr(34) * 2}",
+        "  relative_file_paths:",
+    ]
     return "\n".join(lines + [f"    - {name}" for name in names]) + "\n"
 
 
@@ -158,7 +187,9 @@ def _folder(
                 path = packed
             names.append(path.name)
         count = len(draft.items) - missing
-        text = _metadata(draft, names, storage if stated is None else stated, version=version, mode=mode, count=count)
+        text = _metadata(
+            draft, names, storage if stated is None else stated, version=version, mode=mode, count=count
+        )
         if metadata:
             (bag / "metadata.yaml").write_text(text)
         if renamed:
