@@ -185,11 +185,10 @@ def _forward(signals: Sequence[Signal], limits: ClockLimits) -> tuple[list[Signa
             replace(signal, logged=signal.logged + added, stamps=np.where(signal.stamps == 0, 0, moved))
         )
     times = "once" if len(back) == 1 else f"{len(back)} times"
-    note = (
+    return out, [
         f"the log times go back {times}, by {-steps[back].min() / 1e9:,.1f} s: the clock was set back, or the file holds "
         "several recordings: the parts were joined in the order of the file"
-    )
-    return out, [note]
+    ]
 
 
 def _clock(signal: Signal, limits: ClockLimits) -> _Clock:
@@ -280,22 +279,27 @@ def _join_segments(clock: _Clock, limits: ClockLimits) -> None:
     steps, by_log = np.diff(clock.stamps[index]) / 1e9, np.diff(clock.signal.logged[index]) / 1e9
     least = max(limits.offset, limits.significance * float(np.median(np.abs(by_log - steps))))
     breaks = np.flatnonzero((by_log >= 0) & ((steps < -least) | (steps - by_log > least)))
-    if len(breaks) == 0:
-        return
     segments = np.split(index, breaks + 1)
     offsets = [float(np.median(clock.signal.logged[s] - clock.stamps[s])) / 1e9 for s in segments]
     main = max(range(len(segments)), key=lambda k: len(segments[k]))
     moved = [k for k, value in enumerate(offsets) if abs(value - offsets[main]) > least]
+    joined = clock.stamps.copy()
     for k in moved:
-        clock.stamps[segments[k]] += round(1e9 * (offsets[k] - offsets[main]))
-    if moved:
-        clock.is_joined = True
+        joined[segments[k]] += round(1e9 * (offsets[k] - offsets[main]))
+    if moved and _n_uneven(joined[index]) <= _n_uneven(clock.stamps[index]):
+        clock.stamps, clock.is_joined = joined, True
         n_moved = sum(len(segments[k]) for k in moved)
         largest = max((offsets[k] - offsets[main] for k in moved), key=abs)
         clock.notes.append(
             f"{clock.signal.name}: the clock was reset, {n_moved} of {len(index)} stamps differ by up to "
             f"{abs(largest):,.1f} s from the others: joined by the log times"
         )
+
+
+def _n_uneven(stamps: Stamps) -> int:
+    """Return the number of steps between sorted stamps (n,) that are no period; late messages fit between the others."""
+    steps = np.diff(np.sort(stamps))
+    return int((np.abs(steps - np.median(steps)) > np.median(steps) / 2).sum())
 
 
 def _reference(clocks: Sequence[_Clock], limits: ClockLimits) -> _Clock:
@@ -340,8 +344,7 @@ def _drift_of(at: Floats, values: Floats, limits: ClockLimits) -> _Difference:
 
 
 def _half_range(values: Floats) -> float:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return float(high - low) / 2
+    return float(np.ptp(np.quantile(values, [0.05, 0.95]))) / 2
 
 
 def _log_notes(reference: _Clock, by_log: _Difference, limits: ClockLimits) -> list[str]:

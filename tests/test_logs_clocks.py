@@ -188,6 +188,14 @@ def test_messages_that_are_there_twice_count_once(tmp_path: Path) -> None:
     assert "/pose: 7 of 207 messages are there twice, the copies were dropped" in assumptions_of(twice)
 
 
+def test_messages_that_arrive_late_keep_their_stamps(tmp_path: Path) -> None:
+    late = np.random.default_rng(3)
+    run = run_of(tmp_path, drive(log=lambda t: t + late.exponential(0.4, len(t))))  # a wireless network
+    assert np.abs(apart(run)).max() < 1e-5  # float32 of the time
+    np.testing.assert_allclose(run.stamps, T, atol=1e-6)
+    assert "the clock was reset" not in run.meta.get("notes", "")
+
+
 def test_one_signal_alone_is_left_as_it_is() -> None:
     at = np.arange(1, 21, dtype=np.int64) * 10**8
     for stamps in (at, at + 10**12, at * 0):
