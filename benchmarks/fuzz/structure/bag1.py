@@ -68,7 +68,7 @@ def _header(index_pos: int, n_connections: int, n_chunks: int) -> bytes:
     return _record(values, b" " * (4096 - size - 8))
 
 
-def bag20(draft: Draft, style: Style = Style()) -> bytes:  # noqa: B008 - frozen
+def bag20(draft: Draft, style: Style = Style()) -> bytes:
     """Return a bag of version 2.0."""
     sources = list(dict.fromkeys([(item.topic, item.kind) for item in draft.items] + draft.empty))
     links = [

@@ -36,6 +36,8 @@ USED_SHARE = 0.5
 """Share of the scans that must be located for a log to count as used."""
 MIN_JUDGED = 5
 """Poses with status ok from which an alignment is possible."""
+FIRST_RAY = 2e-3
+"""[s] to which a stamp is that of the first ray."""
 MATCH = 1e-4
 """[s] to which an unchanged stamp is found again."""
 
@@ -171,7 +173,7 @@ def _compare(
     else:
         scan = scans_of(draft, run)
         used = ok & (scan >= 0)
-        when = stamp_times(draft, found.sensor or run.sensor, scan[used])
+        when = pose_times(draft, run, found.sensor or run.sensor, scan[used], used)
     if used.sum() < MIN_JUDGED:
         return
     poses, sigma = found.poses[used], deviations(found)[used]
@@ -215,6 +217,21 @@ def scans_of(draft: Draft, run: Run) -> Any:
     if len(true) == len(stamps):
         return true
     return np.full(len(stamps), -1)
+
+
+def pose_times(draft: Draft, run: Run, sensor: RangeSensor, scans: Any, used: NDArrayBool) -> Floats:
+    """Return the true times (n_used,) [s] of the used poses of a run.
+
+    A scan that is stamped with the time of its first ray, as ROS defines it, has its pose at its stamp, whatever is
+    believed of its rays. Of any other stamp only the scan is known (`stamp_times`).
+    """
+    when = stamp_times(draft, sensor, scans)
+    stamps = run.stamps[used] + (run.epoch_ns / 1e9 - EPOCH)
+    written = {item.scan: item.stamp for item in draft.scans}
+    for i, (k, stamp) in enumerate(zip(scans, stamps, strict=True)):
+        if abs(written.get(k, np.nan) - stamp) < FIRST_RAY and abs(draft.true_times[k] - stamp) < FIRST_RAY:
+            when[i] = stamp
+    return when
 
 
 def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any) -> Floats:

@@ -8,6 +8,7 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from benchmarks.fuzz.structure.bag1 import Style, bag12, bag20
 from benchmarks.fuzz.structure.carmen import carmen
-from benchmarks.fuzz.structure.draft import EPOCH, Draft, Item
+from benchmarks.fuzz.structure.draft import Draft, Item
 from benchmarks.fuzz.structure.packing import definition, full, nanoseconds, payload
 
 Container = Callable[[Draft, Path], Path]
@@ -177,7 +178,7 @@ def _folder(
         suffix = ".mcap" if storage == "mcap" else ".db3"
         names = []
         edges = np.linspace(0, len(draft.items), parts + 1).astype(int)
-        for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for i, (a, b) in enumerate(pairwise(edges)):
             path = bag / f"log_{i}{suffix}"
             (_mcap if storage == "mcap" else _sqlite)(path, draft, draft.items[a:b], packed=mode == "MESSAGE")  # type: ignore[operator]
             if mode == "FILE":
