@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.html_table import html_table
+from logs.twins import twins
 from logs.types import Bools, Floats
 
 PoseFrame = Literal["base_link", "laser"]
@@ -57,6 +58,8 @@ class RangeSensor:
     cones: Floats = field(default_factory=lambda: _empty(0))
     """(n_rays,) [rad] opening angle of the cone in which each ray measures the nearest surface.
     Default (0,): rays are thin."""
+    delays: Floats = field(default_factory=lambda: _empty(0))
+    """(n_rays,) [s] time of each ray after that of ray 0, for several sensors read as one. Default (0,): by `sweep_time`."""
 
     def __post_init__(self) -> None:
         steps = np.diff(self.bearings)
@@ -64,10 +67,10 @@ class RangeSensor:
         if self.bearings.ndim != 1 or len(self.bearings) < 1 or not in_order:
             raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,), increasing")
         n = self.n_rays
-        if self.origins.shape not in ((0, 2), (n, 2)) or self.cones.shape not in ((0,), (n,)):
+        if self.origins.shape not in ((0, 2), (n, 2)) or {self.cones.shape, self.delays.shape} - {(0,), (n,)}:
             raise ValueError(
-                f"origins has shape {self.origins.shape} and cones {self.cones.shape}, expected ({self.n_rays}, 2) "
-                f"and ({self.n_rays},)"
+                f"origins has shape {self.origins.shape}, cones {self.cones.shape} and delays {self.delays.shape}, "
+                f"expected ({n}, 2), ({n},) and ({n},)"
             )
         if self.mount.shape != (3,):
             raise ValueError(f"mount has shape {self.mount.shape}, expected (3,): x, y, yaw")
@@ -109,6 +112,7 @@ class RangeSensor:
             bearings=self.bearings[rays],
             origins=self.origins[rays] if len(self.origins) else self.origins,
             cones=self.cones[rays] if len(self.cones) else self.cones,
+            delays=self.delays[rays] if len(self.delays) else self.delays,
         )
 
     @property
@@ -119,6 +123,8 @@ class RangeSensor:
     @property
     def ray_delays(self) -> Floats:
         """(n_rays,) [s] time of each ray after the stamp of the scan; all 0 without a sweep."""
+        if len(self.delays):
+            return self.first_ray_delay + self.delays
         ray = np.arange(self.n_rays)
         along = self.sweep_time * ray / self.n_rays
         return self.first_ray_delay + along + self.sweep_period * (ray % self.interlaced_sweeps)
@@ -131,6 +137,8 @@ class RangeSensor:
     @property
     def sweep_share(self) -> Floats:
         """(n_rays,) elapsed share of a sweep at the time of each ray."""
+        if self.delays.any():
+            return np.asarray((self.delays - self.delays.min()) / self.scan_duration)
         ray = np.arange(self.n_rays)
         return (ray[::-1] if self.is_clockwise else ray) / self.n_rays
 
@@ -142,11 +150,13 @@ class RangeSensor:
     @property
     def has_ray_delays(self) -> bool:
         """Return whether the rays of a scan have times that differ from its stamp."""
-        return self.sweep_time != 0 or self.sweep_period != 0 or self.first_ray_delay != 0
+        return bool(self.sweep_time or self.sweep_period or self.first_ray_delay or self.delays.any())
 
     @property
     def scan_duration(self) -> float:
         """[s] duration of a scan, from the first measured ray to one ray after the last."""
+        if len(self.delays):
+            return float(np.ptp(self.delays))
         return abs(self.sweep_time) + (self.interlaced_sweeps - 1) * abs(self.sweep_period)
 
     @property
@@ -356,7 +366,7 @@ def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing
         )
     right = np.clip(np.searchsorted(run.pose_stamps, run.stamps, side="left"), 0, len(run.pose_stamps) - 1)
     left = np.clip(np.where(run.pose_stamps[right] > run.stamps, right - 1, right), 0, None)
-    twin = _twins(run.stamps, run.pose_stamps)
+    twin = twins(run.stamps, run.pose_stamps)
     left, right = np.where(twin >= 0, twin, left), np.where(twin >= 0, twin, right)
     before = run.stamps < run.pose_stamps[0]
     after = run.stamps > run.pose_stamps[-1]
@@ -382,16 +392,3 @@ def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing
         "at a pose that is not finite": int(broken.sum()),
     }
     return Pairing(poses=poses, paired=paired, dropped={k: v for k, v in counts.items() if v})
-
-
-def _twins(stamps: Floats, pose_stamps: Floats) -> NDArray[np.intp]:
-    """Return the index (n_scans,) of the pose with the same stamp as each scan, or -1.
-
-    If as many poses as scans share one stamp, the k-th pose belongs to the k-th scan. Otherwise there is no such pose.
-    """
-    first = np.searchsorted(pose_stamps, stamps, side="left")
-    n_poses = np.searchsorted(pose_stamps, stamps, side="right") - first
-    before = np.searchsorted(stamps, stamps, side="left")
-    n_scans = np.searchsorted(stamps, stamps, side="right") - before
-    rank = np.arange(len(stamps)) - before
-    return np.where(n_poses == n_scans, first + rank, -1)

@@ -225,6 +225,7 @@ class Sensorgraph:
                 mount=arrays.pop("sensor.mount"),
                 origins=arrays.pop("sensor.origins", np.zeros((0, 2))),
                 cones=arrays.pop("sensor.cones", np.zeros(0)),
+                delays=arrays.pop("sensor.delays", np.zeros(0)),
                 **scalars,
             )
             sensor = with_rare_times(sensor, top["sensor"])
@@ -256,11 +257,12 @@ def _check_origin(top: Mapping[str, Any]) -> None:
 
 
 def _sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a sensor; origins and cones only where they differ from those of a single laser."""
+    """Return the arrays of a sensor; origins, cones and delays only where they differ from those of a single laser."""
     arrays = {"sensor.bearings": sensor.bearings, "sensor.mount": sensor.mount}
     if sensor.is_composite:
         arrays["sensor.origins"] = sensor.origins
-    return arrays | ({"sensor.cones": sensor.cones} if sensor.cones.any() else {})
+    arrays |= {"sensor.cones": sensor.cones} if sensor.cones.any() else {}
+    return arrays | ({"sensor.delays": sensor.delays} if sensor.delays.any() else {})
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

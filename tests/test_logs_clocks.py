@@ -196,6 +196,18 @@ def test_messages_that_arrive_late_keep_their_stamps(tmp_path: Path) -> None:
     assert "the clock was reset" not in run.meta.get("notes", "")
 
 
+def test_parts_of_a_log_whose_clock_was_set_back_keep_the_order_of_the_file(tmp_path: Path) -> None:
+    """The log times of the two parts overlap: they are not the order."""
+    messages = sorted(drive(), key=lambda message: message[2])
+    at, back = EPOCH + 6 * 10**9, 8 * 10**9
+    messages = [(topic, kind, log - back * (log > at), data) for topic, kind, log, data in messages]
+    for storage in ("MCAP", "SQLITE3"):
+        path = write_bag2(tmp_path / storage, messages, storage)
+        run = logs.read(path)
+        np.testing.assert_allclose(np.diff(run.stamps), 0.1, atol=2 * TOLERANCE)
+        assert np.abs(apart(run)).max() < 2 * TOLERANCE
+
+
 def test_one_signal_alone_is_left_as_it_is() -> None:
     at = np.arange(1, 21, dtype=np.int64) * 10**8
     for stamps in (at, at + 10**12, at * 0):

@@ -17,6 +17,7 @@ from rosbag_samples import (
 )
 
 import logs
+import logs.motion
 import sensorgraph as sg
 from sensorgraph.cli import run as cli
 
@@ -101,3 +102,64 @@ def test_front_and_rear_laser_are_chosen_or_read_as_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         both.ranges[1][back], np.interp(at, [-0.5, -0.25, 0, 0.25, 0.5], [6, 7, 8, 9, 9.5]), atol=1e-5
     )
+
+
+def test_rays_of_several_sweeping_lasers_keep_their_times(tmp_path: Path) -> None:
+    bag = [
+        transform(0, "base_link", "front", 0.3, 0, 0, static=True),
+        transform(0, "base_link", "rear", -0.3, 0, np.pi, static=True),
+    ]
+    for i in range(5):
+        bag.append(scan(0.1 * i, [1, 2, 3, 4, 5], topic="/front", frame="front", time_increment=0.01))
+        rear = scan(0.1 * i, [6, 7, 8, 9, 9], topic="/rear", frame="rear", time_increment=-0.02)
+        bag += [rear, pose(0.1 * i, 0.5 * i, 0, 0)]
+    run = read(tmp_path, bag, scan="/front,/rear")
+    ahead = np.abs(run.sensor.bearings) < 1
+    place = np.where(
+        ahead, run.sensor.bearings, run.sensor.bearings % (2 * np.pi) - np.pi
+    )  # -0.5 to 0.5 in each
+    index = np.rint((place + 0.5) / 0.25)
+    delays = np.where(ahead, 0.01, -0.02) * index
+    np.testing.assert_allclose(run.sensor.ray_delays, delays, atol=1e-8)
+    assert run.sensor.scan_duration == pytest.approx(0.12)
+    paired = logs.pair(run)
+    starts = logs.motion.ray_poses(run, paired, np.array([2]))
+    np.testing.assert_allclose(starts[0, :, 0], 1 + 5 * delays + np.where(ahead, 0.3, -0.3), atol=1e-6)
+    some = run.sensor.take(np.flatnonzero(ahead))
+    np.testing.assert_allclose(some.ray_delays, delays[ahead], atol=1e-8)
+    for name in ("run.mcap", "run.csv"):
+        logs.write(run, tmp_path / name)
+        np.testing.assert_array_equal(logs.read(tmp_path / name).sensor.delays, run.sensor.delays)
+
+
+def test_driver_that_was_started_again_with_another_frame_is_one_laser(tmp_path: Path) -> None:
+    bag = [
+        transform(0, "base_link", frame, 0.3, 0.1, yaw, static=True)
+        for frame, yaw in (("laser", 0.2), ("laser_link", 0.2), ("rear", np.pi))
+    ]
+    for i in range(8):
+        frame = "laser" if i < 5 else "laser_link"
+        bag.append(scan(0.1 * i, [1 + i, 2, 3, 4, 5], frame=frame, time_increment=0.01))
+    run = read(tmp_path, bag)
+    assert not run.sensor.is_composite and run.sensor.sweep_time == pytest.approx(0.05)
+    np.testing.assert_allclose(run.sensor.mount, [0.3, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(run.ranges[:, 0], 1 + np.arange(8), atol=1e-6)
+    assert "/scan in laser_link is the same laser under another name" in run.meta["notes"]
+    bag.append(
+        scan(0.9, [1, 2, 3, 4, 5], frame="rear", time_increment=0.01)
+    )  # at the same place, but it looks back
+    both = logs.read(write_bag2(tmp_path / "both", bag))
+    assert both.sensor.is_composite and both.sensor.n_rays == 10
+
+
+@pytest.mark.parametrize("first", [-2.0, -90.0, 0.0])
+def test_bearings_in_degrees_are_converted(tmp_path: Path, first: float) -> None:
+    n = 60
+    bag = [scan(0.1 * i, np.arange(1, n + 1) / 10, angle_min=first, increment=1.5) for i in range(4)]
+    run = read(tmp_path, bag)
+    np.testing.assert_allclose(run.sensor.bearings, np.radians(first + 1.5 * np.arange(n)), atol=1e-6)
+    assert f"/scan: the bearings are in degrees, from {first:g} to {first + 88.5:g}" in run.meta["notes"]
+    turns = [
+        scan(0.1 * i, np.ones(300), angle_min=0, increment=0.025) for i in range(4)
+    ]  # 1.2 turns in radians
+    assert "degrees" not in logs.read(write_bag2(tmp_path / "turns", turns)).meta["notes"]

@@ -209,6 +209,7 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: st
         mount=parse_numbers(stated.get("mount", "0 0 0")),
         origins=parse_numbers(stated.get("origins", "")).reshape(-1, 2),
         cones=parse_numbers(stated.get("cones", "")),
+        delays=parse_numbers(stated.get("delays", "")),
         **scalars,
     )
     return with_rare_times(sensor, stated)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,53 @@ class CompositeRays:
     """(n_rays, 2) [m] origin of each ray."""
     cones: Floats
     """(n_rays,) [rad] opening angle of each ray."""
+    delays: Floats
+    """(n_rays,) [s] time of each ray after the stamp of its scan; (0,) if no sensor sweeps."""
+
+
+def join_restarted(
+    parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequence[str]
+) -> dict[int, LaserScans]:
+    """Join the scans of a driver that was started again with another frame name.
+
+    Two sensors cannot have one mount, so parts with the same mount, bearings and times of rays are one.
+
+    Returns
+    -------
+    Index of the first part of each sensor -> all scans of the sensor
+    """
+    out: dict[int, LaserScans] = {}
+    for i, (part, mount, name) in enumerate(zip(parts, mounts, names, strict=True)):
+        k = next((k for k, other in out.items() if _are_one((other, mounts[k]), (part, mount))), None)
+        if k is None:
+            out[i] = part
+            continue
+        stamps = np.concatenate([out[k].stamps, part.stamps])
+        order = np.argsort(stamps, kind="stable")
+        out[k] = replace(
+            out[k],
+            stamps=stamps[order],
+            ranges=np.concatenate([out[k].ranges, part.ranges])[order],
+            intensities=_joined_intensities(out[k], part, order),
+            notes=[*out[k].notes, *part.notes, f"{name} is the same laser under another name: its scans were joined"],
+        )
+    return out
+
+
+def _are_one(one: tuple[LaserScans, Floats], other: tuple[LaserScans, Floats]) -> bool:
+    """Return whether two parts with their mounts have the same place, bearings and times of rays."""
+    (a, at), (b, there) = one, other
+    if a.cone or b.cone or a.bearings.shape != b.bearings.shape or a.time_increment != b.time_increment:
+        return False
+    apart = np.append(at[:2] - there[:2], wrap(at[2] - there[2]))
+    return bool(np.allclose(apart, 0.0, atol=1e-3) and np.allclose(a.bearings, b.bearings, atol=1e-5))
+
+
+def _joined_intensities(a: LaserScans, b: LaserScans, order: np.ndarray) -> Floats | None:
+    if a.intensities is None and b.intensities is None:
+        return None
+    both = [np.full(p.ranges.shape, np.nan) if p.intensities is None else p.intensities for p in (a, b)]
+    return np.asarray(np.concatenate(both)[order])
 
 
 def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequence[str]) -> CompositeRays:
@@ -39,6 +86,7 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
     bearings = np.concatenate(
         [wrap(part.bearings + mount[2]) for part, mount in zip(parts, mounts, strict=True)]
     )
+    delays = np.concatenate([part.time_increment * np.arange(len(part.bearings)) for part in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.bearings) for part in parts])
     order = np.argsort(bearings, kind="stable")
     stamps = np.concatenate([part.stamps for part in parts])
@@ -57,8 +105,6 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
         first += len(part.stamps)
     notes = [note for part in parts for note in part.notes]
     notes.append(f"{len(parts)} sensors are read as one, each with its own mount: {', '.join(names)}")
-    if any(part.time_increment for part in parts):
-        notes.append("the sweep of each sensor was ignored")
     starts = np.full(n_rows, np.iinfo(np.int64).max)
     np.minimum.at(starts, row, stamps)
     codes = {part.no_return for part in parts} - {"inf"}
@@ -72,6 +118,7 @@ def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequen
         scans=merged,
         origins=np.array([mounts[k][:2] for k in owner[order]]),
         cones=np.array([parts[k].cone for k in owner[order]]),
+        delays=delays[order] if delays.any() else np.zeros(0),
     )
 
 

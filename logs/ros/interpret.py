@@ -11,7 +11,7 @@ from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.notes import ODOMETRY_LEFT_OUT
 from logs.ros import own_record
-from logs.ros.composite import combine
+from logs.ros.composite import combine, join_restarted
 from logs.ros.laser_messages import as_laser_scans
 from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
 from logs.ros.poses import (
@@ -142,6 +142,7 @@ class SensorReading:
     height: float
     origins: Floats
     cones: Floats
+    delays: Floats
     rate: float | None = None
     """[Hz] rate of the fastest of several sensors; None for one sensor."""
     is_mount_known: bool = True
@@ -239,11 +240,16 @@ def _mounted(
         order_rays(part, upside_down=upside_down)
         mounts.append(mount)
         heights.append(height)
+    if not lost:
+        joined = join_restarted(parts, mounts, [" in ".join(title) for title in titles])
+        parts = list(joined.values())
+        titles, bases = [titles[k] for k in joined], [bases[k] for k in joined]
+        mounts = [mounts[k] for k in joined]
     if len(parts) == 1:
         n_cones = len(parts[0].bearings) if parts[0].cone > 0 else 0
         return SensorReading(
             scans=parts[0], base=bases[0], mount=mounts[0], height=heights[0],
-            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone), is_mount_known=not lost,
+            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone), delays=np.zeros(0), is_mount_known=not lost,
         )  # fmt: skip
     if lost:
         raise LogError(f"{source}: {_unknown_mounts_text(parts, titles, lost)}")
@@ -259,6 +265,7 @@ def _mounted(
         height=float(np.median([height for height in heights if height] or [0.0])),
         origins=rays.origins,
         cones=rays.cones,
+        delays=rays.delays,
         rate=1e9 / min(periods) if periods and min(periods) > 0 else None,
     )
 
@@ -374,6 +381,7 @@ def _assemble(
             height=reading.height,
             origins=reading.origins,
             cones=reading.cones,
+            delays=reading.delays,
         ),
         stamps=(scans.stamps - epoch) / 1e9,
         ranges=scans.ranges,

@@ -21,6 +21,8 @@ from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
 from logs.types import Floats
 
+MAX_TURNS = 2
+"""Turns of a laser that one scan holds at most."""
 _U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
 
 
@@ -100,7 +102,14 @@ class _Group:
 
 
 def _bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
-    return angle_min + increment * np.arange(n_rays, dtype=np.float64)
+    """Return the bearings (n_rays,) [rad]; those of a driver that states degrees are converted."""
+    stated = angle_min + increment * np.arange(n_rays, dtype=np.float64)
+    return np.radians(stated) if _are_degrees(n_rays, increment) else stated
+
+
+def _are_degrees(n_rays: int, increment: float) -> bool:
+    """Return whether rays would go around more than MAX_TURNS times if their increment were in radians."""
+    return (n_rays - 1) * abs(increment) > 2 * np.pi * MAX_TURNS
 
 
 def shape_of(payload: bytes, encoding: str = "cdr") -> ScanShape | None:
@@ -196,6 +205,10 @@ def _sensor_scans(
     at, order, stamp_notes = sort_stamps(
         topic.name, stamps[index], stamps[index] if topic.stamps is not None else logged_times(topic)[index]
     )
+    if _are_degrees(most.n_rays, most.increment):
+        stamp_notes.append(
+            f"{topic.name}: the bearings are in degrees, from {limits[0]:.6g} to {limits[1]:.6g}: converted"
+        )
     if len(counts) > 1:
         stamp_notes.append(
             f"{topic.name}: {resampled_text([shape.n_rays for shape in counts], list(counts.values()))}"

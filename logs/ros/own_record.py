@@ -49,6 +49,7 @@ def sensor_facts(
         **{name: repr(float(getattr(sensor, name))) for name in SENSOR_SCALARS},
         **({"origins": _numbers_text(sensor.origins)} if sensor.is_composite else {}),
         **({"cones": _numbers_text(sensor.cones)} if sensor.cones.any() else {}),
+        **({"delays": _numbers_text(sensor.delays)} if sensor.delays.any() else {}),
         **{name: repr(value) for name, value in rare_times(sensor).items()},
         "pose_frame": pose_frame,
         "epoch_ns": str(int(epoch_ns)),
@@ -84,6 +85,7 @@ def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
         mount=parse_numbers(sensor_facts["mount"]),
         origins=parse_numbers(sensor_facts.get("origins", "")).reshape(-1, 2),
         cones=parse_numbers(sensor_facts.get("cones", "")),
+        delays=parse_numbers(sensor_facts.get("delays", "")),
         **scalars,
     )
     return with_rare_times(sensor, sensor_facts)

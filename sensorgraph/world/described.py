@@ -115,8 +115,10 @@ def completed(robot: Robot, logged: RangeSensor) -> Robot:
             taken[name] = getattr(logged, name)
     if not {"sensor.mount", "sensors"} & stated:
         taken["mount"] = logged.mount
+    if logged.n_rays == robot.sensor.n_rays:
+        taken["delays"] = timed.delays
     if not _states_all_rays(robot) and _are_as_stated(robot, logged.bearings):
-        taken |= {name: getattr(logged, name) for name in ("bearings", "origins", "cones")}
+        taken |= {name: getattr(logged, name) for name in ("bearings", "origins", "cones", "delays")}
     changed = [
         name for name, value in taken.items() if not np.array_equal(value, getattr(robot.sensor, name))
     ]
@@ -145,7 +147,7 @@ def _text_with(robot: Robot, sensor: RangeSensor, changed: list[str]) -> str:
             own |= {"angle_min": first, "angle_max": last, "n_rays": sensor.n_rays}
         elif name == "mount":
             own[name] = sensor.mount.tolist()
-        elif name not in ("bearings", "origins", "cones") and f"sensor.{name}" not in robot.stated:
+        elif name not in ("bearings", "origins", "cones", "delays") and f"sensor.{name}" not in robot.stated:
             own[name] = getattr(sensor, name)
             if (
                 name == "sweep_time" and robot.sensor.is_clockwise

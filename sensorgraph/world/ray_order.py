@@ -78,6 +78,7 @@ def with_rays_like(
         bearings=bearings + 2 * np.pi * turns,
         origins=sensor.origins[order] if len(sensor.origins) else sensor.origins,
         cones=sensor.cones[order] if len(sensor.cones) else sensor.cones,
+        delays=sensor.delays[order] if len(sensor.delays) else sensor.delays,
     )
 
 

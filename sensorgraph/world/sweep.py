@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from logs.run import RangeSensor, Run, rare_times
 from logs.sweep import differs
@@ -25,17 +28,19 @@ def with_stated_times(logged: RangeSensor, robot: Robot) -> RangeSensor:
     SensorgraphError : The stated times contradict those of the log.
     """
     described, stated = robot.sensor, robot.stated
-    times: dict[str, float] = {}
+    times: dict[str, Any] = {}
     if "sensor.sweep_time" in stated:
         is_known = described.is_clockwise or "sensor.angle_increment" in stated
         is_clockwise = described.is_clockwise if is_known else logged.is_clockwise
         times["sweep_time"] = math.copysign(described.sweep_time, -1.0 if is_clockwise else 1.0)
     if any(f"sensor.{name}" in stated for name in INTERLACED):
         times |= {name: getattr(described, name) for name in INTERLACED}
+    if times:  # they replace those of several lasers that are read as one
+        times["delays"] = np.zeros(0)
     if "sensor.first_ray_delay" in stated:
         times["first_ray_delay"] = described.first_ray_delay
     try:
-        return replace(logged, **times)  # type: ignore[arg-type]
+        return replace(logged, **times)
     except ValueError as exc:
         raise SensorgraphError(
             f"the ray times of robot.yaml do not go with those of the log: {exc}; state interlaced_sweeps and "

@@ -174,6 +174,7 @@ def _compare(
         scan = scans_of(draft, run)
         used = ok & (scan >= 0)
         when = pose_times(draft, run, found.sensor or run.sensor, scan[used], used)
+        when += stated_lag(locate_said) * (when == run.stamps[used] + (run.epoch_ns / 1e9 - EPOCH))
     if used.sum() < MIN_JUDGED:
         return
     poses, sigma = found.poses[used], deviations(found)[used]
@@ -232,6 +233,12 @@ def pose_times(draft: Draft, run: Run, sensor: RangeSensor, scans: Any, used: ND
         if abs(written.get(k, np.nan) - stamp) < FIRST_RAY and abs(draft.true_times[k] - stamp) < FIRST_RAY:
             when[i] = stamp
     return when
+
+
+def stated_lag(said: str) -> float:
+    """Return the lag [s] of the scans behind their stamps that `locate` states and leaves in the poses; 0: none."""
+    found = re.search(r"lag of the scans relative to the odometry: ([-+][0-9.]+) .*poses are given at the stamps", said)
+    return 0.0 if found is None else float(found.group(1)) / 1e3
 
 
 def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any) -> Floats:

@@ -70,7 +70,7 @@ def odometry_backwards(start: Start) -> Draft:
     for item in draft.on("/odom"):
         item.content["pose"] = item.content["pose"] * [-1, -1, 1, 1, 1, 1, 1]
         item.content["twist"] = item.content["twist"] * [-1, 1, 1, 1, 1, 1]
-    draft.gauges |= {"lever", "yaw"}  # it may as well be the laser that looks backwards
+    draft.usable = False  # it may as well be the laser that looks backwards
     draft.said = "odometry|distance|wheel|turned|laser"
     return draft
 
@@ -80,8 +80,7 @@ def degrees(start: Start) -> Draft:
     for item in draft.scans:
         for name in ("angle_min", "angle_max", "angle_increment"):
             item.content[name] = np.degrees(item.content[name])
-    draft.said = "degree"
-    draft.usable = False
+    draft.said = "degrees"
     return draft
 
 
