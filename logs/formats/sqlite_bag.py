@@ -85,7 +85,9 @@ def _load(base: sqlite3.Connection, recording: Recording, progress: Progress | N
     (total,) = base.execute("SELECT count(*) FROM messages").fetchone()
     kept = [key for key, topic in topics.items() if is_kept(topic)]
     kept_keys, marks = set(kept), ",".join("?" * len(kept))
-    query = f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY id"
+    query = (
+        f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY id"
+    )
     for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
         if key not in topics or not isinstance(stamp, int) or not isinstance(data, bytes | None):
             raise sqlite3.DatabaseError(f"message {done} has topic {key!r:.20} and time {stamp!r:.20}")

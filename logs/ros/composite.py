@@ -52,7 +52,11 @@ def join_restarted(
             stamps=stamps[order],
             ranges=np.concatenate([out[k].ranges, part.ranges])[order],
             intensities=_joined_intensities(out[k], part, order),
-            notes=[*out[k].notes, *part.notes, f"{name} is the same laser under another name: its scans were joined"],
+            notes=[
+                *out[k].notes,
+                *part.notes,
+                f"{name} is the same laser under another name: its scans were joined",
+            ],
         )
     return out
 

@@ -243,13 +243,12 @@ def _mounted(
     if not lost:
         joined = join_restarted(parts, mounts, [" in ".join(title) for title in titles])
         parts = list(joined.values())
-        titles, bases = [titles[k] for k in joined], [bases[k] for k in joined]
-        mounts = [mounts[k] for k in joined]
+        titles, bases, mounts = ([v[k] for k in joined] for v in (titles, bases, mounts))  # type: ignore[assignment]
     if len(parts) == 1:
-        n_cones = len(parts[0].bearings) if parts[0].cone > 0 else 0
+        cones = np.full(len(parts[0].bearings) if parts[0].cone > 0 else 0, parts[0].cone)
         return SensorReading(
             scans=parts[0], base=bases[0], mount=mounts[0], height=heights[0],
-            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone), delays=np.zeros(0), is_mount_known=not lost,
+            origins=np.zeros((0, 2)), cones=cones, delays=np.zeros(0), is_mount_known=not lost,
         )  # fmt: skip
     if lost:
         raise LogError(f"{source}: {_unknown_mounts_text(parts, titles, lost)}")

@@ -237,7 +237,9 @@ def pose_times(draft: Draft, run: Run, sensor: RangeSensor, scans: Any, used: ND
 
 def stated_lag(said: str) -> float:
     """Return the lag [s] of the scans behind their stamps that `locate` states and leaves in the poses; 0: none."""
-    found = re.search(r"lag of the scans relative to the odometry: ([-+][0-9.]+) .*poses are given at the stamps", said)
+    found = re.search(
+        r"lag of the scans relative to the odometry: ([-+][0-9.]+) .*poses are given at the stamps", said
+    )
     return 0.0 if found is None else float(found.group(1)) / 1e3
 
 
