@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.types import Floats
+from logs.types import Floats, Ints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class JumpLimits:
 JUMP_LIMITS = JumpLimits()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Jumps:
     """The jumps of the poses of a run."""
 
@@ -38,6 +38,8 @@ class Jumps:
     """[m] largest jump."""
     at: float
     """[s] stamp of the scan after the largest jump."""
+    after: Ints
+    """(count,) index of the scan after each jump."""
 
     def __str__(self) -> str:
         times = "once" if self.count == 1 else f"{self.count} times"
@@ -71,4 +73,5 @@ def find_jumps(stamps: Floats, poses: Floats, *, is_timed: bool = True) -> Jumps
         share=float(jumps.mean()),
         farthest=float(moved[farthest]),
         at=float(stamps[farthest + 1]),
+        after=np.flatnonzero(jumps) + 1,
     )

@@ -9,11 +9,10 @@ from logs.notes import assumptions_of
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
-from sensorgraph.types import Floats
-from sensorgraph.world.orientation import MAX_ERROR_RATIO, orientation
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.overlap import OVERLAP, contradiction
+from sensorgraph.world.raycast import laser_poses
 
-MAX_JUMP_SHARE = 0.25
-"""Fraction of steps that jump above which the poses are single measurements and not a drive."""
 STANDSTILL = 1e-3
 """[m, rad] Poses of a run that vary by less than this are constant."""
 MIN_WHEEL_DISTANCE = 0.5
@@ -39,8 +38,8 @@ def check_jumps(
 ) -> None:
     """Refuse a run whose pose jumps between consecutive scans, unless `force` is set.
 
-    Poses that jump at many scans are not a drive. They are accepted as single measurements if the scans agree with
-    each other at these poses (`orientation`).
+    Not the distance decides, but whether the scans contradict each other where they overlap (`overlap`): a log may hold a
+    scan every few metres, or lack stretches.
 
     Parameters
     ----------
@@ -48,17 +47,21 @@ def check_jumps(
 
     Raises
     ------
-    SensorgraphError : A pose jumps farther than a robot can drive.
+    SensorgraphError : A pose jumps farther than a robot can drive, and the scans contradict each other.
     """
     if force:
         return
     stamps = np.concatenate([last[0], run.stamps[pairing.paired]])
     poses = np.concatenate([last[1], pairing.poses[pairing.paired]])
     jumps = find_jumps(stamps, poses, is_timed=run.meta.get("clock") != "assumed")
-    if jumps is None or (jumps.share > MAX_JUMP_SHARE and _scans_agree(run)):
+    if jumps is None:
+        return
+    share = _contradiction(run, pairing, jumps.after - len(last[0]))
+    if not share > OVERLAP.contradiction:
         return
     raise SensorgraphError(
-        f"{name or run.meta.get('source', 'the run')}: {jumps}; expected poses along which a robot can drive: check the "
+        f"{name or run.meta.get('source', 'the run')}: {jumps}, and {100 * share:.0f} % of the points lie where scans beyond "
+        "a jump saw through; expected poses along which a robot can drive: check the "
         "clocks and the source of the poses (sensorgraph inspect), or set `force` to use them as they are"
     )
 
@@ -81,16 +84,21 @@ def check_moves(run: Run) -> None:
         )
 
 
-def _scans_agree(run: Run) -> bool:
-    """Return whether end points of the scans coincide clearly better than those of turned or mirrored scans.
+def _contradiction(run: Run, pairing: Pairing, after: Ints) -> float:
+    """Return the share of points that scans beyond a jump saw through; nan where this cannot be decided.
 
-    Return True where this cannot be decided: a few scans, or several sensors as one.
+    It cannot be decided without overlap, and for cones or several sensors.
+
+    Parameters
+    ----------
+    after : Indices of the paired scans after each jump.
     """
-    found = orientation(run, None)
-    if found is None:
-        return True
-    others = [value for name, value in found.fits.items() if name != "as logged"]
-    return found.fits["as logged"] < MAX_ERROR_RATIO * min(others)
+    if run.sensor.cones.any() or run.sensor.is_composite:
+        return float("nan")
+    poses = pairing.poses[pairing.paired]
+    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+    part = np.searchsorted(after, np.arange(len(poses)), side="right")
+    return contradiction(run.ranges[pairing.paired], lasers, part, run.sensor)
 
 
 def check_rays(sensor: RangeSensor, name: str, *, takes: str, remedy: str, one_place: bool = True) -> None:

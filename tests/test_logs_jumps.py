@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import polygon_arena
 
 import logs
 import sensorgraph as sg
@@ -52,6 +53,95 @@ def test_places_measured_one_by_one_are_taken_where_the_scans_fit_together(
     with pytest.raises(SensorgraphError, match="the pose jumps"):
         check_jumps(shuffled, logs.pair(shuffled), force=False)
     check_jumps(shuffled, logs.pair(shuffled), force=True)
+
+
+def drive_through_rooms(arena: Arena, sensor: logs.RangeSensor, *, every: int = 1) -> logs.Run:
+    """Drive to and fro through the doors of three rooms for 60 s; keep each `every`-th scan."""
+    stamps = np.arange(0.0, 60.0, 0.1)[::every]
+    x = 6.0 - 4.8 * np.cos(2 * np.pi * stamps / 40.0)
+    poses = np.column_stack([x, 2.0 + 0.2 * np.sin(stamps), 0.5 * np.sin(0.9 * stamps)])
+    rng = np.random.default_rng(2)
+    ranges = cast(arena, poses, sensor).ranges + 0.01 * rng.standard_normal((len(stamps), sensor.n_rays))
+    return logs.Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
+
+
+@pytest.fixture(scope="module")
+def rooms() -> Arena:
+    """Three rooms of different depth in a row, with doors between them."""
+    walls = [
+        [(3.9, -1.0), (4.0, -1.0), (4.0, 1.3), (3.9, 1.3)],
+        [(3.9, 2.7), (4.0, 2.7), (4.0, 5.0), (3.9, 5.0)],
+        [(7.9, 0.0), (8.0, 0.0), (8.0, 1.4), (7.9, 1.4)],
+        [(7.9, 2.6), (8.0, 2.6), (8.0, 4.0), (7.9, 4.0)],
+    ]
+    return polygon_arena(
+        [(0, -1), (4, -1), (4, 0), (12, 0), (12, 4), (8, 4), (8, 3.5), (4, 3.5), (4, 5), (0, 5)], *walls
+    )
+
+
+@pytest.fixture(scope="module")
+def all_round() -> logs.RangeSensor:
+    bearings = np.radians(np.arange(-135.0, 136.0, 3.0))
+    return logs.RangeSensor(bearings=bearings, range_max=20.0)
+
+
+def refusal(run: logs.Run) -> str:
+    """Return the error of poses that jump; empty if they are accepted."""
+    try:
+        check_jumps(run, logs.pair(run), force=False)
+    except SensorgraphError as exc:
+        return str(exc)
+    return ""
+
+
+@pytest.mark.parametrize("every", [30, 60])
+def test_a_scan_every_few_metres_is_no_jump_if_the_scans_agree(
+    rooms: Arena, all_round: logs.RangeSensor, every: int
+) -> None:
+    run = drive_through_rooms(rooms, all_round, every=every)
+    sparse = replace(run, meta={"clock": "assumed"}, poses=run.poses, stamps=0.1 * np.arange(run.n_scans))
+    sparse = replace(sparse, pose_stamps=sparse.stamps)
+    assert find_jumps(sparse.stamps, sparse.poses) is not None
+    assert refusal(sparse) == ""
+    assert "the pose jumps" in refusal(
+        replace(sparse, ranges=np.random.default_rng(1).permutation(sparse.ranges))
+    )
+
+
+def test_stretches_may_be_left_out_of_a_log(rooms: Arena, all_round: logs.RangeSensor) -> None:
+    run = drive_through_rooms(rooms, all_round)
+    kept = np.r_[0:80, 160:300, 420:600]
+    stamps = 0.1 * np.arange(len(kept))  # a log that was cut and joined
+    cut = replace(run, stamps=stamps, pose_stamps=stamps, ranges=run.ranges[kept], poses=run.poses[kept])
+    found = find_jumps(stamps, cut.poses)
+    assert found is not None
+    assert found.after.tolist() == [80, 220]
+    assert refusal(cut) == ""
+
+
+@pytest.mark.parametrize("lost", [slice(300, 600), slice(300, 340), slice(300, 304)])
+@pytest.mark.parametrize("by", [(1.6, 0.0, 0.0), (0.0, 1.6, 0.0), (1.5, 1.5, 0.5)])
+def test_a_lost_pose_is_refused_for_as_long_as_it_was_lost(
+    rooms: Arena, all_round: logs.RangeSensor, lost: slice, by: tuple[float, float, float]
+) -> None:
+    run = drive_through_rooms(rooms, all_round)
+    poses = run.poses.copy()
+    poses[lost] += by
+    said = refusal(replace(run, poses=poses))
+    assert "the pose jumps" in said
+    assert "of the points lie where scans beyond a jump saw through" in said
+
+
+def test_a_few_people_beside_the_robot_during_a_part_of_the_log_are_no_wrong_poses(
+    rooms: Arena, all_round: logs.RangeSensor
+) -> None:
+    run = drive_through_rooms(rooms, all_round)
+    ranges = run.ranges.copy()
+    ranges[160:300, ::6] = np.minimum(ranges[160:300, ::6], 0.9)
+    kept = np.r_[0:80, 160:300, 420:600]
+    stamps = 0.1 * np.arange(len(kept))
+    cut = replace(run, stamps=stamps, pose_stamps=stamps, ranges=ranges[kept], poses=run.poses[kept])
+    assert refusal(cut) == ""
 
 
 @pytest.fixture(scope="module")
