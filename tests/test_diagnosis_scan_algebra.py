@@ -17,10 +17,10 @@ def test_compiled_sums_by_corner_are_the_plain_ones() -> None:
     shape, k, n_walls, count = (7, 11), 5, 6, 4
     w = np.where(rng.random(shape) < 0.3, 0.0, rng.random(shape))
     wall = rng.integers(0, n_walls, shape)
-    pose, stack = rng.normal(size=(7, 3, 11)), rng.normal(size=(7, k, 11))
+    rows = rng.normal(size=(7, 3 + k, 11))
     ends, y = rng.normal(size=(2, 7, 11)), rng.normal(size=shape)
     walls = rng.normal(size=(n_walls, 2)), rng.integers(0, count, (n_walls, 2)), count
-    got, plain = (sums(w, pose, stack, ends, wall, y, *walls) for sums in (corner_sums, plain_corner_sums))
+    got, plain = (sums(w, rows, ends, wall, y, *walls) for sums in (corner_sums, plain_corner_sums))
     for one, other in zip(got, plain, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 

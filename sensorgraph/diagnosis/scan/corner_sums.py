@@ -21,8 +21,7 @@ Sums = tuple[Floats, Floats, Floats, Floats]
 
 def corner_sums(
     w: Floats,
-    pose: Floats,
-    stack: Floats,
+    rows: Floats,
     ends: Floats,
     wall: Ints,
     y: Floats,
@@ -35,8 +34,7 @@ def corner_sums(
     Parameters
     ----------
     w : (n_scans, n_rays) [1/m²] Weights; 0 excludes a ray.
-    pose : (n_scans, 3, n_rays) Columns of the pose of each scan.
-    stack : (n_scans, k, n_rays) Columns that all scans share.
+    rows : (n_scans, 3 + k, n_rays) Columns of the pose of each scan, and those that all scans share.
     ends : (2, n_scans, n_rays) Derivative of the reading by a shift of each end of the wall along its normal.
     wall : (n_scans, n_rays) Index of the wall.
     y : (n_scans, n_rays) [m] Residuals.
@@ -48,7 +46,7 @@ def corner_sums(
     -------
     (n_scans, 3, 2 count), (k, 2 count), (2 count, 2 count), (2 count,)
     """
-    with_pose, by_wall, square = _by_wall(w, pose, stack, ends, wall, y, normals, corners, count)
+    with_pose, by_wall, square = _by_wall(w, rows, ends, wall, y, normals, corners, count)
     with_column, with_corner = _by_corner(by_wall, square, normals, corners, count)
     return with_pose, with_column[:-1], with_corner, with_column[-1]
 
@@ -79,8 +77,7 @@ def _by_corner(
 @kernel
 def _by_wall(
     w: Floats,
-    pose: Floats,
-    stack: Floats,
+    rows: Floats,
     ends: Floats,
     wall: Ints,
     y: Floats,
@@ -93,7 +90,7 @@ def _by_wall(
     Shapes: (n_scans, 3, 2 count); (k + 1, 2, n_walls), whose last row is the product with residuals; (2, 2, n_walls).
     """
     n_scans, n_rays = w.shape
-    k, n_walls = stack.shape[1], len(normals)
+    k, n_walls = rows.shape[1] - 3, len(normals)
     with_pose = np.zeros((n_scans, 3, 2 * count))
     by_wall = np.zeros((k + 1, 2, n_walls))
     square = np.zeros((2, 2, n_walls))
@@ -107,13 +104,13 @@ def _by_wall(
                 for d in range(2):
                     column = 2 * corners[at, e] + d
                     for axis in range(3):
-                        with_pose[i, axis, column] += value * normals[at, d] * pose[i, axis, m]
+                        with_pose[i, axis, column] += value * normals[at, d] * rows[i, axis, m]
                 by_wall[k, e, at] += value * y[i, m]
                 square[e, 0, at] += value * ends[0, i, m]
                 square[e, 1, at] += value * ends[1, i, m]
         for j in range(k):
             for m in range(n_rays):
-                value = w[i, m] * stack[i, j, m]
+                value = w[i, m] * rows[i, 3 + j, m]
                 if value != 0.0:
                     by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
                     by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
@@ -122,8 +119,7 @@ def _by_wall(
 
 def plain_corner_sums(
     w: Floats,
-    pose: Floats,
-    stack: Floats,
+    rows: Floats,
     ends: Floats,
     wall: Ints,
     y: Floats,
@@ -140,8 +136,8 @@ def plain_corner_sums(
                 columns[:, column] += np.where(at == column, ends[e] * normals[wall, d], 0.0)
     weighted = w[:, None] * columns
     return (
-        np.einsum("njm,nam->naj", weighted, pose),
-        np.einsum("njm,nkm->kj", weighted, stack),
+        np.einsum("njm,nam->naj", weighted, rows[:, :3]),
+        np.einsum("njm,nkm->kj", weighted, rows[:, 3:]),
         np.einsum("njm,nlm->jl", weighted, columns),
         np.einsum("njm,nm->j", weighted, y),
     )

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
+from sensorgraph.diagnosis.scan.rays_behind_edges import GRAZING, add_rays_behind
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.silhouettes import silhouettes
@@ -27,8 +28,6 @@ MAX_CORNERS = 1.5
 """Maximum number of corners per wall in a map of connected walls: closed outlines have one, separate fragments two."""
 SLACK = 1e-3
 """[rad] tolerance for the end of a wall outside of two rays, which may have different origins."""
-GRAZING = 0.02
-"""Minimum cosine to the normal at which a ray meets the extension of a wall."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,14 +159,36 @@ def _of_scraps(data: ScanData, beams: Beams, walls: Floats, steps: _Steps) -> li
     edge = _end_angle(beams, walls, steps, steps.nearer)
     edge = np.where(np.isnan(edge), steps.gap / 2, edge)
     blur = _blur_at(data.tolerances, beams.ranges[steps.scan, steps.nearer])
-    rows = list[Rows]()
+    shape, sensor = beams.ux.shape, data.sensor
+    best = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    ox, oy, ux, uy, ranges = (
+        np.ascontiguousarray(np.broadcast_to(part, shape))
+        for part in (beams.ox, beams.oy, beams.ux, beams.uy, beams.ranges)
+    )
+    limits = (
+        -float(ndtri(SETTINGS.min_edge_chance)) if data.grain > 0 else 0.0,
+        SETTINGS.min_edge_chance,
+        SETTINGS.min_edge_step * sensor.sigma,
+        float(sensor.range_max),
+        SCAN.nuisance.max_grazing_sigma,
+    )
     for ray, other in ((steps.right, steps.left), (steps.left, steps.right)):
-        onward = _onward(other, ray, data.n_rays)
-        rays = [(steps.scan, ray, steps.met_by(other, beams), steps.away(ray, edge), blur)]
-        while data.grain > 0 and len(rays[-1][0]):
-            rays.append(_next_to(*rays[-1], onward, beams.wall, data.sensor.bearings))
-        rows += [_beside_edge(data, beams, walls, *one) for one in rays]
-    return rows
+        met = steps.met_by(other, beams)
+        add_rays_behind(
+            best,
+            (steps.scan, ray, steps.away(ray, edge), blur),
+            (met.wall, met.ranges),
+            (ox, oy, ux, uy, ranges),
+            beams.wall,
+            walls,
+            _onward(other, ray, data.n_rays),
+            sensor.bearings,
+            _blur(data.tolerances),
+            limits,
+        )
+    scan, ray = np.nonzero(best[0] > 0)
+    chance, beyond, spread = (part[scan, ray] for part in best)
+    return [(scan, ray, beyond, spread, chance)]
 
 
 def _beside(
@@ -267,24 +288,6 @@ def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
     out = np.full(n_rays, -1, dtype=np.intp)
     out[behind] = ahead
     return out
-
-
-def _next_to(
-    scan: Ints,
-    ray: Ints,
-    other: _Other,
-    away: Floats,
-    blur: Floats,
-    onward: Ints,
-    wall: Ints,
-    bearings: Floats,
-) -> tuple[Ints, Ints, _Other, Floats, Floats]:
-    """Return the next rays away from their edges, if they meet the same wall and may still pass the edge."""
-    further = onward[ray]
-    is_near = ndtr(-away / blur) > SETTINGS.min_edge_chance
-    some = np.flatnonzero((further >= 0) & (wall[scan, further] == wall[scan, ray]) & is_near)
-    step = np.abs((bearings[further[some]] - bearings[ray[some]] + np.pi) % (2 * np.pi) - np.pi)
-    return scan[some], further[some], other.of(some), away[some] + step, blur[some]
 
 
 def _beside_edge(

@@ -115,7 +115,7 @@ class Solver:
             [prior_widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)]
         )
         self.locked = locked  # (8 + 2 n_corners,)
-        self.stack = np.concatenate([jacobian.nuisances, effects], axis=1)  # (n_scans, 8 + k, n_rays)
+        self.rows = np.concatenate([jacobian.pose, jacobian.nuisances, effects], axis=1)
         with np.errstate(invalid="ignore"):
             self.y = np.where(jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
         self.y[~np.isfinite(self.y)] = 0.0
@@ -123,7 +123,7 @@ class Solver:
     def of_scans(self, rows: Ints) -> Solver:
         """Return the linearised problem of some scans only, to assemble their normal equations."""
         j, out = self.jacobian, copy(self)
-        out.data, out.stack = self.data.subset(rows), self.stack[rows]
+        out.data, out.rows = self.data.subset(rows), self.rows[rows]
         out.y, out.laid = self.y[rows], self.laid[rows]
         out.jacobian = replace(
             j, pose=j.pose[rows], nuisances=j.nuisances[rows], ends=j.ends[:, rows], wall=j.wall[rows],
@@ -138,14 +138,20 @@ class Solver:
         """Return the linearised problem with additional columns (n_scans, k, n_rays) after those of the effects."""
         out = copy(self)
         out.effects = np.concatenate([self.effects, columns], axis=1)
-        out.stack = np.concatenate([self.stack, columns], axis=1)
+        out.rows = np.concatenate([self.rows, columns], axis=1)
         out.n_effects = out.effects.shape[1]
         return out
 
+    @property
+    def stack(self) -> Floats:
+        """(n_scans, 8 + k, n_rays) columns that all scans share, of nuisances and effects."""
+        return self.rows[:, 3:]
+
     def shift(self, state: State, p: Floats) -> Floats:
         """Return the contribution of nuisances, poses and effect increments to the readings, (n_scans, n_rays)."""
-        out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
-        out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
+        shared = np.concatenate([state.g[: len(Nuisance)], p])
+        values = np.concatenate([state.delta, np.broadcast_to(shared, (self.shape[0], len(shared)))], axis=1)
+        out = np.matmul(values[:, None, :], self.rows)[:, 0]
         if self.corners.count:
             out += self._by_corners(state.corners)
         return np.asarray(out - self.laid)
@@ -164,14 +170,13 @@ class Solver:
         prior = pose_prior(self.data, pose_scale)
         w = np.where(self.jacobian.valid, weight, 0.0)
         y = self.y + self.laid
-        wb = self.jacobian.pose * w[:, None, :]
-        h = np.matmul(wb, self.jacobian.pose.transpose(0, 2, 1)) + np.linalg.inv(prior)
-        ws = self.stack * w[:, None, :]
-        turned = self.stack.transpose(0, 2, 1)
-        c = np.matmul(wb, turned)  # (n_scans, 3, 8 + k)
-        b = np.matmul(wb, y[:, :, None])[..., 0]  # (n_scans, 3)
-        g = np.matmul(ws, turned).sum(axis=0)
-        r = np.einsum("nkm,nm->k", ws, y)
+        products = np.matmul(
+            self.rows * w[:, None, :], self.rows.transpose(0, 2, 1)
+        )  # (n_scans, 11 + k, 11 + k)
+        with_y = np.matmul(self.rows, (w * y)[:, :, None])[..., 0]  # (n_scans, 11 + k)
+        h = products[:, :3, :3] + np.linalg.inv(prior)
+        c, g = products[:, :3, 3:], products[:, 3:, 3:].sum(axis=0)
+        b, r = with_y[:, :3], with_y[:, 3:].sum(axis=0)
         if self.corners.count:
             c, g, r = self._with_corners(w, y, c, g, r)
         return without_poses(g, r, h, c, b, prior)
@@ -182,8 +187,7 @@ class Solver:
         """Insert the corners between the nuisances and the effects (blocks cv, gv, vv, rv of `corner_sums`)."""
         k = len(Nuisance)
         cv, gv, vv, rv = corner_sums(
-            w, self.jacobian.pose, self.stack, self.ends, self.wall, y, self.normals, self.corner_ends,
-            self.corners.count,
+            w, self.rows, self.ends, self.wall, y, self.normals, self.corner_ends, self.corners.count
         )  # fmt: skip
         c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
         top = np.concatenate([g[:k, :k], gv[:k], g[:k, k:]], axis=1)

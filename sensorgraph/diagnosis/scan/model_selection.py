@@ -199,7 +199,7 @@ def _try(
         ]
     if not short:
         return [], []
-    every = max(1, data.n_scans // SCAN.selection.n_scans)
+    every = max(1, data.n_scans // SCAN.selection.n_scans, -(-data.ranges.size // SCAN.selection.n_readings))
     few = thin(data, every)
     base = fit(few, current.model, thin_state(current.state, every), noise_bounds, outer=1, inner=2)
     fresh = start_state(few, noise_bounds) if strained else base.state

@@ -269,6 +269,8 @@ class SelectionSettings:
     """[nats] Slack on gains that were found on a part of the scans."""
     n_scans: int = 130
     """Number of scans on which all candidates are fitted."""
+    n_readings: int = 50_000
+    """Maximum number of readings of these scans: lasers of many rays need fewer scans."""
     min_expected_gain: float = 3.5
     """[nats] Minimum expected gain of a smooth effect that is fitted; bounds on the nuisances hide a part of
     it."""
