@@ -31,7 +31,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
 from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for
-from sensorgraph.localization.locate import LocatedRun, has_reference, located_run
+from sensorgraph.localization.locate import LocatedRun, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
@@ -232,12 +232,12 @@ def diagnose(
 ) -> Diagnosis | DrivingDiagnosis:
     """Find the physical effects that explain why measurement and simulation differ.
 
-    A run without reference poses is located first. If there is no arena either, only wheels and mount are estimated.
+    A run without reference poses is located first. Without an arena, only wheels and mount are estimated.
 
     Parameters
     ----------
-    second : Second run of the same place, used only to verify the result. Without arena and reference poses, the
-        second run is compared with the first.
+    second : Second run of the same place, used only to verify the result. Without an arena, the second run is
+        compared with the first.
     arena, robot : Arena and robot. None: those kept in the run.
     effects : Effects that the simulation already includes, or an effects.yaml.
     commissioning : Runs known to be good. Only differences from them are reported.
@@ -247,12 +247,12 @@ def diagnose(
 
     Raises
     ------
-    SensorgraphError : An arena or odometry is missing, or the second run is of another place.
+    SensorgraphError : A run has neither arena nor odometry, or the second run is of another place.
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
     if walls is None:
-        if has_reference(log) or effects or commissioning or simulation is not None:
+        if effects or commissioning or simulation is not None:
             raise SensorgraphError("the run keeps no arena; give the arena in which it was recorded")
         several = [log] if second is None else [log, _run(second)]
         return DrivingDiagnosis.of(drive_alone(several, None if robot is None else _robot(robot)))

@@ -74,7 +74,7 @@ def diagnose(
     _check(runs, simulation, commissioning, out, poses)
     reading = read_options(topic, no_return, robot, heights)
     loaded = [_read(path, reading) for path in runs]
-    if arena is None and not (effects or commissioning or simulation) and _has_neither(loaded, poses):
+    if arena is None and not (effects or commissioning or simulation) and _have_no_arena(loaded):
         _drive_alone(loaded, runs, robot, out, poses, reading)
         return
     walls, machine = _place(loaded[0], runs[0], arena, robot)
@@ -138,12 +138,11 @@ def _report_settings(
     }
 
 
-def _has_neither(runs: Sequence[Run], poses: str | None) -> bool:
-    """Return whether no run has an arena or reference poses, so that only wheels and mount can be estimated."""
+def _have_no_arena(runs: Sequence[Run]) -> bool:
+    """Return whether no run keeps an arena, so that only wheels and mount can be estimated."""
     from sensorgraph.loading import arena_in
-    from sensorgraph.localization.kept import needs_locating
 
-    return all(needs_locating(run, run.n_scans, poses) and arena_in(run) is None for run in runs)
+    return all(arena_in(run) is None for run in runs)
 
 
 def _drive_alone(
@@ -154,7 +153,7 @@ def _drive_alone(
     poses: str | None,
     reading: Mapping[str, Any],
 ) -> None:
-    """Estimate wheels and mount from runs without arena and reference poses."""
+    """Estimate wheels and mount from runs without an arena."""
     from sensorgraph.cli.inputs import print_log_notes, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
@@ -180,7 +179,7 @@ def _drive_alone(
     for line in finding.lines:
         typer.echo(line)
     typer.echo(
-        "no arena and no reference poses: only wheels and mount are observable; give --arena to test other effects"
+        "no arena: only wheels and mount are estimated, from scans and odometry alone; give --arena to test other effects"
     )
     if base is None:
         typer.echo(
@@ -250,9 +249,7 @@ def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple
 
     walls = load_arena(arena) if arena is not None else arena_in(run)
     if walls is None:
-        raise SensorgraphError(
-            f"{name} keeps no arena; give one with --arena, or use --poses locate to estimate only wheels and mount"
-        )
+        raise SensorgraphError(f"{name} keeps no arena; give one with --arena")
     return walls, robot_for(run, robot)
 
 
@@ -300,7 +297,8 @@ def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]
     lines = [summary.headline, *summary.details, *intake_sentences(finding)]
     if known:
         lines.append(f"effects included as given: {'; '.join(brief(a) for a in known)}")
-    lines += [] if finding.driving is None else finding.driving.lines[1:]
+    if finding.driving is not None:  # the summary has the verdict, unless the arena does not fit
+        lines += finding.driving.lines[0 if finding.explained is None else 1 :]
     lines.append(f"wrote {out / 'report.html'}, report.json, effects.yaml{review}")
     if finding.next_run is not None:
         plan = out / "next_run"

@@ -14,6 +14,7 @@ from logs.run import Run, pair
 from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, diagnose_driving
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
@@ -96,7 +97,7 @@ def diagnose(
     with clock.stage("intake"):
         laid = _laid_on_arena(run, arena, robot, known, baseline, rng)
         if problem := misalignment(laid.alignment, run, laid.data):
-            return misaligned(laid.data, laid.notes, problem, clock.seconds)
+            return misaligned(laid.data, laid.notes, problem, clock.seconds, _driving(run, laid, progress))
         if baseline is None and is_located(run):
             laid = _with_free_poses(laid, noise_bounds)
         second_data = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
@@ -141,6 +142,21 @@ def _channels(
     """Return the channels, adjusted for what the scans and a simulation show."""
     odometry = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
     return {one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)}
+
+
+def _driving(run: Run, laid: _Laid, progress: ProgressBars) -> DrivingFinding | None:
+    """Calibrate wheels and mount of a run whose poses are in another frame than the arena; None without odometry.
+
+    In another place, the arena is to be corrected first.
+    """
+    if not laid.alignment.fits_elsewhere:
+        return None
+    name = str(run.meta.get("source", "the run"))
+    try:
+        return diagnose_driving({name: (run, run)}, base=laid.robot.wheels.base, progress=progress)
+    except SensorgraphError as exc:
+        logger.info("wheels and mount are not calibrated: %s", exc)
+        return None
 
 
 def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:

@@ -85,17 +85,31 @@ class Finding:
 
 
 def misaligned(
-    data: ScanData, intake: dict[str, Any], problem: Unknown, seconds: Mapping[str, float]
+    data: ScanData,
+    intake: dict[str, Any],
+    problem: Unknown,
+    seconds: Mapping[str, float],
+    driving: DrivingFinding | None = None,
 ) -> Finding:
-    """Return the finding of a run that the arena does not fit; no effect is named until this is corrected."""
+    """Return the finding of a run that the arena does not fit.
+
+    Only effects of wheels and mount are named, from driving alone: this needs no arena.
+    """
     skipped = "the arena does not fit the run; correct the arena first"
+    wheels = ChannelResult(channel="odometry", skipped=skipped)
+    if driving is not None:
+        notes = {"calibration": "from driving alone"}
+        wheels = ChannelResult(
+            channel="odometry", effects=driving.effects, not_observable=driving.hidden, notes=notes
+        )
     return Finding(
         channels={
             "scan": ChannelResult(channel="scan", unknown=problem),
-            "odometry": ChannelResult(channel="odometry", skipped=skipped),
+            "odometry": wheels,
             "drive": ChannelResult(channel="drive", skipped=skipped),
         },
         intake=intake,
         data=data,
+        driving=driving,
         seconds=seconds,
     )

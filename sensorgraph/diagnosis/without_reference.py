@@ -65,7 +65,7 @@ def drive_alone(runs: Sequence[Run], robot: Robot | None) -> DrivingFinding:
 
     Raises
     ------
-    SensorgraphError : A run has no odometry, or is too short.
+    SensorgraphError : A run has no odometry.
     """
     names = ["the run"] if len(runs) == 1 else ["the first run", "the second run"]
     for run, name in zip(runs, names, strict=True):
@@ -180,6 +180,7 @@ def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robo
         channel="odometry",
         effects=(*driving.effects, *slips),
         not_observable={
+            **driving.hidden,
             **ABSORBED,
             **{k: why for k, why in beside.not_observable.items() if k == WHEEL_SLIP.name},
         },

@@ -34,7 +34,13 @@ def _calibration(name: str, found: DrivingCalibration) -> dict[str, Any]:
         "duration_s": found.duration_s,
         "stated_mount": found.mount.tolist(),
         "parameters": {
-            key: {"value": found.of(key)[0], "stderr": found.of(key)[1], "unit": unit}
+            key: {
+                "value": found.of(key)[0],
+                "stderr": found.of(key)[1],
+                "unit": unit,
+                "observable": key not in found.hidden,
+                "why": found.hidden.get(key),
+            }
             for key, unit in UNITS.items()
         },
     }

@@ -75,7 +75,7 @@ def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
         "runner_up": None,
         "gap": None,
         "within_tolerance": [],
-        "not_observable": dict(ABSORBED),
+        "not_observable": {**finding.hidden, **ABSORBED},
         "next_run": None,
         "intake": {"reference": "none: located from scans and wheels", "runs": list(finding.runs)},
         "calibration": calibrations(finding),

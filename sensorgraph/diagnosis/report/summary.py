@@ -7,20 +7,15 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.quantities import (
-    brief,
-    deviation_text,
-    largest,
-    minus,
-    percent,
-    title_of,
-)
+from sensorgraph.diagnosis.motion.calibration.words import EFFECT_OF
+from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.report.tolerated import tolerated
 from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison
 from sensorgraph.effects import Amendment
 
+OF_MOUNT = {EFFECT_OF[name] for name in ("mount_x", "mount_phi", "delay")}
 MIN_LEAD = 6.0
 """[nats] minimum lead over the runner-up of an effect that is called found."""
 UNCHANGED = 0.97
@@ -181,7 +176,8 @@ def _agreement(finding: Finding) -> str:
 
 def _but_for_poses(finding: Finding) -> str:
     """State the limits of a short run whose poses were located with its own scans."""
-    if not finding.data.from_scans or finding.driving is not None:
+    driving = finding.driving
+    if not finding.data.from_scans or (driving is not None and not OF_MOUNT & driving.hidden.keys()):
         return ""
     return "; the poses were located with these scans, so that an error of the laser's mount or delay would not show"
 

@@ -58,6 +58,11 @@ class Alignment:
         )
         return not is_lost and self.best_share < max(self.share + SETTINGS.min_gain, SETTINGS.poor_share)
 
+    @property
+    def fits_elsewhere(self) -> bool:
+        """Whether a rigid motion of the poses puts most returns on walls: the place is right, the frame is not."""
+        return not self.is_good and self.scale == 1.0 and self.best_share >= SETTINGS.partly_matching
+
     def sentence(self) -> str:
         """Return a statement of the fit of arena and run, and of its correction."""
         now = f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"

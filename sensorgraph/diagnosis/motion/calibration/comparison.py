@@ -32,6 +32,8 @@ class Difference:
     """Of the difference; twice this value covers 95 %."""
     threshold: float
     """Standard errors above which the runs differ."""
+    is_shown: bool = True
+    """Whether both runs show the parameter."""
 
     @property
     def value(self) -> float:
@@ -72,6 +74,7 @@ def compare(
             second=float(second.values[k]),
             stderr=float(stderr[k]),
             threshold=limit,
+            is_shown=not (name in first.hidden or name in second.hidden),
         )
         for k, name in enumerate(PARAMETERS)
     )
@@ -91,6 +94,8 @@ def change_within(
     found : Calibration of the whole run.
     """
     s, n = settings, len(motion.first)
+    if not is_long_enough(found, s):
+        return None
     at = [n * b // s.blocks for b in range(s.blocks // 4, s.blocks - s.blocks // 4 + 1)]
     splits = [k for k in at if min(k, n - k) >= s.window * s.least_side]
     best: Difference | None = None
@@ -105,6 +110,11 @@ def change_within(
     return Change(difference=best, at_s=_time_of(found.rows, PARAMETERS.index(best.name), s))
 
 
+def is_long_enough(found: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION) -> bool:
+    """Tell whether a run has enough windows before and after a change to show it."""
+    return len(found.rows.scores) >= 2 * settings.least_side
+
+
 def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
     """Return some windows."""
     return replace(
@@ -116,8 +126,12 @@ def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
 
 
 def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Floats, Floats]:
-    """Return estimates (blocks, 9) and standard errors (blocks, 9) for the parts of a run, and their middles [s]."""
+    """Return estimates (blocks, 9) and standard errors (blocks, 9) for the parts of a run, and their middles [s].
+
+    A run of fewer windows has fewer parts, and a short drive none.
+    """
     rows, n = found.rows, len(found.rows.scores)
+    blocks = min(blocks, n)
     values, errors = np.zeros((blocks, found.values.size)), np.zeros((blocks, found.values.size))
     ends = np.append(rows.from_s, found.duration_s)
     middles = np.zeros(blocks)

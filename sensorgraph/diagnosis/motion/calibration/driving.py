@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from logs.run import Run
-from sensorgraph.diagnosis.motion.calibration.comparison import Change, Difference, change_within, compare
+from sensorgraph.diagnosis.motion.calibration.comparison import (
+    Change,
+    Difference,
+    change_within,
+    compare,
+    is_long_enough,
+)
 from sensorgraph.diagnosis.motion.calibration.estimate import DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
 from sensorgraph.diagnosis.motion.calibration.verdict import (
@@ -17,6 +23,7 @@ from sensorgraph.diagnosis.motion.calibration.verdict import (
     source_of,
     verdict,
 )
+from sensorgraph.diagnosis.motion.calibration.words import EFFECT_OF, QUANTITIES
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import ProgressBars, no_progress
@@ -45,7 +52,17 @@ class DrivingFinding:
 
     def lines_of(self, name: str) -> list[str]:
         """Return the calibration of one run, one line per quantity."""
-        return [*lines_of(self.runs[name]), *change_lines(self.changes[name])]
+        found = self.runs[name]
+        return [*lines_of(found), *change_lines(self.changes[name], is_tested=is_long_enough(found))]
+
+    @property
+    def hidden(self) -> dict[str, str]:
+        """Return the effects that the last run does not show, with the reason."""
+        found = list(self.runs.values())[-1]
+        return {
+            EFFECT_OF[name]: f"{QUANTITIES[name].title}: {why}"
+            for name, why in reversed(found.hidden.items())
+        }
 
     @property
     def lines(self) -> list[str]:
@@ -57,7 +74,7 @@ class DrivingFinding:
 
 
 def check_odometry(run: Run, *, name: str = "the run") -> None:
-    """Reject a run that does not determine wheels and mount, before it is located."""
+    """Reject a run without odometry, before it is located."""
     try:
         with_moving_odometry(run)
     except SensorgraphError as exc:
@@ -76,7 +93,7 @@ def diagnose_driving(
 
     Raises
     ------
-    SensorgraphError : A run has no odometry, or is too short.
+    SensorgraphError : A run has no odometry.
     """
     found: dict[str, DrivingCalibration] = {}
     changes: dict[str, Change | None] = {}

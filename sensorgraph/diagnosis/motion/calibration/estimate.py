@@ -16,13 +16,20 @@ Miller 2015), at least those of independent windows. They are widened so that tw
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.short_drive import (
+    N_FACTORS,
+    StepNoise,
+    most_probable,
+    student_weights,
+    widened_errors,
+)
 from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.types import Floats
 
@@ -32,7 +39,7 @@ in base_link [m, m, rad]."""
 NUISANCES = ("delay", "drift_x", "drift_y")
 """[s] delay of a scan after the odometry at its stamp; [m/m] drift with the floor, in map."""
 N_ALL = len(PARAMETERS) + len(NUISANCES)
-YAW = 5
+MOUNT_X, YAW = 3, 5
 DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
 """Steps of the numerical derivatives."""
 
@@ -65,6 +72,8 @@ class DrivingCalibration:
     turn_rad: float
     duration_s: float
     rows: WindowRows
+    hidden: dict[str, str] = field(default_factory=dict)
+    """Name -> why the drive does not show it; its value is then little more than the prior."""
     metre: str = "the laser's"
     """Owner of the length scale in which distances are given."""
 
@@ -87,17 +96,100 @@ class DrivingCalibration:
 
 
 def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBRATION) -> DrivingCalibration:
-    """Estimate wheels and mount from one run.
+    """Estimate wheels and mount from one run; a short one has large standard errors."""
+    s = settings
+    before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
+    prior = np.diag(prior_errors(s) ** -2.0)
+    if len(motion.first) < s.window * s.least_windows:
+        values, stderr, rows = _from_few_steps(motion, before, prior, s)
+    else:
+        values, stderr, rows = _from_windows(motion, before, prior, s)
+    stderr[YAW] = np.hypot(stderr[YAW], s.sideways_sd)
+    way = float(np.hypot(*np.diff(motion.odometry[:, :2], axis=0).T).sum())
+    turn = float(np.abs(np.diff(motion.odometry[:, 2])).sum())
+    return DrivingCalibration(
+        values=values,
+        stderr=stderr,
+        mount=motion.mount,
+        hidden=hidden_parameters(stderr, way, turn, s),
+        way_m=way,
+        turn_rad=turn,
+        duration_s=float(np.ptp(motion.stamps)),
+        rows=rows,
+    )
+
+
+def prior_errors(settings: DrivingCalibrationSettings) -> Floats:
+    """Return the prior standard deviations (9,) of PARAMETERS and NUISANCES."""
+    s = settings
+    return np.array(
+        [s.scale_sd] * 2 + [s.heading_bias_sd] + [s.mount_sd] * 3 + [s.delay_sd] + [s.drift_sd] * 2
+    )
+
+
+def hidden_parameters(
+    stderr: Floats, way: float, turn: float, settings: DrivingCalibrationSettings = CALIBRATION
+) -> dict[str, str]:
+    """Return the parameters and the delay that a drive does not show, with the reason.
 
     Parameters
     ----------
-    motion : At least `settings.window * settings.least_windows` steps.
+    stderr : (9,)
+    way, turn : [m, rad] Distance and turns of the whole drive by the odometry.
     """
     s = settings
-    before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
-    sd = np.array([s.scale_sd] * 2 + [s.heading_bias_sd] + [s.mount_sd] * 3 + [s.delay_sd] + [s.drift_sd] * 2)
-    prior = np.diag(sd**-2.0)
-    theta = before.copy()
+    if way == turn == 0.0:
+        short_way = short_turn = "the odometry never moves"
+    else:
+        short_way = f"the robot drove {way:.1f} m" if way < s.shown_steps * s.step_way else ""
+        short_turn = (
+            f"the robot turned by {np.degrees(turn):.0f}°" if turn < s.shown_steps * s.step_turn else ""
+        )
+    lacks = dict.fromkeys(PARAMETERS, short_way)
+    lacks |= dict.fromkeys(("turn_scale", "mount_x", "mount_y"), short_turn)
+    lacks["delay"] = short_way and short_turn
+    names = (*PARAMETERS, "delay")
+    other = dict.fromkeys(
+        names, "the drive does not separate it from the others; drive straight and turn to both sides"
+    )
+    other["delay"] = "the speed hardly changes during the drive"
+    limits = s.hidden_share * prior_errors(s)[: len(names)]
+    is_hidden = stderr[: len(names)] > limits
+    return {name: lacks[name] or other[name] for name, hides in zip(names, is_hidden, strict=True) if hides}
+
+
+def _from_few_steps(
+    motion: LaserMotion, before: Floats, prior: Floats, settings: DrivingCalibrationSettings
+) -> tuple[Floats, Floats, WindowRows]:
+    """Return values and standard errors (9,) of a drive whose noise is modelled; there are no windows."""
+    nothing = np.zeros((0, N_ALL))
+    rows = WindowRows(
+        information=np.zeros((0, N_ALL, N_ALL)), scores=nothing, prior=prior, from_s=np.zeros(0)
+    )
+    if not len(motion.first):
+        return before, prior_errors(settings), rows
+    theta, noise, factors = before.copy(), StepNoise.of(motion, settings), np.zeros(N_FACTORS)
+    weights = noise.first_weights(_residuals(motion, theta), settings.tail)
+    for _ in range(settings.short_iterations):
+        jacobians = _derivatives(motion, theta, 1)
+        residuals = _residuals(motion, theta) + jacobians @ (theta - before)
+        steps = noise.whitened(weights, residuals, jacobians, prior, settings)
+        factors = most_probable(steps, factors)
+        moved = before + steps.moved(factors) - theta
+        theta += moved
+        if (np.abs(moved) < settings.settled * widened_errors(steps, factors)).all():
+            break
+        weights = student_weights(steps.slips(factors) / weights, settings.tail)
+    stderr = widened_errors(steps, factors)
+    stderr[MOUNT_X] = np.hypot(stderr[MOUNT_X], settings.centre_sd)
+    return theta, stderr, rows
+
+
+def _from_windows(
+    motion: LaserMotion, before: Floats, prior: Floats, settings: DrivingCalibrationSettings
+) -> tuple[Floats, Floats, WindowRows]:
+    """Return values and standard errors (9,) of a drive whose windows show the noise, and its rows."""
+    s, theta = settings, before.copy()
     information, scores = np.zeros((1, N_ALL, N_ALL)), np.zeros((1, N_ALL))
     jacobians = np.zeros((1, 3, N_ALL))
     for iteration in range(s.iterations):
@@ -113,18 +205,7 @@ def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBR
     begins = motion.stamps[motion.first[:: s.window][: len(scores)]] - motion.stamps[0]
     rows = WindowRows(information=information, scores=scores, prior=prior, from_s=begins)
     blocks = min(max(len(scores) // s.least_block, 4), s.blocks)
-    stderr = standard_errors(rows, blocks)
-    stderr[YAW] = np.hypot(stderr[YAW], s.sideways_sd)
-    ways = np.hypot(*np.diff(motion.odometry[:, :2], axis=0).T)
-    return DrivingCalibration(
-        values=theta,
-        stderr=stderr,
-        mount=motion.mount,
-        way_m=float(ways.sum()),
-        turn_rad=float(np.abs(np.diff(motion.odometry[:, 2])).sum()),
-        duration_s=float(np.ptp(motion.stamps)),
-        rows=rows,
-    )
+    return theta, standard_errors(rows, blocks), rows
 
 
 def standard_errors(rows: WindowRows, blocks: int) -> Floats:

@@ -15,12 +15,13 @@ from logs.notes import ODOMETRY_LEFT_OUT, notes_of
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.step_scatter import step_scatter
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.refinement import refine
+from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
@@ -44,6 +45,9 @@ class LaserMotion:
     """(n_scans, 3) [m, m, rad] from the wheels."""
     mount: Floats
     """(3,) [m, m, rad] specified pose of the laser in base_link."""
+    scatter: Floats | None = None
+    """(3, n_steps, n_steps) [m², m², rad²] covariance of ahead, left and turn of the steps, by the scans; None: not
+    computed, for a long drive."""
 
     def part(self, chosen: slice) -> LaserMotion:
         """Return some of the steps, with the scans between them."""
@@ -60,6 +64,7 @@ class LaserMotion:
             stamps=self.stamps[scans],
             odometry=self.odometry[scans],
             mount=self.mount,
+            scatter=None if self.scatter is None else self.scatter[:, chosen, chosen],
         )
 
 
@@ -79,26 +84,28 @@ def laser_motion(
 
     Raises
     ------
-    SensorgraphError : The run has no odometry, or too few of its scans were located.
+    SensorgraphError : The run has no odometry.
     """
     run, odometry = with_moving_odometry(run)
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     paired = pair(located)
     length = _lengths(odometry, settings)
     keys = _keys(length, paired.paired)
-    if len(keys) < settings.window * settings.least_windows:
-        raise SensorgraphError(
-            f"the robot made {len(keys)} steps of {settings.step_way:g} m or {np.degrees(settings.step_turn):.0f}° between "
-            f"located scans, expected at least {settings.window * settings.least_windows}; drive longer"
-        )
-    with progress("measuring the motion from scans alone", "steps") as bar:
-        poses = _by_scans_alone(run, keys, paired.poses[keys], bar)
-    steps = compose(invert(poses[:-1]), poses[1:])
     mount = np.asarray(run.sensor.mount, dtype=np.float64)
-    there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
-    steps = compose(compose(back, steps), there)
-    steps[:, 2] = wrap(steps[:, 2])
+    poses, steps, scatter = paired.poses[keys], np.zeros((0, 3)), None
+    if len(keys) > 1:
+        with progress("measuring the motion from scans alone", "steps") as bar:
+            found = _by_scans_alone(run, keys, poses, bar)
+        poses = found.poses
+        steps = compose(invert(poses[:-1]), poses[1:])
+        if len(steps) < settings.window * settings.least_windows:
+            scatter = step_scatter(found, steps, mount)
+        there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
+        steps = compose(compose(back, steps), there)
+        steps[:, 2] = wrap(steps[:, 2])
     whole = np.diff(length[keys]) < settings.longest_step
+    if scatter is not None:
+        scatter = scatter[:, whole][:, :, whole]
     return LaserMotion(
         first=keys[:-1][whole],
         second=keys[1:][whole],
@@ -107,16 +114,22 @@ def laser_motion(
         stamps=_even_stamps(run.stamps, settings),
         odometry=odometry,
         mount=mount,
+        scatter=scatter,
     )
 
 
 def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
-    """Return a run with checked odometry, and the odometry at each scan (n_scans, 3); reject a run without it."""
+    """Return a run with checked odometry, and the odometry at each scan (n_scans, 3); reject a run without it.
+
+    Odometry that never moves is that of a robot that stands.
+    """
     run, notes = with_checked_odometry(run)
     motion = odometry_of(run)
     if motion is None:
         reasons = (*notes, *(note for note in notes_of(run) if note.endswith(ODOMETRY_LEFT_OUT)))
-        why = reasons[0] if reasons else "the run has no odometry that moves"
+        if not reasons and len(run.odometry):
+            return run, np.zeros((run.n_scans, 3))
+        why = reasons[0] if reasons else "the run has no odometry"
         raise SensorgraphError(f"{why}; the calibration of wheels and mount needs a drive with odometry")
     return run, odometry_at_scans(run, motion)
 
@@ -151,7 +164,7 @@ def _keys(length: Floats, usable: Bools) -> Ints:
     return np.array(keys, dtype=np.intp)
 
 
-def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> Floats:
+def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> Refined:
     """Fit poses (n_keys, 3) and surfaces jointly, without wheels."""
     n = len(keys)
     first = np.arange(n - 1)
@@ -163,4 +176,4 @@ def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> 
     )
     untied = WheelSteps(first=first, steps=np.zeros((n - 1, 3)), has_odometry=False)
     frames = FramePoints.of(scan_points(run, odometry_of(run)), keys)
-    return refine(frames, poses, untied, (chain, none), progress).poses
+    return refine(frames, poses, untied, (chain, none), progress)

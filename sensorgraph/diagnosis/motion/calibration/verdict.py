@@ -18,8 +18,6 @@ from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 
 SURE = 2.64
 """Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
-LEAST_DELAY = 0.01
-"""[s] minimum delay that is reported."""
 LEAST_DRIFT = 0.005
 """[m/m] minimum drift with the floor that is reported."""
 
@@ -68,48 +66,87 @@ def headline(found: DrivingCalibration, change: Change | None) -> str:
     told = [
         f"{q[name].title} {q[name].text(d, sd)}"
         for name, (d, sd) in off.items()
-        if abs(d) > max(SURE * sd, q[name].materiality)
+        if name not in found.hidden and abs(d) > max(SURE * sd, q[name].materiality)
     ]
     if told:
         return f"Wheels and mount differ from the specified values: {', '.join(told)}."
+    if len(found.hidden) == len(PARAMETERS) + 1:
+        return f"The drive does not show wheels and mount: {found.hidden[PARAMETERS[0]]}."
+    if found.hidden:
+        unseen = ", ".join(q[name].title for name in found.hidden)
+        return f"Wheels and mount agree with the specified values, as far as the drive shows them; it does not show: {unseen}."
     return "Wheels and mount agree with the specified values, within the accuracy of driving alone."
 
 
 def source_of(found: DrivingCalibration) -> str:
     """Return the length and duration of the drive."""
+    turns = found.turn_rad / (2 * np.pi)
     return (
-        f"from driving alone, {found.way_m:.0f} m and {found.turn_rad / (2 * np.pi):.0f} full turns in "
-        f"{found.duration_s / 60:.0f} min"
+        f"from driving alone, {_short(found.way_m)} m and {_short(turns)} full turns in "
+        f"{_short(found.duration_s / 60)} min"
     )
+
+
+def _short(value: float) -> str:
+    """Return a number with two digits or more."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
 
 
 def lines_of(found: DrivingCalibration) -> list[str]:
     """Return the calibration of one run, one line per quantity."""
     q = QUANTITIES
     (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
-    mount = [q[name].text(*found.of(name)) for name in PARAMETERS[3:]]
-    stated = [f"{v:.1f}".replace("-", "−") for v in found.mount * [100.0, 100.0, float(np.degrees(1.0))]]
-    lines = [
-        f"distance scale: {q['way_scale'].text(way - 1, way_sd)}, correction to the odometry (in {found.metre} length scale)",
-        f"turn scale: {q['turn_scale'].text(turn - 1, turn_sd)}, correction to the odometry",
-        f"heading bias: {q['heading_bias'].text(bias, bias_sd)}, missing in the odometry (wheels of unequal size)",
-        f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (specified: "
-        f"{stated[0]} cm, {stated[1]} cm, {stated[2]}°)",
+    scale = f"correction to the odometry (in {found.metre} length scale)"
+    shown = {
+        "way_scale": f"{q['way_scale'].text(way - 1, way_sd)}, {scale}",
+        "turn_scale": f"{q['turn_scale'].text(turn - 1, turn_sd)}, correction to the odometry",
+        "heading_bias": f"{q['heading_bias'].text(bias, bias_sd)}, missing in the odometry (wheels of unequal size)",
+    }
+    lines = [f"{q[name].title}: {text}" for name, text in shown.items() if name not in found.hidden]
+    lines += [*_mount_lines(found), *_delay_lines(found), *_floor_lines(found)]
+    return lines + [f"{q[name].title}: not observable, {why}" for name, why in found.hidden.items()]
+
+
+def _mount_lines(found: DrivingCalibration) -> list[str]:
+    """Return the mount as one line, or as one per quantity if the drive does not show all of it."""
+    names, q = PARAMETERS[3:], QUANTITIES
+    mount = {name: q[name].text(*found.of(name)) for name in names if name not in found.hidden}
+    scaled = zip(names, found.mount * [100.0, 100.0, float(np.degrees(1.0))], ("cm", "cm", "°"), strict=True)
+    stated = {
+        name: f"{v:.1f}{'' if unit == '°' else ' '}{unit}".replace("-", "−") for name, v, unit in scaled
+    }
+    if len(mount) < len(names):
+        return [f"{q[name].title}: {text} (specified: {stated[name]})" for name, text in mount.items()]
+    x, y, phi = mount.values()
+    return [
+        f"laser: {x} ahead of the axle, {y} to the left, turned by {phi} (specified: {', '.join(stated.values())})"
     ]
-    delay, delay_sd = found.of("delay")
-    if abs(delay) > LEAST_DELAY and abs(delay) > SURE * delay_sd:
+
+
+def _delay_lines(found: DrivingCalibration) -> list[str]:
+    """Return the delay between scans and odometry, also if there is none."""
+    if "delay" in found.hidden:
+        return []
+    delay, sd = found.of("delay")
+    q = QUANTITIES["delay"]
+    if abs(delay) > max(SURE * sd, q.materiality):
         older = "older" if delay < 0 else "newer"
-        lines.append(
-            f"scan delay: scans are {1e3 * abs(delay):.0f} ± {1e3 * delay_sd:.0f} ms {older} than the odometry at their stamps"
-        )
+        return [
+            f"scan delay: scans are {1e3 * abs(delay):.0f} ± {1e3 * sd:.0f} ms {older} than the odometry at their stamps"
+        ]
+    return [f"scan delay: {q.text(delay, sd)}, none that matters"]
+
+
+def _floor_lines(found: DrivingCalibration) -> list[str]:
+    """Return the drift with the floor, if there is one."""
     drift = found.values[-2:]
     size, sd = float(np.hypot(*drift)), float(found.stderr[-2:].max())
-    if size > LEAST_DRIFT and size > SURE * sd:
-        lines.append(
-            f"floor: moves the robot {100 * size:.1f} ± {100 * sd:.1f} cm per metre towards "
-            f"{np.degrees(np.arctan2(drift[1], drift[0])) % 360:.0f}° of the map (a slope, the nap of a carpet)"
-        )
-    return lines
+    if size <= max(LEAST_DRIFT, SURE * sd):
+        return []
+    return [
+        f"floor: moves the robot {100 * size:.1f} ± {100 * sd:.1f} cm per metre towards "
+        f"{np.degrees(np.arctan2(drift[1], drift[0])) % 360:.0f}° of the map (a slope, the nap of a carpet)"
+    ]
 
 
 def difference_line(one: Difference, first: str, second: str) -> str:
@@ -122,22 +159,33 @@ def difference_line(one: Difference, first: str, second: str) -> str:
 
 def verdict(differences: Sequence[Difference], first: str, second: str) -> list[str]:
     """Return the lines that state whether two runs agree."""
-    told = [d for d in differences if d.differs and d.is_material]
-    small = [d for d in differences if d.differs and not d.is_material]
+    shown = [d for d in differences if d.is_shown]
+    told = [d for d in shown if d.differs and d.is_material]
+    small = [d for d in shown if d.differs and not d.is_material]
     if told:
         lines = ["The two runs differ.", *(difference_line(d, first, second) for d in told)]
+    elif not shown:
+        lines = ["The two runs cannot be compared: one of them does not show wheels and mount."]
     else:
-        worst = max(differences, key=lambda d: abs(d.value) / d.stderr)
+        worst = max(shown, key=lambda d: abs(d.value) / d.stderr)
+        of = "" if len(shown) == len(differences) else ", as far as both show them"
         lines = [
-            f"The two runs agree in wheels and mount (largest difference {abs(worst.value) / worst.stderr:.1f} standard "
+            f"The two runs agree in wheels and mount{of} (largest difference {abs(worst.value) / worst.stderr:.1f} standard "
             f"errors, {QUANTITIES[worst.name].title})."
         ]
     lines += [f"Too small to matter: {difference_line(d, first, second)}" for d in small]
     return lines
 
 
-def change_lines(change: Change | None) -> list[str]:
-    """Return the line that states whether wheels and mount stayed constant during the run."""
+def change_lines(change: Change | None, *, is_tested: bool = True) -> list[str]:
+    """Return the line that states whether wheels and mount stayed constant during the run.
+
+    Parameters
+    ----------
+    is_tested : False: the run is too short for the test.
+    """
+    if change is None and not is_tested:
+        return ["The drive is too short to show a change during it."]
     if change is None:
         return ["Wheels and mount are constant during the run."]
     one, q = change.difference, QUANTITIES[change.difference.name]

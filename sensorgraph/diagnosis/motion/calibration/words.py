@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.effects.effect import Effect
+from sensorgraph.effects.latency import LATENCY
 from sensorgraph.effects.mount_xy import MOUNT_XY
 from sensorgraph.effects.mount_yaw import MOUNT_YAW
 from sensorgraph.effects.range_scale import RANGE_SCALE
@@ -90,7 +91,24 @@ QUANTITIES: Mapping[str, Quantity] = {
         materiality=_material(MOUNT_YAW, 0),
         causes="the laser was knocked, or the robot slides sideways on another floor",
     ),
+    "delay": Quantity(
+        title="scan delay",
+        unit="ms",
+        factor=1e3,
+        materiality=0.01,
+        causes="another driver, or a busy computer",
+    ),
 }
+EFFECT_OF: Mapping[str, str] = {
+    "way_scale": WHEEL_RADIUS.name,
+    "turn_scale": WHEEL_BASE.name,
+    "heading_bias": WHEEL_RADIUS_DIFF.name,
+    "mount_x": MOUNT_XY.name,
+    "mount_y": MOUNT_XY.name,
+    "mount_phi": MOUNT_YAW.name,
+    "delay": LATENCY.name,
+}
+"""Quantity -> effect that it becomes in a report."""
 ABSORBED: Mapping[str, str] = {
     RANGE_SCALE.name: "too long ranges enlarge the map and make the wheels seem too small by the same factor, so that the "
     "distance scale is relative to the laser",
