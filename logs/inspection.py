@@ -106,9 +106,10 @@ class Inspection:
         """Return the table of what the log can be used for."""
         width = max(len(use.name) for use in self.use)
         rows = [f"  {use.name:<{width}}  {use.verdict:<7}  {use.why}" for use in self.use]
-        rows.append(
-            f"  {'ground covered':<{width}}  {self.ground or 'unknown: the log has neither odometry nor poses'}"
+        unknown = "unknown: " + (
+            "the log has neither odometry nor poses" if self.usable else "it is not read as a run"
         )
+        rows.append(f"  {'ground covered':<{width}}  {self.ground or unknown}")
         rows += [f"  {'would help':<{width}}  {self.advice}"] if self.advice else []
         return ["what this log can be used for", *rows]
 

@@ -79,18 +79,36 @@ def detect_no_return(parts: Sequence[Floats], range_max: float) -> str:
     one of `NO_RETURNS`
     """
     n = sum(part.size for part in parts)
-    at_max = below = infinite = 0
-    for part in parts:
-        top = range_max - CODE_SEARCH.stated_tolerance
-        at_max += int(((part >= top) & (part <= range_max + CODE_SEARCH.stated_tolerance)).sum())
-        below += int(((part >= range_max - CODE_SEARCH.neighbours) & (part < top)).sum())
-        infinite += int(np.isposinf(part).sum())
-    usual = below * CODE_SEARCH.bin / CODE_SEARCH.neighbours
-    if at_max > max(CODE_SEARCH.frequent * n, CODE_SEARCH.ratio * usual, CODE_SEARCH.min_count):
+    if _is_code(parts, range_max):
         return "range_max"
-    if infinite == 0 and _are_zeros_missing(parts, n):
+    if not any(np.isposinf(part).any() for part in parts) and _are_zeros_missing(parts, n):
         return "zero"
     return "inf"
+
+
+def _is_code(parts: Sequence[Floats], code: float) -> bool:
+    """Return whether readings of exactly `code` [m] are frequent, and far more so than the ranges just below it."""
+    at_code = below = 0
+    for part in parts:
+        top = code - CODE_SEARCH.stated_tolerance
+        at_code += int(((part >= top) & (part <= code + CODE_SEARCH.stated_tolerance)).sum())
+        below += int(((part >= code - CODE_SEARCH.neighbours) & (part < top)).sum())
+    n, usual = sum(part.size for part in parts), below * CODE_SEARCH.bin / CODE_SEARCH.neighbours
+    return at_code > max(CODE_SEARCH.frequent * n, CODE_SEARCH.ratio * usual, CODE_SEARCH.min_count)
+
+
+def code_below(parts: Sequence[Floats], range_max: float) -> float | None:
+    """Return the reading [m] just below `range_max` that encodes a missing return, such as 29.99 below 30; None: none."""
+    low, top = (
+        range_max - min(CODE_SEARCH.neighbours, range_max / 2),
+        range_max - CODE_SEARCH.stated_tolerance,
+    )
+    near = np.concatenate([part[(part > low) & (part < top)] for part in parts])
+    if not len(near):
+        return None
+    values, counts = np.unique(near, return_counts=True)
+    code = float(values[np.argmax(counts)])
+    return code if _is_code(parts, code) else None
 
 
 def _are_zeros_missing(parts: Sequence[Floats], n: int) -> bool:

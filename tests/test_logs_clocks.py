@@ -208,6 +208,17 @@ def test_parts_of_a_log_whose_clock_was_set_back_keep_the_order_of_the_file(tmp_
         assert np.abs(apart(run)).max() < 2 * TOLERANCE
 
 
+def test_scans_are_logged_after_their_last_ray(tmp_path: Path) -> None:
+    """Scans of 80 ms arrive 80 ms later than odometry of the same time, which is no difference of the clocks."""
+    messages = [message for message in drive(wheels=lambda t: t - 50) if message[0] != "/scan"]
+    for t in T:
+        sweep = scan(float(t), [1 + t, 2, 3], log=float(t) + 0.095, range_max=100, time_increment=0.04)
+        messages.append(sweep)
+    run = run_of(tmp_path, sorted(messages, key=lambda message: message[2]))
+    assert np.abs(np.mean(apart(run))) < 0.005
+    assert any("/odom: the stamps are 50.0" in note for note in assumptions_of(run)), run.meta["notes"]
+
+
 def test_one_signal_alone_is_left_as_it_is() -> None:
     at = np.arange(1, 21, dtype=np.int64) * 10**8
     for stamps in (at, at + 10**12, at * 0):

@@ -82,3 +82,24 @@ def test_readings_without_codes_are_unchanged() -> None:
     same = part.copy()
     assert blank_error_codes([part], 0.1, 100.0) == []
     np.testing.assert_array_equal(part, same)
+
+
+@pytest.mark.parametrize(("code", "range_max"), [(2.999, 3.0), (29.99, 30.0), (5.56, 5.6)])
+def test_frequent_range_just_below_range_max_is_a_missing_return(
+    code: float, range_max: float, tmp_path: Path
+) -> None:
+    """Real returns up to range_max are among them, but no wall is at one tenth of a millimetre."""
+    rng = np.random.default_rng(2)
+    ranges = rng.uniform(0.5, range_max, (30, 60)).round(3)
+    missing = rng.random(ranges.shape) < 0.05
+    ranges[missing] = code
+    run = read(tmp_path, [scan(0.1 * i, each, range_max=range_max) for i, each in enumerate(ranges)])
+    assert np.isposinf(run.ranges[missing[:, : run.sensor.n_rays]]).all()
+    assert run.sensor.range_max == pytest.approx(code)
+    assert any(f"many ranges are exactly {code:g} m" in note for note in assumptions_of(run))
+
+
+def test_wall_just_below_range_max_stays_a_wall(tmp_path: Path) -> None:
+    ranges = 2.95 + 0.01 * np.random.default_rng(3).normal(size=(40, 20))
+    run = read(tmp_path, [scan(0.1 * i, each.round(3), range_max=3.0) for i, each in enumerate(ranges)])
+    assert np.isfinite(run.ranges).mean() > 0.99 and run.sensor.range_max == 3.0

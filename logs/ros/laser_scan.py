@@ -13,7 +13,15 @@ from logs.clocks import UNITS
 from logs.error_codes import blank_error_codes
 from logs.errors import LogError
 from logs.intensities import is_varied
-from logs.no_return import CODE_SEARCH, detect_no_return, frequent_nans, nan_text, range_max_text, zero_text
+from logs.no_return import (
+    CODE_SEARCH,
+    code_below,
+    detect_no_return,
+    frequent_nans,
+    nan_text,
+    range_max_text,
+    zero_text,
+)
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
 from logs.ros.recording import Topic, logged_times, sort_stamps
@@ -255,6 +263,10 @@ def clean_ranges(
     if not 0 <= range_min < range_max:
         notes.append(f"range_min {range_min:g} is invalid, 0 was used")
         range_min = 0.0
+    code = code_below(parts, range_max) if no_return in (None, "range_max") else None
+    if code is not None and detect_no_return(parts, range_max) != "range_max":
+        notes.append(f"range_max {range_max:g} m: many ranges are exactly {code:g} m, which was used")
+        range_max = code
     if no_return is None:
         no_return = detect_no_return(parts, range_max)
     invalid = "" if no_return == "nan" else frequent_nans(parts)

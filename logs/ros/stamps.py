@@ -15,7 +15,9 @@ from logs.ros import cdr
 from logs.ros.poses import FIXED_FRAMES, MAP_FRAMES, base_of
 from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, logged_times
 from logs.ros.transform_tree import Edge, TransformTree
-from logs.types import Bools, Ints
+from logs.sweep import LIMITS
+from logs.transforms import Stamps
+from logs.types import Bools, Floats, Ints
 
 _HEADER = struct.Struct("<iII")
 HEADER = slice(4, 12)
@@ -116,21 +118,39 @@ def settle_clocks(
 
 
 def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:
-    """Return the frame and the times of each sensor of a topic, and the indices of its messages; a frame is a sensor."""
+    """Return the frame and the times of each sensor of a topic, and the indices of its messages; a frame is a sensor.
+
+    A scan is stamped at its first ray and logged after its last one, so its log time is that of its first ray here.
+    """
     stamps = logged_times(topic)
     logged = stamps.copy()
+    durations = np.zeros(len(stamps))
     frames: dict[str, list[Ints]] = {}
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         if has_header(topic):
             stamps[block.index] = block.stamps_ns
+        if topic.type == SCAN_TYPE:
+            durations[block.index] = block["limits"][:, 3] * (block.places["ranges"].count - 1)
         frames.setdefault(block.strings.get("frame_id", "").strip("/"), []).append(block.index)
     out = []
     for frame, parts in frames.items():
         index = np.sort(np.concatenate(parts))
         name = f"{topic.name} in {frame}" if len(frames) > 1 else topic.name
-        signal = Signal(name=name, stamps=stamps[index], logged=logged[index], has_header=has_header(topic))
+        signal = Signal(
+            name=name,
+            stamps=stamps[index],
+            logged=logged[index] - _duration(durations[index], logged[index]),
+            has_header=has_header(topic),
+        )
         out.append((frame, signal, index))
     return out
+
+
+def _duration(stated: Floats, logged: Stamps) -> int:
+    """Return the duration [ns] of the scans by their time increments [s]; 0 if the log times contradict it."""
+    period = float(np.median(np.diff(logged))) / 1e9 if len(logged) > 1 else 0.0
+    duration = float(np.median(np.abs(stated))) if len(stated) else 0.0
+    return round(1e9 * duration) if duration <= LIMITS.max_periods * period else 0
 
 
 def _moving_edges(tree: TransformTree, sensor: str) -> list[Edge]:
