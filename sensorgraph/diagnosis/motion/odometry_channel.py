@@ -12,6 +12,7 @@ import numpy as np
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.backwards import counts_backwards
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming, odometry_result
@@ -19,7 +20,7 @@ from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.localization.locate import is_located
 from sensorgraph.world.robot import Robot
 
@@ -37,6 +38,9 @@ def diagnose_odometry(
     """
     try:
         signals = motion_signals(run)
+        if backwards := counts_backwards(signals):
+            words = f"{backwards}; correct the sign, then diagnose again"
+            return ChannelResult(channel="odometry", unknown=Unknown(statement=words))
         rows = aligned_rows(signals)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="odometry", skipped=str(exc))
