@@ -40,10 +40,20 @@ class Motion:
     """(n, 3) [m, m, rad] of the run's `pose_frame` in map; phi is unwrapped."""
 
     def at(self, times: Floats) -> Floats:
-        """Return the poses (..., 3) at times (...) [s]; outside the trajectory, the first or last pose."""
+        """Return the poses (..., 3) at times (...) [s].
+
+        Outside the trajectory, the motion of its first or last step continues for one median step, as the rays of the
+        last scan need; then the pose stays.
+        """
         if self._curve is None:
             return np.broadcast_to(self.poses[-1], (*np.shape(times), 3)).copy()
-        found: Floats = self._curve(np.clip(times, self._curve.x[0], self._curve.x[-1]))
+        first, last = self._curve.x[0], self._curve.x[-1]
+        step = float(np.median(np.diff(self._curve.x)))
+        inside = np.clip(times, first, last)
+        found: Floats = self._curve(inside)
+        beyond = np.clip(times, first - step, last + step) - inside
+        if beyond.any():
+            found = 2 * found - self._curve(np.where(beyond != 0, inside - beyond, inside))
         return found
 
     @cached_property

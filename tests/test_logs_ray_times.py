@@ -99,3 +99,19 @@ def test_motion_keeps_a_steady_velocity_and_bears_stamps_in_bursts() -> None:
     bursts = np.sort(np.concatenate([stamps, stamps[1:] - 0.199]))  # 1 ms after the one before
     line = Motion(stamps=bursts, poses=np.column_stack([np.arange(len(bursts))] * 3) * 0.1)
     assert (np.diff(line.at(np.linspace(0.0, 19.8, 5000)), axis=0) >= 0).all()  # never beyond the next pose
+
+
+def test_motion_continues_for_one_step_beyond_its_ends() -> None:
+    """Without odometry, the rays of the last scan are beyond the last pose."""
+    stamps = np.arange(0.0, 3.0, 0.1)
+    motion = Motion(stamps=stamps, poses=path(stamps))
+    for end, beyond in ((0.0, -0.1), (stamps[-1], 0.1)):
+        there = motion.at(end + beyond * np.array([0.5, 1.0, 5.0]))
+        kept = np.abs(motion.at(end) - path(np.array(end + beyond)))
+        assert (np.abs(there[1] - path(np.array(end + beyond))) < 0.2 * kept + 1e-3).all()
+        np.testing.assert_allclose(there[2], there[1])
+    burst = Motion(
+        stamps=np.append(stamps, stamps[-1] + 1e-5), poses=path(np.append(stamps, stamps[-1] + 0.1))
+    )
+    moved = np.abs(burst.at(stamps[-1] + 0.1) - burst.poses[-1])
+    assert (moved < 2.5 * np.abs(path(stamps[-1:] + 0.1) - path(stamps[-1:]))).all()
