@@ -15,8 +15,8 @@ from scipy.ndimage import distance_transform_edt
 from benchmarks.occupancy_grid import GRID_CELL, Grid
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.front_end import ScanTrack, information_at
 from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
 
 Floats = NDArray[np.float64]

@@ -72,8 +72,8 @@ def test_locate_in_a_map_writes_run_csv_json_and_picture(
     said = capsys.readouterr().out
     assert "100 of 100 scans located" in said and "wheels: distance scale 1.0" in said
     rows = list(csv.DictReader((folder / "p.csv").read_text().splitlines()))
-    assert list(rows[0]) == ["t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status"]
-    assert len(rows) == 100 and {row["status"] for row in rows} == {"ok"}
+    assert list(rows[0]) == ["t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status", "map"]
+    assert len(rows) == 100 and {(row["status"], row["map"]) for row in rows} == {("ok", "1")}
     raw, located = logs.read(folder / "raw.mcap"), logs.read(folder / "out.mcap")
     np.testing.assert_allclose([float(row["t"]) for row in rows], raw.stamps, atol=1e-6)
     table = np.array([[float(row[name]) for name in ("x", "y", "phi")] for row in rows])

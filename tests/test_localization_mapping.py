@@ -285,13 +285,21 @@ def test_scans_of_a_clock_that_is_too_coarse_are_spread_over_its_steps() -> None
     assert (found.t == coarse.stamps).all()
 
 
-def test_covered_laser_is_lost_not_standing() -> None:
+def test_covered_laser_is_lost_not_standing_and_odometry_carries_its_pose() -> None:
     poses = loop_poses(80, laps=0.5)
     run = room_run(poses)
     ranges = run.ranges.copy()
     ranges[30:] = 0.06  # a hand in front of it, to the end
-    found = map_run(replace(run, ranges=ranges))
+    covered = replace(run, ranges=ranges)
+    found = map_run(
+        replace(covered, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+    )
     assert set(found.status[:30]) == {"ok"} and "ok" not in found.status[31:]
+    found = map_run(covered)
+    sd = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    assert set(found.status) == {"ok"} and sd[-1, 0] > 10 * sd[29, 0]
+    assert (np.abs(aligned(found.poses, poses)[0])[30:] < 3 * sd[30:]).all()
+    assert any("only the odometry determines the pose" in note for note in found.notes)
 
 
 def test_nothing_is_said_of_a_good_log(located: Localization) -> None:

@@ -64,8 +64,8 @@ def locate(
     )
     from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.localization.locate import LocatedRun, poses_csv, summary, summary_lines
     from sensorgraph.localization.locate import locate as locate_run
-    from sensorgraph.localization.locate import located_run, poses_csv, summary, summary_lines
     from sensorgraph.show.figures.localization import localization_picture
 
     for path in (out, csv, json, picture):
@@ -82,7 +82,6 @@ def locate(
         log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
     log = with_robot(log, str(run), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
-    placed = None if out is None else located_run(log, found)  # before any output: it may raise
     print_log_notes(log)
     for line in summary_lines(found):
         typer.echo(line)
@@ -93,9 +92,13 @@ def locate(
         write_json(json, summary(found))
     if picture is not None:
         localization_picture(log, found, picture, walls=_walls(place))
-    if out is not None and placed is not None:
+    if out is not None:
         with progress("writing", "messages") as tick:
-            write(placed, out, progress=tick)
+            write(LocatedRun.of(log, found).run, out, progress=tick)
+        if "ok" not in found.status:
+            typer.echo(
+                f"{out} holds no pose, since no scan has the status ok; --csv lists the poses of all scans"
+            )
     written = [str(path) for path in (csv, json, picture, out) if path is not None]
     typer.echo(
         f"wrote {', '.join(written)}" if written else "no file written; give -o OUT.mcap, --csv or --json"

@@ -257,7 +257,7 @@ LocateCsv = Annotated[
     Path | None,
     typer.Option(
         metavar="POSES.csv",
-        help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status to this file, one row per scan.",
+        help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status,map to this file, one row per scan.",
     ),
 ]
 LocateJson = Annotated[

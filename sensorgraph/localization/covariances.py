@@ -2,45 +2,62 @@
 
 Bootstrap sample m solves the reduced normal equations H x_m = g_m again, with
 
-    g_m = sum_c e_cm scores_c / √(1 - h_c) + noise of the wheel edges.
+    g_m = sum_c e_cm scores_c / √(1 - h_c) + shared errors + noise of the wheel edges.
 
 The sum runs over clusters c, with random signs e_cm = ±1. The covariance is the mean of x_m x_mᵀ.
 
-A cluster holds the residuals of one key frame on one patch. These share errors, since walls are not straight
-and ranges are rounded; different clusters are independent. This is the wild cluster bootstrap (Cameron,
-Gelbach and Miller 2008); the noise need not be known. The leverage h_c corrects for residuals made small by
-the fit (MacKinnon and White 1985, HC2).
+A cluster holds the residuals of one key frame on one patch. This is the wild cluster bootstrap (Cameron, Gelbach
+and Miller 2008); the noise need not be known. The leverage h_c corrects for residuals made small by the fit
+(MacKinnon and White 1985, HC2). `surface_errors` draws the errors that neighbouring clusters share. The noise of
+the wheel edges is multiplied by its long-run variance, since slip persists (Newey and West 1987).
 
-Poses are relative to the mean of all (inner constraints, Baarda 1973), since the frame of the map is
-arbitrary.
+Poses are relative to the mean of all key frames of their map (inner constraints, Baarda 1973), since the frame of a
+map is arbitrary.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients
+from sensorgraph.localization.error_settings import SURFACE_ERRORS, SurfaceErrorSettings
+from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients, sums_of
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
-from sensorgraph.types import Floats
+from sensorgraph.localization.surface_errors import SurfaceErrors, map_surface_errors, right_hand_sides
+from sensorgraph.types import Floats, Ints
 
+OPEN = 1e-3
+"""Weight of a direction that scans do not determine, in the choice of the frame of a map."""
+TURN_LENGTH = 0.1
+"""[m/rad] Weight of headings relative to positions in that choice; it matters for a robot that stays in one place."""
 MAX_LEVERAGE = 0.8
 """Upper bound of the leverage of a cluster; near 1 the correction diverges."""
 
 
 def key_frame_covariances(
-    refined: Refined, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
+    refined: Refined, maps: Ints, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
 ) -> tuple[Floats, Floats]:
-    """Return covariances (n_key, 3, 3) of x, y, phi in map, and their part that is not the frame's own noise."""
+    """Return covariances (n_key, 3, 3) of x, y, phi in map, and their part that is not the frame's own noise.
+
+    Parameters
+    ----------
+    maps : (n_key,) Number of the map of each key frame; each has its own frame.
+    """
     system = refined.system
     n = system.n_frames
-    draws = bootstrap_scores(system, rng, settings.samples)
+    errors = map_surface_errors(system, refined.preconditioner, rng)
+    draws = bootstrap_scores(system, errors, rng, settings.samples)
     samples, _ = conjugate_gradients(
         system, draws, refined.preconditioner, settings.tolerance, settings.max_steps
     )
-    deviations = without_rigid_motion(samples.reshape(n, 3, -1), refined.poses)
+    deviations = samples.reshape(n, 3, -1)
+    seen = system.projections
+    for number in np.unique(maps):
+        own = maps == number
+        counted = None if seen is None else seen[own]
+        deviations[own] = without_rigid_motion(deviations[own], refined.poses[own], counted)
     covariances = np.einsum("fim,fjm->fij", deviations, deviations) / settings.samples
-    own = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
-    values, vectors = np.linalg.eigh(covariances - own)
+    alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
+    values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
     return covariances, shared
 
@@ -58,41 +75,62 @@ def _diagonal(system: ReducedSystem) -> Floats:
     return diagonals
 
 
-def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples: int) -> Floats:
+def bootstrap_scores(
+    system: ReducedSystem, errors: SurfaceErrors, rng: np.random.Generator, n_samples: int
+) -> Floats:
     """Return right-hand sides (3 n_frames, n_samples) drawn with resampled noise."""
     n, m = system.n_frames, len(system.inverse) // 2
-    frames, patches = system.cluster_frame, system.cluster_patch
+    clusters, wheels = system.clusters, system.edges
+    frames, patches = clusters.frame, clusters.patch
     leverage = (
         2.0 / np.bincount(patches, minlength=m)[patches] + 3.0 / np.bincount(frames, minlength=n)[frames]
     )
-    grown = 1.0 / np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE))
-    out = np.zeros((3 * n, n_samples))
-    wheels = system.edges
+    grown = np.sqrt(errors.white / (1.0 - np.minimum(leverage, MAX_LEVERAGE)))
+    out, _ = right_hand_sides(system, errors.draw(clusters.middle, frames, rng, n_samples))
     roots = np.linalg.cholesky(wheels.edges.information + 1e-12 * np.eye(3))
+    scale = np.sqrt(long_run_variance(np.einsum("eji,ej->ei", roots, system.edge_residuals)))
     for k in range(n_samples):
-        sign = grown * rng.choice([-1.0, 1.0], size=len(frames))
-        pose = np.column_stack([np.bincount(frames, sign * column, n) for column in system.scores.T]).ravel()
-        line = np.column_stack(
-            [np.bincount(patches, sign * column, m) for column in system.line_scores.T]
-        ).ravel()
-        out[:, k] = pose - system.coupling @ (system.inverse * line)
-        noise = np.einsum("eij,ej->ei", roots, rng.normal(size=(len(wheels.edges), 3)))
-        parameters = system.wheel_inverse @ np.einsum("eji,ej->i", wheels.by_parameters, noise)
+        sign = (grown * rng.choice([-1.0, 1.0], size=len(frames)))[:, None]
+        pose = sums_of(sign * clusters.scores, frames, n)
+        line = sums_of(sign * clusters.line_scores, patches, m)
+        out[:, k] += pose - system.coupling @ (system.inverse * line)
+        noise = np.einsum("eij,ej->ei", roots, scale * rng.normal(size=(len(wheels.edges), 3)))
+        prior = np.sqrt(np.diag(wheels.prior)) * rng.normal(size=3)
+        parameters = system.wheel_inverse @ (np.einsum("eji,ej->i", wheels.by_parameters, noise) - prior)
         out[:, k] += system.edge_rows.T @ noise.ravel() - system.wheel_coupling @ parameters
     return out
 
 
-def without_rigid_motion(deviations: Floats, poses: Floats) -> Floats:
-    """Remove the best-fitting rigid motion from deviations (n, 3, m) of poses (n, 3)."""
+def long_run_variance(steps: Floats, settings: SurfaceErrorSettings = SURFACE_ERRORS) -> Floats:
+    """Return the variance of a sum of steps (n, 3), relative to independent steps; at least 1.
+
+    The estimate is 1 + 2 sum_l (1 - l / (L + 1)) r_l with the autocorrelations r_l up to lag L (Newey and West 1987).
+    """
+    out = np.ones(steps.shape[1])
+    last = min(settings.max_lag, len(steps) // 4)
+    clipped = np.clip(steps, -settings.outlier, settings.outlier)
+    clipped = clipped - clipped.mean(axis=0, keepdims=True) if len(steps) else clipped
+    square = (clipped**2).sum(axis=0)
+    for lag in range(1, last + 1):
+        products = (clipped[lag:] * clipped[:-lag]).sum(axis=0)
+        out += 2 * (1 - lag / (last + 1)) * products / np.maximum(square, 1e-300)
+    return np.maximum(out, 1.0)
+
+
+def without_rigid_motion(deviations: Floats, poses: Floats, projections: Floats | None = None) -> Floats:
+    """Remove the best-fitting rigid motion from deviations (n, 3, m) of poses (n, 3).
+
+    Parameters
+    ----------
+    projections : (n, 3, 3) Projections of x, y, phi in map onto the directions that count; None: all directions.
+    """
+    n = len(poses)
+    weights = np.broadcast_to(np.eye(3), (n, 3, 3)) if projections is None else projections + OPEN * np.eye(3)
+    weights = weights * np.array([1.0, 1.0, TURN_LENGTH**2])
     offset = poses[:, :2] - poses[:, :2].mean(axis=0)
-    inertia = float((offset**2).sum())
-    shift = deviations[:, :2].mean(axis=0)
-    turn = np.einsum("fm,f->m", deviations[:, 1], offset[:, 0]) - np.einsum(
-        "fm,f->m", deviations[:, 0], offset[:, 1]
-    )
-    turn = turn / inertia if inertia > 0 else deviations[:, 2].mean(axis=0)
-    out = deviations.copy()
-    out[:, 0] += turn * offset[:, 1, None] - shift[0]
-    out[:, 1] -= turn * offset[:, 0, None] + shift[1]
-    out[:, 2] -= turn
-    return out
+    rows = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+    rows[:, 0, 2], rows[:, 1, 2] = -offset[:, 1], offset[:, 0]
+    matrix = np.einsum("nji,njk,nkl->il", rows, weights, rows)
+    moment = np.einsum("nji,njk,nkm->im", rows, weights, deviations)
+    motion = np.linalg.solve(matrix, moment)
+    return np.asarray(deviations - np.einsum("nij,jm->nim", rows, motion))

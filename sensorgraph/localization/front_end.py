@@ -2,93 +2,35 @@
 
 The prior of each match is the odometry, corrected by the wheel parameters identified so far; without odometry
 it is the last motion. If too few points fit, other starts are tried. If none fits for long, a new track
-segment begins; a loose edge ties it to the last one, and loop closures determine its pose.
+segment begins. The odometry of a robot that drives on carries its pose; otherwise loop closures determine it.
+
+A direction that a scan does not determine, as along a corridor, keeps its prior. Without odometry its standard
+deviation grows by `speed_sd` times the duration.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from logs.transforms import compose, invert
-from sensorgraph.localization.line_map import LineMap, line_map, thinned
+from sensorgraph.localization.line_map import line_map, thinned
 from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.scan_track import (
+    ScanTrack,
+    determines_all,
+    information_at,
+    points_in,
+    turn_matrices,
+)
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FRONT_END, MATCH, FrontEndSettings
+from sensorgraph.localization.tracker_state import TrackerState
 from sensorgraph.localization.wheels import WheelEstimate
-from sensorgraph.types import Bools, Floats, Ints, Progress
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ScanTrack:
-    """Tracked scans: accurate from one scan to the next, with drift over long distances."""
-
-    poses: Floats
-    """(n_scans, 3) [m, m, rad] base_link in the frame of the first scan."""
-    matched: Bools
-    """(n_scans,) The scan fits the preceding key frames, or has hardly moved from the last that does."""
-    is_continuous: Bools
-    """(n_scans,) The scan continues the view of the previous one. Otherwise the motion between them is not
-    known, or only seems to be: a similar place fits too."""
-    key_frames: Ints
-    """(n_key,) Scans of the map."""
-    piece: Ints
-    """(n_key,) Number of the track segment; the motion between two segments is not known."""
-    edge_information: Floats
-    """(n_key - 1, 3, 3) Information of each key frame's pose in the frame of the previous one."""
-    jumps: tuple[int, ...]
-    """Scans before which the odometry jumped."""
-    noise: Floats
-    """(n_scans,) [m] Scatter of a scan's returns around the surfaces of the preceding key frames; nan: not
-    matched."""
-    wheels: WheelEstimate | None
-
-
-@dataclass
-class _State:
-    """State of the tracker."""
-
-    pose: Floats
-    wheels: WheelEstimate | None
-    key_frames: list[int] = field(default_factory=list)
-    piece: list[int] = field(default_factory=list)
-    edges: list[Floats] = field(default_factory=list)
-    jumps: list[int] = field(default_factory=list)
-    surfaces: LineMap | None = None
-    last_matched: int = 0
-    """Last matched scan."""
-    agreement: float = 0.0
-    """Share of its points that fit the key frames."""
-    usual_agreement: float = 0.5
-    """Moving average of this share."""
-    failures: list[int] = field(default_factory=list)
-    """Scans without a match since then."""
-    last_unmatched: tuple[int, LineMap] | None = None
-    """The last of these, and the surfaces that it observed."""
-    velocity: Floats = field(default_factory=lambda: np.zeros(3))
-    """[m/s, m/s, rad/s] Velocity in base_link from the last two matches."""
-
-
-def points_in(scans: ScanPoints, chosen: list[int] | Ints, poses: Floats) -> tuple[Floats, Floats]:
-    """Return points and normals (n, 2) of some scans, transformed by their poses (n_chosen, 3)."""
-    points, normals = [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for scan, (x, y, phi) in zip(chosen, poses, strict=True):
-        turn = np.array([[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]])
-        points.append(scans.points[scans.of(scan)] @ turn + (x, y))
-        normals.append(scans.normals[scans.of(scan)] @ turn)
-    return np.concatenate(points), np.concatenate(normals)
-
-
-def information_at(pose: Floats, deviations: Floats) -> Floats:
-    """Return the information (3, 3) of x, y, phi in map, given standard deviations (3,) ahead, left and in heading."""
-    turn = np.eye(3)
-    turn[:2, :2] = [[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]]
-    return (turn * deviations**-2.0) @ turn.T
+from sensorgraph.types import Floats, Progress
 
 
 class Tracker:
-    """Tracks scans one after the other."""
+    """Tracks scans one after the other; one class, since each step reads and changes the same state."""
 
     def __init__(
         self,
@@ -106,7 +48,7 @@ class Tracker:
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
         self.is_continuous = np.ones(scans.n_scans, dtype=np.bool_)
         self.noise = np.full(scans.n_scans, np.nan)
-        self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
+        self.state = TrackerState(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
 
     def run(self, progress: Progress) -> ScanTrack:
         """Track all scans."""
@@ -122,6 +64,9 @@ class Tracker:
             key_frames=np.array(state.key_frames, dtype=np.intp),
             piece=np.array(state.piece, dtype=np.intp),
             edge_information=np.array(state.edges).reshape(-1, 3, 3),
+            motion_deviations=np.array(state.motion_deviations).reshape(-1, 3),
+            is_carried=np.array(state.is_carried, dtype=np.bool_),
+            projections=np.array(state.projections).reshape(-1, 3, 3),
             jumps=tuple(state.jumps),
             noise=self.noise,
             wheels=state.wheels,
@@ -131,7 +76,7 @@ class Tracker:
         state, s = self.state, self.settings
         if not state.key_frames:
             if not self._is_covered(k):
-                self._add_key_frame(k, np.zeros((3, 3)))
+                self._add_key_frame(k)
             self.poses[k] = state.pose
             self.matched[k] = bool(state.key_frames)
             state.last_matched = k
@@ -139,6 +84,10 @@ class Tracker:
         predicted, deviations = self._predict(k, state.last_matched)
         if deviations is None:
             state.jumps.append(k)
+        if self._is_unknown(k) and not self._has_stayed(k):
+            self.poses[k], self.matched[k], self.is_continuous[k] = predicted, True, False
+            self._begin_piece(k)
+            return
         moved = compose(invert(self.poses[state.last_matched]), predicted)
         since = self.stamps[k] - self.stamps[state.last_matched]
         is_still = np.hypot(moved[0], moved[1]) < s.still_distance and abs(moved[2]) < s.still_turn
@@ -162,9 +111,8 @@ class Tracker:
         state.last_unmatched = None
         step = compose(invert(self.poses[state.key_frames[-1]]), found.pose)
         if np.hypot(step[0], step[1]) > s.key_frame_distance or abs(step[2]) > s.key_frame_turn:
-            self._update_wheels(k, step)
-            odometry = None if deviations is None else deviations
-            self._add_key_frame(k, self._edge(found, predicted, odometry))
+            self._update_wheels(k, step, found)
+            self._add_key_frame(k, found)
 
     def _predict(self, k: int, last: int) -> tuple[Floats, Floats | None]:
         """Return the predicted pose of scan k from the last one, and its standard deviations; None after a jump."""
@@ -201,6 +149,8 @@ class Tracker:
                 prior_information=information_at(predicted, deviations),
                 settings=self.matching,
             )
+        if deviations is not None:
+            first = self._by_wheels(k, points, normals, first)
         off = np.zeros(3) if deviations is None else compose(invert(predicted), first.pose) / deviations
         is_other = first.agreement < s.min_continuity * self.state.agreement or bool(
             (np.abs(off) > s.max_slip).any()
@@ -214,6 +164,33 @@ class Tracker:
                 False  # no scan between the two was matched
             )
         return found
+
+    def _by_wheels(self, k: int, points: Floats, normals: Floats, first: Match) -> Match:
+        """Return a match at the odometry since the last key frame, if a match that contradicts it fits no better.
+
+        Returns that move with the robot, such as reflections or a crowd, hold each scan back by a little; over many
+        scans this adds up to far more than the odometry can be wrong.
+        """
+        state, s = self.state, self.settings
+        if not self._is_odometry_whole(state.key_frames[-1], k):
+            return first
+        predicted, deviations = self._predict(k, state.key_frames[-1])
+        if deviations is None or state.surfaces is None:
+            return first
+        off = np.abs(compose(invert(predicted), first.pose)) / deviations
+        if (off < s.max_pull).all():
+            return first
+        held = np.where(off < s.max_pull, deviations, s.held * deviations)
+        other = match(
+            points,
+            normals,
+            state.surfaces,
+            predicted,
+            prior_information=information_at(predicted, held),
+            settings=self.matching,
+        )
+        is_as_good = other.agreement > first.agreement - s.agreement_error
+        return other if is_as_good and other.noise < s.noise_growth * first.noise else first
 
     def _is_covered(self, k: int) -> bool:
         """Tell whether all returns of a scan are within the match radius, as with a covered laser."""
@@ -243,38 +220,105 @@ class Tracker:
         is_usual = found.agreement >= share * self.state.usual_agreement
         return found.inliers >= s.min_inliers and found.overlap >= s.min_overlap and is_usual
 
-    def _edge(self, found: Match, predicted: Floats, deviations: Floats | None) -> Floats:
-        """Return the information (3, 3) of the new key frame's pose in the frame of the last one."""
-        s = self.settings
-        information = found.information / s.correlation + 1e-3 * np.eye(3)
-        if deviations is not None:
-            information = information + information_at(predicted, deviations)
+    def _edge(self, k: int, found: Match | None) -> tuple[Floats, Floats]:
+        """Return the information (3, 3) of key frame k's pose in the frame of the last one, and the standard deviations
+        (3,) of this motion without the scans."""
+        s, key = self.settings, self.state.key_frames[-1]
+        deviations = self._predict(k, key)[1] if self._is_odometry_whole(key, k) else None
+        if deviations is None:
+            deviations = self._unknown_motion(key, k)
+        information = information_at(self.poses[k], deviations)
+        if found is not None:
+            information = information + found.information / s.correlation
         floor = np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
-        covariance = np.linalg.inv(information) + floor
-        phi = self.poses[self.state.key_frames[-1]][2]
-        turn = np.eye(3)
-        turn[:2, :2] = [[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]]
-        return np.asarray(np.linalg.inv(turn @ covariance @ turn.T), dtype=np.float64)
+        turn = turn_matrices(-self.poses[key, 2])
+        covariance = turn @ (np.linalg.inv(information) + floor) @ turn.T
+        return np.asarray(np.linalg.inv(covariance), dtype=np.float64), deviations
 
-    def _update_wheels(self, k: int, step: Floats) -> None:
-        state = self.state
-        if self.odometry is not None and state.wheels is not None:
-            last = state.key_frames[-1]
-            if not any(last < jump <= k for jump in state.jumps):
-                state.wheels.learn(compose(invert(self.odometry[last]), self.odometry[k]), step)
+    def _unknown_motion(self, first: int, last: int) -> Floats:
+        """Return the standard deviations (3,) of a motion between two scans without odometry.
 
-    def _add_key_frame(self, k: int, information: Floats, *, is_new_piece: bool = False) -> None:
-        state = self.state
+        The speed is unknown and persists since `determined_at`, so that the deviation from there grows in proportion
+        to time.
+        """
+        s, start = self.settings, self.state.determined_at
+        since, before = self.stamps[last] - start, self.stamps[first] - start
+        dt = float(np.sqrt(max(since**2 - before**2, 0.0)))
+        return dt * np.array([s.speed_sd, s.speed_sd, s.turn_rate_sd]) + 0.01
+
+    def _is_odometry_whole(self, first: int, last: int) -> bool:
+        """Tell whether the odometry connects two scans without a jump."""
+        return self.odometry is not None and not any(first < jump <= last for jump in self.state.jumps)
+
+    def _update_wheels(self, k: int, step: Floats, found: Match) -> None:
+        """Learn the wheels from a step that the scans determine."""
+        state, last = self.state, self.state.key_frames[-1]
+        if self.odometry is None or state.wheels is None or not self._is_odometry_whole(last, k):
+            return
+        if determines_all(found.projection) and determines_all(state.projections[-1]):
+            state.wheels.learn(compose(invert(self.odometry[last]), self.odometry[k]), step)
+
+    def _add_key_frame(self, k: int, found: Match | None = None) -> None:
+        """Add scan k to the map.
+
+        Parameters
+        ----------
+        found : Its match to the map; None: a new track segment begins.
+        """
+        state, s = self.state, self.settings
+        is_new = bool(state.key_frames) and (found is None or self._is_apart(k, found))
         if state.key_frames:
-            state.edges.append(information)
-        piece = state.piece[-1] + int(is_new_piece) if state.piece else 0
+            edge, deviations = self._edge(k, None if is_new else found)
+            is_carried = is_new and self._is_carried(k, deviations)
+            if is_new and not is_carried:
+                edge = np.diag(np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0)
+            state.edges.append(edge)
+            state.motion_deviations.append(deviations)
+            state.is_carried.append(is_carried)
         state.key_frames.append(k)
-        state.piece.append(piece)
-        length = sum(p == piece for p in state.piece[-self.settings.window :])
+        state.piece.append(state.piece[-1] + int(is_new) if state.piece else 0)
+        length = sum(p == state.piece[-1] for p in state.piece[-s.window :])
         recent = state.key_frames[-length:]
         state.surfaces = line_map(
             *thinned(*points_in(self.scans, recent, self.poses[recent])), side=self.matching.first_radius
         )
+        if found is None:  # the scan determines what a match to its own surfaces determines
+            own = self.scans.of(k)
+            found = match(
+                self.scans.points[own],
+                self.scans.normals[own],
+                state.surfaces,
+                self.poses[k],
+                settings=self.matching,
+            )
+        turn = turn_matrices(self.poses[k, 2])
+        state.projections.append(turn.T @ found.projection @ turn)
+        if determines_all(found.projection) or length == 1:
+            state.determined_at = float(self.stamps[k])
+
+    def _is_apart(self, k: int, found: Match) -> bool:
+        """Tell whether scan k ends a stretch whose length is not known, as after a corridor without odometry."""
+        key = self.state.key_frames[-1]
+        if determines_all(self.state.projections[-1]) or not determines_all(found.projection):
+            return False
+        unknown = self.settings.speed_sd * (self.stamps[k] - self.state.determined_at)
+        return not self._is_odometry_whole(key, k) and bool(unknown > self.settings.broken_place)
+
+    def _is_carried(self, k: int, deviations: Floats) -> bool:
+        """Tell whether the odometry carries the pose to scan k: it is accurate enough, and the robot drove.
+
+        If the view changes while the wheels hardly turn, somebody may have carried the robot.
+        """
+        s, key = self.settings, self.state.key_frames[-1]
+        if self.odometry is None or not self._is_odometry_whole(key, k):
+            return False
+        changes = [one for one in self.state.failures if not self.is_continuous[one]]
+        moved = compose(
+            invert(self.odometry[self.state.last_matched]), self.odometry[changes[-1] if changes else k]
+        )
+        drove = np.hypot(moved[0], moved[1]) > s.key_frame_distance or abs(moved[2]) > s.key_frame_turn
+        limits = np.array([s.broken_place, s.broken_place, s.broken_turn])
+        return bool(drove and (deviations < limits).all())
 
     def _handle_failure(self, k: int) -> None:
         """Wait for a match, or begin a new track segment."""
@@ -287,14 +331,35 @@ class Tracker:
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]
         is_long = self.stamps[k] - self.stamps[first] > s.patience or np.hypot(*moved) > s.patience_distance
-        if len(state.failures) < s.patience_scans or not is_long or self._is_covered(k):
-            return
-        loose = np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0
+        if len(state.failures) >= s.patience_scans and is_long and not self._is_covered(k):
+            self._begin_piece(k)
+
+    def _is_unknown(self, k: int) -> bool:
+        """Tell whether scan k follows a pause without returns or scans, during which nothing measured the motion."""
+        s, last = self.settings, self.state.last_matched
+        pause = self.stamps[k] - self.stamps[last]
+        is_long = pause > max(s.patience, s.patience_scans * self.interval)
+        return bool(is_long and not self._is_odometry_whole(last, k) and not self._is_covered(k))
+
+    def _has_stayed(self, k: int) -> bool:
+        """Tell whether scan k shows the view of the last matched scan, from the same place."""
+        own, last, s = self.scans.of(k), self.poses[self.state.last_matched], self.settings
+        assert self.state.surfaces is not None
+        found = match(
+            self.scans.points[own], self.scans.normals[own], self.state.surfaces, last, settings=self.matching
+        )
+        moved = compose(invert(last), found.pose)
+        is_near = np.hypot(moved[0], moved[1]) < s.key_frame_distance and abs(moved[2]) < s.key_frame_turn
+        return bool(is_near and found.agreement >= s.min_continuity * self.state.agreement)
+
+    def _begin_piece(self, k: int) -> None:
+        """Begin a new track segment with scan k."""
+        state = self.state
+        self._add_key_frame(k)
         state.last_matched, state.agreement = k, 0.0
         state.failures.clear()
         state.last_unmatched = None
         state.velocity = np.zeros(3)
-        self._add_key_frame(k, np.diag(loose), is_new_piece=True)
 
     def _match_unplaced(self, k: int) -> None:
         """Place an unmatched scan k by a match with the previous unmatched scan."""

@@ -20,7 +20,7 @@ from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import with_checked_odometry
-from sensorgraph.localization.result import Closure, Localization
+from sensorgraph.localization.result import Closure, Localization, true_intervals
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
@@ -30,7 +30,7 @@ ATTACHMENT = "localization.json"
 """Attachment of a located run with the localization summary."""
 MIN_SCANS = 10
 """Minimum number of scans of a drive."""
-COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status")
+COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status", "map")
 
 
 def locate(
@@ -146,14 +146,14 @@ def deviations(found: Localization) -> Floats:
 
 
 def poses_csv(found: Localization) -> str:
-    """Return one row per scan, in the order of the log: t,x,y,phi,sigma_x,sigma_y,sigma_phi,status."""
+    """Return one row per scan, in the order of the log: t,x,y,phi,sigma_x,sigma_y,sigma_phi,status,map."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     sigma = deviations(found)
     for k, status in enumerate(found.status):
         numbers = (found.t[k], *found.poses[k], *sigma[k])
-        writer.writerow([*(f"{value:.6f}" for value in numbers), status])
+        writer.writerow([*(f"{value:.6f}" for value in numbers), status, found.map_numbers[k]])
     return text.getvalue()
 
 
@@ -167,6 +167,7 @@ def summary(found: Localization) -> dict[str, Any]:
         "n_scans": len(found.t),
         **{word: int((states == word).sum()) for word in ("ok", "lost", "ambiguous")},
         "stretches": stretches(found),
+        "maps": maps(found),
         "rivals": {str(scan): poses.tolist() for scan, poses in found.rivals.items()},
         "sigma_median": [float(np.median(sigma[ok, i])) if ok.any() else None for i in range(3)],
         "wheels": None if wheels is None else {
@@ -194,6 +195,21 @@ def stretches(found: Localization) -> list[dict[str, Any]]:
                 "n_scans": k - start,
             })  # fmt: skip
             start = k
+    return out
+
+
+def maps(found: Localization) -> list[dict[str, Any]]:
+    """Return the maps, each with its time intervals; poses of different maps are in different frames."""
+    numbers = found.map_numbers
+    out: list[dict[str, Any]] = []
+    for number in range(1, int(numbers.max(initial=0)) + 1):
+        where = numbers == number
+        if where.any():
+            times = [
+                {"from_s": float(found.t[a]), "to_s": float(found.t[b - 1]), "n_scans": b - a}
+                for a, b in true_intervals(where)
+            ]
+            out.append({"map": number, "n_scans": int(where.sum()), "intervals": times})
     return out
 
 

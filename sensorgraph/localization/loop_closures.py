@@ -17,15 +17,15 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
-from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Closure
 from sensorgraph.localization.rival_places import ClosureCandidate, RivalPlaces, rival_places
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import CLOSURES, ClosureSettings
 from sensorgraph.localization.submaps import Submap, cut_submaps
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Bools, Floats, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +40,8 @@ class ClosedTrack:
     """Edges between neighbours of the track."""
     closures: PoseEdges
     """Edges of the kept closures."""
+    is_carried: Bools
+    """(n_key - 1,) `ScanTrack.is_carried`, without steps that closures contradict."""
     rivals: tuple[RivalPlaces, ...] = ()
     """Places that no closure distinguishes from similar ones."""
 
@@ -64,9 +66,11 @@ class LoopCloser:
         self.submaps = cut_submaps(scans, track, settings)
         self.steps = steps_of(track)
         start = track.poses[track.key_frames]
-        self.graph = PoseGraph(start, self.steps)
+        self.graph = PoseGraph(start, self.steps, is_doubtful=track.is_carried)
         ways = np.hypot(*np.diff(start[:, :2], axis=0).T)
         self.way = np.concatenate([[0.0], np.cumsum(ways)])
+        variances = np.linalg.inv(track.edge_information)[:, [0, 1], [0, 1]].max(axis=1)
+        self.variance = np.concatenate([[0.0], np.cumsum(variances)])  # [m²] of the position along the track
         self.found: list[tuple[int, int, Floats, Floats]] = []
         self.kept: list[Closure] = []
         self.refused: list[Closure] = []
@@ -94,6 +98,8 @@ class LoopCloser:
             if not good:
                 self._refuse(closure, "disagrees with the other closures")
         kept = tuple(closure for closure, good in zip(self.kept, is_true, strict=True) if good)
+        is_carried = self.track.is_carried.copy()
+        is_carried[is_carried] = self.graph.is_kept
         rows = [row for row, good in zip(self.found, is_true, strict=True) if good]
         return ClosedTrack(
             poses=poses,
@@ -101,27 +107,29 @@ class LoopCloser:
             refused=tuple(self.refused),
             steps=self.steps,
             closures=PoseEdges.of(rows),
+            is_carried=is_carried,
             rivals=self._unresolved_rivals(rows),
         )
 
     def _first_pass(self, progress: Progress) -> None:
         s, n = self.settings, len(self.submaps)
-        last_way, last_piece, new = 0.0, 0, 0
+        last, new = 0, 0  # key frame of the last closure, number of closures since the last solution
         for b, submap in enumerate(self.submaps):
-            way = float(self.way[submap.middle]) - last_way
-            is_broken = int(self.track.piece[submap.middle]) != last_piece
-            window = s.window + s.window_per_metre * way
+            way = float(self.way[submap.middle] - self.way[last])
+            drift = 2.0 * float(np.sqrt(self.variance[submap.middle] - self.variance[last]))
+            window = max(s.window + s.window_per_metre * way, drift)
             turn = s.turn_window + s.turn_window_per_metre * way
-            if is_broken:
-                hits = self._search_everywhere(b)
-            else:
+            breaks = np.diff(self.track.piece[last : submap.middle + 1]) > 0
+            hits = 0
+            if not (breaks & ~self.track.is_carried[last : submap.middle]).any():
                 window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
                 near = self._candidates(b, s.reach + window)
                 found = [one for a in near for one in self._search_pair(a, b, window, turn)]
-                hits = self._keep(b, found, s.drift_per_metre * way)
+                hits = self._keep(b, found, drift if breaks.any() else s.drift_per_metre * way)
+            if breaks.any() and not hits:
+                hits = self._search_everywhere(b)
             if hits:
-                last_way, last_piece = float(self.way[submap.middle]), int(self.track.piece[submap.middle])
-                new += hits
+                last, new = submap.middle, new + hits
             if new and (b % s.solve_every == 0 or b == n - 1):
                 self.graph.solve(PoseEdges.of(self.found))
                 new = 0
@@ -320,8 +328,8 @@ def spread(track: ScanTrack, poses: Floats) -> Floats:
     miss[:, 2] = wrap(miss[:, 2])
     width = np.maximum(keys[right] - keys[left], 1)
     share = np.clip((index - keys[left]) / width, 0.0, 1.0) * (right > left)
-    # the motion between two track segments is unknown: nothing to distribute
-    share = share * (track.piece[left] == track.piece[right])
+    # between two track segments that the odometry does not connect the motion is unknown: nothing to distribute
+    share = share * ((track.piece[left] == track.piece[right]) | np.append(track.is_carried, False)[left])
     out: Floats = moved + share[:, None] * miss
     out[:, 2] = wrap(out[:, 2])
     return out

@@ -12,7 +12,7 @@ variance along it (Censi 2008).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,13 +33,16 @@ class Match:
     """(3,) [m, m, rad] base_link in map."""
     information: Floats
     """(3, 3) Information of x, y, phi in map from the scan alone, without the prior. It is scaled by the
-    scatter of the residuals, as if these were independent."""
+    scatter of the residuals, as if these were independent; 0 along directions that the scan does not
+    determine."""
     overlap: float
     """Share of the points with a surface of the map near them."""
     inliers: float
     """Share of these that lie on the surfaces."""
     noise: float
     """[m] Standard deviation of the distances of the inliers from their lines."""
+    projection: Floats = field(default_factory=lambda: np.eye(3))
+    """(3, 3) Projection of a motion x, y, phi in map onto the directions that the scan determines."""
 
     @property
     def agreement(self) -> float:
@@ -89,22 +92,10 @@ def match(
         np.asarray(start, dtype=np.float64),
         np.asarray(start if prior is None else prior, dtype=np.float64),
         np.zeros((3, 3)) if prior_information is None else np.asarray(prior_information, dtype=np.float64),
-        np.array(
-            [
-                min(settings.first_radius, surfaces.side),
-                min(settings.last_radius, surfaces.side),
-                settings.sigma,
-                settings.iterations,
-                settings.tolerance,
-                settings.roundness,
-                settings.min_points,
-                settings.same_side,
-                settings.inlier,
-                surfaces.facing,
-            ]
-        ),
+        _numbers(surfaces, settings),
         out,
     )
+    information, projection = _determined(out[3:12].reshape(3, 3), points)
     n = max(len(points), 1)
     near, within, square, degrees = out[12:16]
     noise = max(float(np.sqrt(square / max(degrees - 3.0, 1.0))), settings.min_noise)
@@ -112,10 +103,44 @@ def match(
     pose[2] = np.pi - (np.pi - pose[2]) % (2 * np.pi)
     return Match(
         pose=pose,
-        information=out[3:12].reshape(3, 3) / noise**2,
+        information=information / noise**2,
         overlap=float(near / n),
         inliers=float(within / max(near, 1.0)),
         noise=noise,
+        projection=projection,
+    )
+
+
+def _determined(normal_matrix: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Return JᵀJ (3, 3) without directions that are not determined, and the projection onto the others (3, 3).
+
+    A direction is determined if its eigenvalue exceeds what the errors of the line directions contribute. Turns
+    are weighed by the root mean square distance of the points.
+    """
+    lever = float(np.sqrt((points**2).sum(axis=1).mean())) if len(points) else 1.0
+    scale = np.array([1.0, 1.0, 1.0 / max(lever, 1e-3)])
+    values, vectors = np.linalg.eigh(normal_matrix * np.outer(scale, scale))
+    vectors = vectors[:, values > 0]
+    information = (vectors * values[values > 0]) @ vectors.T / np.outer(scale, scale)
+    projection = scale[:, None] * (vectors @ vectors.T) / scale
+    return information, projection
+
+
+def _numbers(surfaces: LineMap, settings: LineMatchSettings) -> Floats:
+    """Return the settings as the kernels take them."""
+    return np.array(
+        [
+            min(settings.first_radius, surfaces.side),
+            min(settings.last_radius, surfaces.side),
+            settings.sigma,
+            settings.iterations,
+            settings.tolerance,
+            settings.roundness,
+            settings.min_points,
+            settings.same_side,
+            settings.inlier,
+            surfaces.facing,
+        ]
     )
 
 
@@ -137,8 +162,9 @@ def _match(
 ) -> None:
     """Run Gauss-Newton.
 
-    `out` receives the pose (3), the sum of weighted JᵀJ (9), the number of points with a line, the number of
-    inliers, the weighted sum of squares and the sum of weights.
+    `out` receives the pose (3), the sum of weighted JᵀJ minus twice the part from errors of the line directions
+    (9), the number of points with a line, the number of inliers, the weighted sum of squares and the sum of
+    weights.
     """
     first_radius, last_radius = numbers[0], numbers[1]
     n_iterations, tolerance = int(numbers[3]), numbers[4]
@@ -218,9 +244,9 @@ def _add_point(
     j = nx * -ry + ny * rx
     tx, ty = -ny, nx
     jt = tx * -ry + ty * rx
-    tilt = min(
-        across / (w * along + 1e-12), 1.0
-    )  # variance [rad²] of the line's direction; its tangential part of JᵀJ is subtracted from the information
+    # twice the variance [rad²] of the line's direction: once for its expected tangential part of JᵀJ, and once
+    # for the error of this estimate, so that plain walls never determine the position along them
+    tilt = min(2.0 * across / (w * along + 1e-12), 1.0)
     sums[0] += soft * (nx * nx - tilt * tx * tx)
     sums[1] += soft * (nx * ny - tilt * tx * ty)
     sums[2] += soft * (nx * j - tilt * tx * jt)

@@ -88,17 +88,17 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     notes: list[str] = []
     way_factor = turn_factor = 1.0
     moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
-    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
+    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
     if turns is not None and np.abs(turns[0][:, 2]).sum() > s.min_turn:
         seen, driven = turns[0][:, 2], turns[1][:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
-            ways = _compared(run, odometry, moved, s)
+            ways = _compared(run, odometry, moved, [0, 1], s)
             raise SensorgraphError(_opposite_text(None if ways is None else _direction(*ways, s)))
         if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
-    ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, s)
+    ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], s)
     direction = None if ways is None else _direction(*ways, s)
     if direction is not None and abs(direction[0]) > s.max_direction:
         run = _with_yaw(run, *direction, notes, s)
@@ -172,11 +172,11 @@ def _with_yaw(
 
 
 def _compared(
-    run: Run, odometry: Floats, moved: Floats, settings: OdometryCheckSettings
+    run: Run, odometry: Floats, moved: Floats, parts: list[int], settings: OdometryCheckSettings
 ) -> tuple[Floats, Floats] | None:
     """Return the steps (n, 3) by the scans alone and by the odometry, where `moved` (n_scans - 1,) is largest.
 
-    None if the scans alone cannot be tracked there.
+    None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
     s = settings
     total = np.concatenate([[0.0], np.cumsum(moved)])
@@ -184,7 +184,8 @@ def _compared(
     stretch = slice(first, first + s.n_scans)
     part = run.take_scans(stretch)
     found = track(scan_points(part), part.stamps, None, lambda done, total: None)
-    if found.matched.mean() < s.min_matched or (np.diff(found.piece) != 0).any():
+    is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
+    if min(found.matched.mean(), is_seen.mean()) < s.min_matched or (np.diff(found.piece) != 0).any():
         return None
     unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
     return _steps(unwrapped[:: s.every]), _steps(odometry[stretch][:: s.every])

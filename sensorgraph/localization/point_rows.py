@@ -11,9 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.localization.patches import assign, cut_patches
+from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
 from sensorgraph.types import Floats, Ints
+
+NEAR = 16
+"""Number of key frames before and after whose patches determine the direction of a corridor."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,9 +30,12 @@ class FramePoints:
     """(n, 2) [m] in base_link."""
     normals: Floats
     """(n, 2) Normals in base_link."""
+    projections: Floats | None = None
+    """(n_frames, 3, 3) Projection of a motion ahead, left and turn onto the directions that the scan determines;
+    None: all."""
 
     @staticmethod
-    def of(scans: ScanPoints, key_frames: Ints) -> FramePoints:
+    def of(scans: ScanPoints, key_frames: Ints, projections: Floats | None = None) -> FramePoints:
         """Take the points of some scans."""
         slices = [scans.of(int(k)) for k in key_frames]
         index = np.concatenate([np.arange(s.start, s.stop) for s in slices] or [np.zeros(0, np.intp)])
@@ -37,6 +44,7 @@ class FramePoints:
             frame=np.repeat(np.arange(len(key_frames)), counts),
             points=scans.points[index],
             normals=scans.normals[index],
+            projections=None if projections is None or determines_all(projections).all() else projections,
         )
 
     def placed(self, poses: Floats) -> tuple[Floats, Floats]:
@@ -76,6 +84,9 @@ class PointRows:
     """[m] Scatter of a point around its patch."""
     surface: Floats
     """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
+    projections: Floats | None
+    """(n_frames, 3, 3) Projection of a motion x, y, phi in map onto the directions that the scan determines; None:
+    all."""
 
 
 def point_rows(
@@ -102,6 +113,12 @@ def point_rows(
     weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
     lever = points - poses[frame, :2]
     turn = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
+    by_pose = np.column_stack([normal, turn])
+    projections = None
+    if frames.projections is not None:
+        distance = np.hypot(*lever.T)
+        projections = _projections(by_pose, weight, frame, distance, frames.projections)
+        by_pose = np.einsum("ni,nij->nj", by_pose, projections[frame])
     return PointRows(
         index=used[kept],
         frame=frame,
@@ -111,11 +128,39 @@ def point_rows(
         normals=normal,
         weight=weight,
         residual=residual,
-        by_pose=np.column_stack([normal, turn]),
+        by_pose=by_pose,
         by_line=np.column_stack([-np.ones(len(along)), -along]),
         noise=noise,
         surface=surface,
+        projections=projections,
     )
+
+
+def _projections(by_pose: Floats, weight: Floats, frame: Ints, distance: Floats, tracked: Floats) -> Floats:
+    """Return the projections (n_frames, 3, 3) of a motion x, y, phi in map onto the directions that scans determine.
+
+    The number of open directions is that of the track (n_frames, 3, 3). They follow from the patches around `NEAR` key
+    frames, since a small error would let a long motion along a wall cross it. An open direction along walls contains
+    no turn.
+    """
+    n, scaled = len(tracked), np.sqrt(weight)[:, None] * by_pose
+    open_frames = np.flatnonzero(~determines_all(tracked))
+    blocks, square = np.zeros((n, 3, 3)), sums_by(frame, distance**2, n)
+    count = np.maximum(np.bincount(frame, minlength=n), 1)
+    for i in range(3):
+        for j in range(3):
+            blocks[:, i, j] = sums_by(frame, scaled[:, i] * scaled[:, j], n)
+    out = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+    for k in open_frames:
+        near = open_frames[np.abs(open_frames - k) <= NEAR]
+        n_open = 3 - round(float(np.trace(tracked[k])))
+        used = 2 if n_open == 1 and tracked[k, 2, 2] > 0.5 else 3
+        lever = np.sqrt(square[k] / count[k])
+        scale = np.array([1.0, 1.0, 1.0 / max(lever, 1e-3)])[:used]
+        around = blocks[near if used == 2 else [k], :used, :used].sum(axis=0)
+        vectors = np.linalg.eigh(around * np.outer(scale, scale))[1][:, :n_open]
+        out[k, :used, :used] -= scale[:, None] * (vectors @ vectors.T) / scale
+    return out
 
 
 def _fit_patches(

@@ -51,11 +51,29 @@ class PoseEdges:
 class PoseGraph:
     """Steps of a track with changing loop closures; it can be solved repeatedly."""
 
-    def __init__(self, poses: Floats, steps: PoseEdges, settings: GraphSettings = GRAPH) -> None:
-        """Take initial poses (n, 3) and the steps, which count as inliers."""
+    def __init__(
+        self,
+        poses: Floats,
+        steps: PoseEdges,
+        settings: GraphSettings = GRAPH,
+        *,
+        is_doubtful: Bools | None = None,
+    ) -> None:
+        """Take initial poses and the steps.
+
+        Parameters
+        ----------
+        poses : (n, 3) [m, m, rad]
+        steps : Edges between neighbours of the track; they count as inliers.
+        is_doubtful : (n_steps,) Steps that closures can contradict; None: no step.
+        """
         self.settings = settings
         self.poses = poses.copy()
-        self._steps = [_factor(row, None) for row in _rows(steps)]
+        rows, doubtful = _rows(steps), np.zeros(len(steps), np.bool_) if is_doubtful is None else is_doubtful
+        self._steps = [_factor(row, None) for row, bad in zip(rows, doubtful, strict=True) if not bad]
+        self._doubtful = [row for row, bad in zip(rows, doubtful, strict=True) if bad]
+        self.is_kept = np.ones(len(self._doubtful), dtype=np.bool_)
+        """(n_doubtful,) Doubtful steps that `solve_robustly` kept."""
         self._anchor: Any = gtsam.PriorFactorPose2(
             0, gtsam.Pose2(*poses[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)
         )
@@ -64,7 +82,7 @@ class PoseGraph:
         """Return the poses (n, 3) with Cauchy's function on the closures, and keep them as the next start."""
         graph = self._graph()
         cauchy = gtsam.noiseModel.mEstimator.Cauchy(self.settings.cauchy)
-        for row in _rows(closures):
+        for row in (*self._doubtful, *_rows(closures)):
             graph.add(_factor(row, cauchy))
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(self.settings.tolerance)
@@ -77,8 +95,8 @@ class PoseGraph:
         if not len(closures):
             return self.solve(closures), np.zeros(0, dtype=np.bool_)
         graph = self._graph()
-        n_known = graph.size()
-        for row in _rows(closures):
+        n_known, n_doubtful = graph.size(), len(self._doubtful)
+        for row in (*self._doubtful, *_rows(closures)):
             graph.add(_factor(row, None))
         parameters = gtsam.GncLMParams()
         parameters.setKnownInliers(list(range(n_known)))
@@ -86,7 +104,9 @@ class PoseGraph:
         optimizer.setInlierCostThresholdsAtProbability(self.settings.inlier_probability)
         result = optimizer.optimize()
         self.poses = self._read(result)
-        return self.poses, np.asarray(optimizer.getWeights())[n_known:] > 0.5
+        is_inlier = np.asarray(optimizer.getWeights())[n_known:] > 0.5
+        self.is_kept = is_inlier[:n_doubtful]
+        return self.poses, is_inlier[n_doubtful:]
 
     def _graph(self) -> Any:
         graph: Any = gtsam.NonlinearFactorGraph()

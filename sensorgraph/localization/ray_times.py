@@ -18,7 +18,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.front_end import ScanTrack, track
+from sensorgraph.localization.front_end import track
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
@@ -29,6 +29,7 @@ from sensorgraph.localization.refinement import (
     refine,
 )
 from sensorgraph.localization.scan_lag import scan_lag, with_stamp_of
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import REFINEMENT
 from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings

@@ -22,6 +22,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.clusters import ResidualClusters, clusters_of
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
@@ -44,14 +45,7 @@ class ReducedSystem:
     """(3 n_frames, 3 n_frames) Normal matrix of the wheel edges."""
     gradient: Floats
     """(3 n_frames,) Gradient of the cost after elimination."""
-    cluster_frame: Ints
-    """(n_clusters,) Key frame of each cluster."""
-    cluster_patch: Ints
-    """(n_clusters,) Patch of each cluster."""
-    scores: Floats
-    """(n_clusters, 3) Sum of weighted residuals times the derivative with respect to the pose."""
-    line_scores: Floats
-    """(n_clusters, 2) The same for the line."""
+    clusters: ResidualClusters
     wheel_coupling: Floats
     """(3 n_frames, 3) Normal matrix between poses and wheel parameters."""
     wheel_inverse: Floats
@@ -65,6 +59,9 @@ class ReducedSystem:
     """[m] Scatter of a point around its patch."""
     surface: Floats
     """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
+    projections: Floats | None
+    """(n_frames, 3, 3) Projection of a motion x, y, phi in map onto the directions that the scan determines; None:
+    all."""
 
     def times(self, x: Floats) -> Floats:
         """Return the product of the reduced normal matrix and x (3 n_frames, m)."""
@@ -124,24 +121,21 @@ def linearise(
 def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> ReducedSystem:
     """Eliminate the lines of the patches and the wheel parameters."""
     n, m = len(poses), rows.n_patches
-    frame, patch, weight, residual = rows.frame, rows.patch, rows.weight, rows.residual
+    frame, patch, weight = rows.frame, rows.patch, rows.weight
     jacobian, lines = rows.by_pose, rows.by_line
     blocks: Floats = np.stack(
         [sums_by(frame, weight * jacobian[:, i] * jacobian[:, j], n) for i in range(3) for j in range(3)],
         axis=-1,
     ).reshape(n, 3, 3)
-    keys, cluster = np.unique(frame * m + patch, return_inverse=True)
-    cluster_frame, cluster_patch = keys // m, keys % m
-    c = len(keys)
+    clusters, cluster = clusters_of(rows, poses)
+    c = len(clusters.frame)
     mixed = np.stack(
         [sums_by(cluster, weight * jacobian[:, i] * lines[:, j], c) for i in range(3) for j in range(2)],
         axis=-1,
     ).reshape(c, 3, 2)
     own = np.column_stack([sums_by(patch, weight * lines[:, j] ** 2, m) for j in range(2)]).ravel()
     inverse = np.where(own > 0, 1.0 / np.where(own > 0, own, 1.0), 0.0)
-    scores = np.column_stack([sums_by(cluster, weight * residual * jacobian[:, i], c) for i in range(3)])
-    line_scores = np.column_stack([sums_by(cluster, weight * residual * lines[:, j], c) for j in range(2)])
-    coupling = _block_matrix(cluster_frame, cluster_patch, mixed, (n, m))
+    coupling = _block_matrix(clusters.frame, clusters.patch, mixed, (n, m))
     edge_rows, edge_residuals, wheel_matrix = edge_system(poses, wheels.edges)
     weighted = np.einsum("eij,ej->ei", wheels.edges.information, edge_residuals)
     by = wheels.by_parameters
@@ -151,8 +145,8 @@ def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> Reduce
     wheel_gradient = edge_rows.T @ weighted.ravel() - wheel_coupling @ (
         wheel_inverse @ np.einsum("eji,ej->i", by, weighted)
     )
-    gradient = _by_frame(scores, cluster_frame, n) - coupling @ (
-        inverse * _by_frame(line_scores, cluster_patch, m)
+    gradient = sums_of(clusters.scores, clusters.frame, n) - coupling @ (
+        inverse * sums_of(clusters.line_scores, clusters.patch, m)
     )
     return ReducedSystem(
         n_frames=n,
@@ -163,19 +157,17 @@ def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> Reduce
         wheel_coupling=wheel_coupling,
         wheel_inverse=np.asarray(wheel_inverse, dtype=np.float64),
         gradient=gradient + wheel_gradient,
-        cluster_frame=cluster_frame,
-        cluster_patch=cluster_patch,
-        scores=scores,
-        line_scores=line_scores,
+        clusters=clusters,
         edges=wheels,
         edge_rows=edge_rows,
         edge_residuals=edge_residuals,
         noise=rows.noise,
         surface=rows.surface,
+        projections=rows.projections,
     )
 
 
-def _by_frame(values: Floats, index: Ints, n: int) -> Floats:
+def sums_of(values: Floats, index: Ints, n: int) -> Floats:
     """Return the sums (d n,) of rows (k, d) by index."""
     return np.column_stack([sums_by(index, column, n) for column in values.T]).ravel()
 

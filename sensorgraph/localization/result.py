@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from logs.run import RangeSensor
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 Status = Literal["ok", "lost", "ambiguous"]
 
@@ -67,7 +67,10 @@ class Localization:
     """(n_scans, 3, 3) Covariances of x, y, phi in map [m, m, rad]. Without a map they are relative to the
     mean of all poses (inner constraints), since the frame of the map is arbitrary."""
     status: tuple[Status, ...]
-    """(n_scans,) ok, lost (the pose is a guess) or ambiguous (other places fit equally well)."""
+    """(n_scans,) ok, lost (no pose in the first map is known) or ambiguous (other places fit equally well)."""
+    maps: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    """(n_scans,) Number of the map of each pose; 0: none. Map 1 is the largest; poses of others are in a frame of their
+    own, as nothing connects them to it. Empty: all are in map 1."""
     kept: tuple[Closure, ...] = ()
     """Loop closures of the map."""
     refused: tuple[Closure, ...] = ()
@@ -88,6 +91,19 @@ class Localization:
                 f"poses has shape {self.poses.shape}, covariances {self.covariances.shape}, status {len(self.status)} "
                 f"entries; expected ({n}, 3), ({n}, 3, 3) and {n}"
             )
+
+    @property
+    def map_numbers(self) -> Ints:
+        """(n_scans,) `maps`; without these, 1 for each scan that is not lost."""
+        if len(self.maps):
+            return self.maps
+        return np.array([int(word != "lost") for word in self.status], dtype=np.intp)
+
+
+def true_intervals(flags: Bools) -> list[tuple[int, int]]:
+    """Return first and end of each interval of true flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def interval_notes(stamps: Floats, status: tuple[Status, ...], *words: Status) -> tuple[str, ...]:

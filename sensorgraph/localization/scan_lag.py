@@ -18,7 +18,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import wrap
-from sensorgraph.localization.front_end import ScanTrack
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.types import Floats
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.front_end import ScanTrack
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.settings import SMOOTHING, SmoothingSettings
 from sensorgraph.types import Bools, Floats
 
@@ -53,7 +53,11 @@ def steps_of(
     steps = compose(invert(track.poses[:-1]), track.poses[1:])
     way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
-    sd[~track.matched[1:]] *= s.unmatched_factor
+    unmatched = ~track.matched[1:]
+    if track.wheels is None:
+        sd[unmatched] *= s.unmatched_factor
+    else:
+        sd[unmatched] = track.wheels.deviations(way[unmatched], turn[unmatched])
     sd[(~track.is_continuous if breaks is None else breaks)[1:]] = s.unknown_step
     information = np.zeros((len(sd), 3, 3))
     information[:, _COLUMNS, _COLUMNS] = sd**-2.0
@@ -88,19 +92,26 @@ def smooth(
     return SmoothedPoses(poses=poses, covariances=_inverse_blocks(diagonal, lower))
 
 
+def _weights(poses: Floats, places: Floats, place_information: Floats) -> Floats:
+    """Return Cauchy's weight (n,) of each measured pose: 1 / (1 + |x_k - places_k|²_P / (3 CAUCHY²))."""
+    off = poses - places
+    off[:, 2] = wrap(off[:, 2])
+    square = np.einsum("ni,nij,nj->n", off, place_information, off)
+    return np.asarray(1.0 / (1.0 + square / (3 * CAUCHY**2)))
+
+
 def _normal_equations(
     poses: Floats, steps: Floats, step_information: Floats, places: Floats, place_information: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return the blocks of the normal equations of one Gauss-Newton step, and the gradient.
 
     The blocks of JᵀWJ are `diagonal` (n, 3, 3) and, below it, `lower` (n - 1, 3, 3). The gradient (n, 3) is
-    JᵀWr. A place has the weight 1 / (1 + |x_k - places_k|²_P / (3 CAUCHY²)).
+    JᵀWr. Places have the weights of `_weights`.
     """
     n = len(poses)
     off = poses - places
     off[:, 2] = wrap(off[:, 2])
-    square = np.einsum("ni,nij,nj->n", off, place_information, off)
-    weighted = place_information / (1.0 + square / (3 * CAUCHY**2))[:, None, None]
+    weighted = place_information * _weights(poses, places, place_information)[:, None, None]
     diagonal = weighted + 1e-9 * np.eye(3)
     gradient = np.einsum("nij,nj->ni", weighted, off)
     way = poses[1:, :2] - poses[:-1, :2]

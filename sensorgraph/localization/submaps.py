@@ -9,9 +9,9 @@ import numpy as np
 
 from logs.transforms import compose, invert
 from sensorgraph.localization.branch_and_bound import MaxPyramid
-from sensorgraph.localization.front_end import ScanTrack, points_in
 from sensorgraph.localization.likelihood_field import field_of_points
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
+from sensorgraph.localization.scan_track import ScanTrack, points_in
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import CLOSURES, MATCH, ClosureSettings, LineMatchSettings
 from sensorgraph.types import Bools, Floats, Ints

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.settings import WHEELS, WheelSettings
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +40,10 @@ class WheelSteps:
     steps: Floats
     """(n, 3) [m, m, rad] Steps in base_link from the odometry; zero without odometry."""
     has_odometry: bool
+    is_seen: Bools | None = None
+    """(n, 2) The scans determine distance and turn of a step; None: of all. The others do not identify the wheels."""
+    deviations: Floats | None = None
+    """(n, 3) [m, m, rad] Standard deviations of a step without odometry: ahead, left, turn; None: `unknown_sd`."""
     settings: WheelSettings = WHEELS
 
     @staticmethod
@@ -48,19 +52,23 @@ class WheelSteps:
         keys = tracked.key_frames
         first = np.arange(len(keys) - 1)
         if odometry is None:
-            return WheelSteps(first=first, steps=np.zeros((len(first), 3)), has_odometry=False)
-        is_whole = tracked.piece[1:] == tracked.piece[:-1]
+            deviations, none = tracked.motion_deviations, np.zeros((len(first), 3))
+            return WheelSteps(first=first, steps=none, has_odometry=False, deviations=deviations)
+        is_whole = (tracked.piece[1:] == tracked.piece[:-1]) | tracked.is_carried
         for jump in tracked.jumps:
             is_whole[(keys[:-1] < jump) & (jump <= keys[1:])] = False
         first = first[is_whole]
         steps = compose(invert(odometry[keys[first]]), odometry[keys[first + 1]])
-        return WheelSteps(first=first, steps=steps, has_odometry=True)
+        seen = np.einsum("nii->ni", tracked.projections) > 0.5
+        seen = np.column_stack([seen[:, 0] & seen[:, 1], seen[:, 2]])
+        is_seen = seen[first] & seen[first + 1] & ~tracked.is_carried[first, None]
+        return WheelSteps(first=first, steps=steps, has_odometry=True, is_seen=is_seen)
 
     def parameters(self, poses: Floats) -> WheelParameters | None:
         """Identify the wheel parameters from the poses (n_key, 3); None without odometry."""
         if not self.has_odometry:
             return None
-        return identify_wheels(self.steps, self._measured(poses), self.settings)
+        return identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=self.is_seen)
 
     def at(self, poses: Floats) -> WheelEdges:
         """Return the edges at the poses (n_key, 3), with wheel parameters and noise estimated from them."""
@@ -68,7 +76,8 @@ class WheelSteps:
         measured = self._measured(poses)
         found = self.parameters(poses)
         if found is None or n == 0:
-            loose = np.broadcast_to(np.eye(3) / self.settings.unknown_sd**2, (n, 3, 3))
+            sd = np.full((n, 3), self.settings.unknown_sd) if self.deviations is None else self.deviations
+            loose = np.eye(3) / sd[:, None, :] ** 2
             return WheelEdges(
                 edges=PoseEdges(
                     first=self.first, second=self.first + 1, relative=measured, information=loose
@@ -80,7 +89,7 @@ class WheelSteps:
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
         estimate = WheelEstimate(s)
         way = signed_distance(self.steps)
-        sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, relative[:, 2], strict=True)])
+        sd = estimate.deviations(np.abs(way), relative[:, 2])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])
         scale = np.clip(1.4826 * np.median(np.abs(off / sd), axis=0), s.min_scatter, s.max_scatter)

@@ -16,7 +16,7 @@ import numpy as np
 from logs.transforms import wrap
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.settings import WHEELS, WheelSettings
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
 
 
 class WheelEstimate:
@@ -35,16 +35,17 @@ class WheelEstimate:
         """Return odometry steps (..., 3) [m, m, rad] in base_link, corrected by the estimate."""
         return corrected_steps(steps, self.way_scale, self.turn_scale, self.heading_bias)
 
-    def deviations(self, way: float, turn: float) -> Floats:
-        """Return the standard deviations (3,) [m, m, rad] of a corrected step: ahead, left, heading."""
-        s, turn = self.settings, abs(turn)
+    def deviations(self, way: Floats | float, turn: Floats | float) -> Floats:
+        """Return the standard deviations (..., 3) [m, m, rad] of corrected steps (...): ahead, left, heading."""
+        s, turn = self.settings, np.abs(turn)
         place = s.place_floor + s.place_per_turn * turn
-        return np.array(
+        return np.stack(
             [
                 place + s.ahead_per_metre * way,
                 place + s.left_per_metre * way,
                 s.turn_floor + s.turn_per_metre * way + s.turn_per_turn * turn,
-            ]
+            ],
+            axis=-1,
         )
 
     def learn(self, step: Floats, measured: Floats) -> None:
@@ -80,7 +81,9 @@ def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_
     return np.stack([x, y, steps[..., 2] + missed], axis=-1)
 
 
-def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = WHEELS) -> WheelParameters:
+def identify_wheels(
+    steps: Floats, measured: Floats, settings: WheelSettings = WHEELS, *, is_seen: Bools | None = None
+) -> WheelParameters:
     """Fit the wheel parameters to steps (n, 3) of the odometry and the same steps by the laser, with standard errors.
 
     Two regressions, with priors on their coefficients, minimise the robustly weighted squares of
@@ -94,18 +97,27 @@ def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = W
     The priors separate turns and distances that always occur together. Steps beyond `settings.outlier` robust
     standard deviations are excluded as slip. Slip depends on the floor, so that the standard errors are
     cluster-robust over `settings.stretches` segments of the log (Liang and Zeger 1986).
+
+    Parameters
+    ----------
+    is_seen : (n, 2) The laser determines distance and turn of a step; None: of all.
     """
     s = settings
+    by_way, by_turn = np.ones((2, len(steps)), dtype=np.bool_) if is_seen is None else is_seen.T
     way, turn = signed_distance(measured), wrap(measured[:, 2])
     estimate = WheelEstimate(s)
-    sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, turn, strict=True)]).reshape(-1, 3)
+    sd = estimate.deviations(np.abs(way), turn)
     (share,), ((share_variance,),) = _regress(
-        measured[:, :1] / sd[:, :1], steps[:, 0] / sd[:, 0], np.array([1.0]), np.array([s.way_scale_sd]), s
+        (measured[:, :1] / sd[:, :1])[by_way],
+        (steps[:, 0] / sd[:, 0])[by_way],
+        np.array([1.0]),
+        np.array([s.way_scale_sd]),
+        s,
     )
     scale = 1.0 / float(share)
     (a, c), covariance = _regress(
-        np.column_stack([turn, way]) / sd[:, 2:],
-        wrap(steps[:, 2]) / sd[:, 2],
+        (np.column_stack([turn, way]) / sd[:, 2:])[by_turn],
+        (wrap(steps[:, 2]) / sd[:, 2])[by_turn],
         np.array([1.0, 0.0]),
         np.array([s.turn_scale_sd, s.heading_bias_sd]),
         s,

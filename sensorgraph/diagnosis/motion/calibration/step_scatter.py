@@ -44,18 +44,18 @@ def _normal_matrix(system: ReducedSystem) -> Floats:
 
 def _cluster_scores(system: ReducedSystem) -> Floats:
     """Return the score of each cluster by the poses (3 n_frames, n_clusters), with the lines eliminated."""
-    c = np.arange(len(system.cluster_frame))
+    c = np.arange(len(system.clusters.frame))
     own = sparse.csr_array(
         (
-            system.scores.ravel(),
-            ((3 * system.cluster_frame[:, None] + np.arange(3)).ravel(), np.repeat(c, 3)),
+            system.clusters.scores.ravel(),
+            ((3 * system.clusters.frame[:, None] + np.arange(3)).ravel(), np.repeat(c, 3)),
         ),
         shape=(3 * system.n_frames, len(c)),
     )
     lines = sparse.csr_array(
         (
-            system.line_scores.ravel(),
-            ((2 * system.cluster_patch[:, None] + np.arange(2)).ravel(), np.repeat(c, 2)),
+            system.clusters.line_scores.ravel(),
+            ((2 * system.clusters.patch[:, None] + np.arange(2)).ravel(), np.repeat(c, 2)),
         ),
         shape=(len(system.inverse), len(c)),
     )

@@ -1,0 +1,41 @@
+"""`TrackerState`: what the laser odometry knows after a scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sensorgraph.localization.line_map import LineMap
+from sensorgraph.localization.wheels import WheelEstimate
+from sensorgraph.types import Floats
+
+
+@dataclass
+class TrackerState:
+    """State of the tracker."""
+
+    pose: Floats
+    wheels: WheelEstimate | None
+    key_frames: list[int] = field(default_factory=list)
+    piece: list[int] = field(default_factory=list)
+    edges: list[Floats] = field(default_factory=list)
+    motion_deviations: list[Floats] = field(default_factory=list)
+    is_carried: list[bool] = field(default_factory=list)
+    projections: list[Floats] = field(default_factory=list)
+    determined_at: float = 0.0
+    """[s] Stamp of the last key frame whose scan determines all directions, or of the first one."""
+    jumps: list[int] = field(default_factory=list)
+    surfaces: LineMap | None = None
+    last_matched: int = 0
+    """Last matched scan."""
+    agreement: float = 0.0
+    """Share of its points that fit the key frames."""
+    usual_agreement: float = 0.5
+    """Moving average of this share."""
+    failures: list[int] = field(default_factory=list)
+    """Scans without a match since then."""
+    last_unmatched: tuple[int, LineMap] | None = None
+    """The last of these, and the surfaces that it observed."""
+    velocity: Floats = field(default_factory=lambda: np.zeros(3))
+    """[m/s, m/s, rad/s] Velocity in base_link from the last two matches."""

@@ -1,0 +1,173 @@
+"""Runs whose scans do not tell everything: corridors, round rooms, short or standing runs, breaks of the track."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from localization_samples import CORRIDOR, loop_poses, room_run
+
+import logs
+from logs.run import Run
+from logs.transforms import compose
+from sensorgraph.cli import run as command
+from sensorgraph.localization.locate import locate, maps
+from sensorgraph.localization.result import Localization
+
+N = 60
+ANGLES = np.linspace(0, 2 * np.pi, 73)
+ROUND = [(3 * np.cos(a), 3 * np.sin(a), 3 * np.cos(b), 3 * np.sin(b)) for a, b in pairwise(ANGLES)]
+"""A round room: every heading looks the same."""
+ALONG = np.column_stack([np.linspace(-6, 6, N), np.zeros((N, 2))])
+SPIN = np.column_stack([np.zeros((N, 2)), np.linspace(0, 2 * np.pi, N)])
+TRUTH = loop_poses(240, laps=3)
+BROKEN = slice(100, 140)  # 8 s, half a lap
+
+
+def without_odometry(run: Run) -> Run:
+    return replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+
+
+def errors(found: Localization, truth: np.ndarray) -> np.ndarray:
+    """Return errors (n, 3) of the poses relative to the first scan."""
+    moved = compose(
+        truth[0], compose(np.array([0.0, 0.0, -found.poses[0, 2]]), found.poses - found.poses[0] * [1, 1, 0])
+    )
+    off = moved - truth
+    off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return off
+
+
+def deviations(found: Localization) -> np.ndarray:
+    return np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+
+
+@pytest.mark.parametrize("sigma", [0.01, 1e-6], ids=["noise", "no noise"])
+@pytest.mark.parametrize("walls", [CORRIDOR, CORRIDOR[:1]], ids=["two walls", "one wall"])
+def test_scans_alone_do_not_tell_the_way_along_a_corridor_and_it_is_said(
+    walls: list[tuple[float, float, float, float]], sigma: float
+) -> None:
+    found = locate(without_odometry(room_run(ALONG, walls=walls, sigma=sigma)))
+    sd = deviations(found)
+    assert set(found.status) == {"ambiguous"}
+    assert sd[[0, -1], 0].min() > 1.0  # a robot drives at up to 0.6 m/s: within 12 s, several metres
+    assert any("do not determine the position along" in note for note in found.notes)
+
+
+def test_odometry_tells_the_way_along_a_corridor() -> None:
+    found = locate(room_run(ALONG, walls=CORRIDOR, way_scale=1.02))
+    sd, off = deviations(found), errors(found, ALONG)
+    assert set(found.status) == {"ok"}
+    assert 0.05 < sd[-1, 0] < 1.0 and abs(off[-1, 0]) < 2 * np.hypot(sd[-1, 0], sd[0, 0])
+    assert sd[:, 1].max() < 0.01 and sd[:, 2].max() < 0.01
+    assert found.wheels is not None
+    assert found.wheels.way_scale_sd > 0.05  # nothing but the odometry tells the distance
+
+
+def test_corridor_from_the_command_line_is_said_in_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs.write(without_odometry(room_run(ALONG, walls=CORRIDOR)), tmp_path / "corridor.mcap")
+    outputs = [
+        "-o",
+        str(tmp_path / "out.mcap"),
+        "--csv",
+        str(tmp_path / "p.csv"),
+        "--json",
+        str(tmp_path / "p.json"),
+    ]
+    assert command(["locate", str(tmp_path / "corridor.mcap"), *outputs]) == 0
+    said = capsys.readouterr().out
+    assert "ambiguous from 0.0 s to 11.8 s" in said and "holds no pose" in said
+    assert json.loads((tmp_path / "p.json").read_text())["ambiguous"] == N
+    assert len((tmp_path / "p.csv").read_text().splitlines()) == N + 1
+
+
+@pytest.mark.parametrize("has_odometry", [True, False])
+@pytest.mark.parametrize(
+    "truth",
+    [loop_poses(60)[:20], loop_poses(30)[:10], np.tile([2.0, 1.5, 0.3], (N, 1)), SPIN + [2.0, 1.5, 0.0]],
+    ids=["20 scans", "10 scans", "stands", "spins"],
+)
+def test_short_standing_and_spinning_runs_are_located(truth: np.ndarray, has_odometry: bool) -> None:
+    run = room_run(truth)
+    found = locate(run if has_odometry else without_odometry(run))
+    assert set(found.status) == {"ok"}
+    assert np.abs(errors(found, truth)).max() < 0.02
+    sd = deviations(found)
+    assert (sd > 0).all() and sd.max() < 0.01
+
+
+def test_round_room_does_not_tell_the_heading() -> None:
+    run = room_run(SPIN, walls=ROUND)
+    assert set(locate(run).status) == {"ok"}  # the wheels tell it
+    found = locate(without_odometry(run))
+    assert set(found.status) == {"ambiguous"}
+    assert any("do not determine the heading" in note for note in found.notes)
+
+
+def disturbed(run: Run, kind: str) -> tuple[Run, np.ndarray]:
+    """Return a run with no useful scan in `BROKEN`, and the numbers of its scans in the whole run."""
+    ranges, chosen = run.ranges.copy(), np.arange(run.n_scans)
+    if kind == "blind":
+        ranges[BROKEN] = np.inf
+    run = replace(run, ranges=ranges)
+    if kind == "gap":
+        chosen = np.delete(chosen, BROKEN)
+        run = run.take_scans(chosen)
+    return run, chosen
+
+
+@pytest.mark.parametrize("kind", ["blind", "gap"])
+def test_odometry_carries_the_pose_over_a_break(kind: str) -> None:
+    run, chosen = disturbed(room_run(TRUTH, way_scale=0.98), kind)
+    found = locate(run)
+    assert set(found.status) == {"ok"} and set(found.map_numbers.tolist()) == {1}
+    off, sd = errors(found, TRUTH[chosen]), deviations(found)
+    inside = np.isin(chosen, np.arange(240)[BROKEN])
+    assert np.hypot(*off[~inside, :2].T).max() < 0.03  # closures join what lies before and after
+    assert (np.abs(off[inside]) < 3 * sd[inside] + 0.01).all()
+
+
+@pytest.mark.parametrize("kind", ["blind", "gap"])
+def test_scans_alone_join_after_a_break_or_are_a_second_map(kind: str) -> None:
+    """The second lap shows the room again: closures join; a few scans of it do not, and are never stated as known."""
+    run, chosen = disturbed(room_run(TRUTH), kind)
+    found = locate(without_odometry(run))
+    ok = np.array(found.status) == "ok"
+    first = int(ok.argmax())
+    truth = TRUTH[chosen]
+    off = errors(
+        replace(
+            found,
+            t=found.t[first:],
+            poses=found.poses[first:],
+            covariances=found.covariances[first:],
+            status=found.status[first:],
+        ),
+        truth[first:],
+    )[ok[first:]]
+    assert np.hypot(*off[:, :2].T).max() < 0.05
+    assert ok.sum() > 90 and any("interrupted" in note for note in found.notes)
+
+
+def test_what_nothing_connects_is_a_second_map(tmp_path: Path) -> None:
+    """Without odometry, through a dark stretch into another room: two maps, each consistent."""
+    other = [(2 * b, a, 2 * d, c) for a, b, c, d in CORRIDOR] + [
+        (-9, 5, 9, 4),
+        (-9, -4, 9, -6),
+        (9, -6, 9, 4),
+        (-9, -4, -9, 5),
+    ]
+    one, two = room_run(TRUTH[:120]), room_run(loop_poses(60) - [3.2, 2.6, 0.0], walls=other[2:], seed=1)
+    stamps = np.concatenate([one.stamps, two.stamps + one.stamps[-1] + 30.0])
+    both = replace(one, stamps=stamps, ranges=np.concatenate([one.ranges, two.ranges]))
+    found = locate(without_odometry(both))
+    assert set(found.map_numbers.tolist()) == {1, 2}
+    assert set(found.status[:120]) == {"ok"} and set(found.status[120:]) == {"lost"}
+    assert [one["n_scans"] for one in maps(found)] == [120, 60]
+    assert any(note.startswith("map 2 (60 scans") for note in found.notes)
