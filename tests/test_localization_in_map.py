@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +24,7 @@ from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
+from sensorgraph.types import Progress
 
 FREE = shapely.Polygon([wall[:2] for wall in ROOM[:10]], [[wall[:2] for wall in ROOM[10:]]])
 WALLS = np.array(ROOM).reshape(-1, 2, 2)
@@ -308,3 +311,21 @@ def test_grid_of_seen_cells_is_where_the_log_of_a_graph_has_looked() -> None:
     assert seen.cells[tuple(middle.T)].all()
     outside = ((np.array([-0.5, -0.5]) - seen.origin) / seen.resolution).astype(int)
     assert (outside < 0).any() or not seen.cells[tuple(outside)]
+
+
+def test_another_arena_is_said_before_the_scans_are_followed() -> None:
+    rng = np.random.default_rng(0)
+    first, angle = rng.uniform([0, 0], [20, 15], size=(80, 2)), rng.uniform(0, np.pi, size=80)
+    other = np.stack([first, first + 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])], axis=1)
+    steps: list[str] = []
+
+    @contextmanager
+    def progress(step: str, unit: str) -> Iterator[Progress]:
+        steps.append(step)
+        yield lambda done, total: None
+
+    with pytest.raises(SensorgraphError, match=r"fit nowhere in other.*of another place"):
+        locate_in_map(room_run(TRUTH), other, name="other", progress=progress)
+    assert steps == ["looking for the scans in the map"]
+    located = locate_in_map(room_run(TRUTH), WALLS, progress=progress)
+    assert set(located.status) == {"ok"} and "following the scans" in steps

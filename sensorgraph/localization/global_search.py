@@ -158,6 +158,20 @@ def find_places(
     return other if other.fit > found.fit else found
 
 
+def joint_fit(view: LocalView, place: KnownMap, settings: GlobalSearchSettings = GLOBAL_SEARCH) -> float:
+    """Return the best fit of all scans of a view together in the whole map; a quick search of few places."""
+    s = settings
+    few = replace(
+        s,
+        max_modes=s.quick_modes,
+        rival_ratio=s.quick_ratio,
+        max_matches=s.quick_modes,
+        max_restarts=s.quick_restarts,
+    )
+    found = _judged(_modes(view.points, place, None, few), view, place, s.min_seen_anywhere, few)
+    return found.fit
+
+
 def _with_last_fit(
     found: GlobalPlaces, last: LocalView, place: KnownMap, settings: GlobalSearchSettings
 ) -> GlobalPlaces:

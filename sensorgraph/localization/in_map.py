@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.front_end import ScanTrack
-from sensorgraph.localization.global_search import LocalView, find_places, fit_of, local_view
+from sensorgraph.localization.global_search import fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
+from sensorgraph.localization.map_check import best_fit, looks, mirrored
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
+from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth, steps_of
@@ -50,15 +52,19 @@ def locate_in_map(
     if run.n_scans == 0:
         raise SensorgraphError("the run has no scan; expected messages on /scan")
     place = known_map(walls, seen, normals)
+    with progress("looking for the scans in the map", "drives"):
+        fit = best_fit(looks(run, settings), place, settings.near_fit)
+        if fit < settings.near_fit:
+            raise SensorgraphError(_no_fit(run, place, fit, name, settings))
     with progress("following the scans", "scans") as tick:
         followed = track_run(run, tick)
     odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)
     if np.isnan(found.poses[:, 0]).all():
-        fit = _rivals_fit(scans, steps, place, found.rivals, settings) if found.rivals else found.best_fit
+        fit = _rivals_fit(scans, steps, place, found.rivals, settings)
         if fit < settings.found_fit:
-            raise SensorgraphError(_no_fit(scans, steps, place, fit, name, settings))
+            raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name, settings))
     poses = _filled(found, steps)
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information, settings)[0]
@@ -197,26 +203,21 @@ def _rivals_fit(
     return max(fits)
 
 
-def _no_fit(
-    scans: ScanPoints,
-    steps: ScanTrack,
-    place: KnownMap,
-    fit: float,
-    name: str,
-    settings: MapTrackingSettings,
-) -> str:
+def _no_fit(run: Run, place: KnownMap, fit: float, name: str, settings: MapTrackingSettings) -> str:
     """Return the message that the scans fit nowhere, or only when mirrored."""
-    flip = np.array([1.0, -1.0])
-    for k in steps.key_frames[: settings.view_scans]:
-        view = local_view(scans, np.array([k]), steps.poses[[k]])
-        mirrored = LocalView(
-            points=view.points * flip, normals=view.normals * flip, starts=view.starts * flip
+    least = max(fit + settings.mirror_lead, settings.found_fit)
+    few = replace(settings, looks=settings.mirror_looks)
+    if best_fit((mirrored(view) for view in looks(run, few)), place, least) >= least:
+        return (
+            f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
+            "robot.yaml or in the transform"
         )
-        if find_places(mirrored, place).fit > max(fit + 0.2, settings.found_fit):
-            return (
-                f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
-                "robot.yaml or in the transform"
-            )
+    if fit >= settings.found_fit:
+        return (
+            f"the scans fit nowhere in {name} along a drive: a single view fits by {fit:.0%}, but the next ones do not "
+            "continue there. The map is of another place, or of another scale; give the map of the recorded place in metres, "
+            "or no map"
+        )
     return (
         f"the scans fit nowhere in {name}: the best fit (share of returns on walls, minus twice the share through walls) is "
         f"{max(fit, 0):.0%}, expected {settings.found_fit:.0%}. The map is of another place, or of another scale; give the "

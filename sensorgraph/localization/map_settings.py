@@ -66,6 +66,12 @@ class GlobalSearchSettings:
     """[m] Distance below which two places are the same, if their headings differ by less than `apart_turn`."""
     apart_turn: float = 0.26
     """[rad] Heading difference below which two places are the same."""
+    quick_modes: int = 12
+    """Maximum number of places that a quick search evaluates and matches."""
+    quick_ratio: float = 0.85
+    """`rival_ratio` of a quick search."""
+    quick_restarts: int = 2
+    """`max_restarts` of a quick search."""
     correlation: float = 4.0
     """Factor by which the log likelihood of a view is divided, since its rays meet the same surfaces."""
     hidden_weight: float = 2.0
@@ -118,6 +124,10 @@ class MapTrackingSettings:
     unrivalled_lead: float = 0.5
     """Lead at which `unrivalled_fit` applies. Places that fit by chance with `unrivalled_fit` lead by at most 0.21, at
     160 places of three logs outside the map (`localize_in_map --swap`)."""
+    mirror_looks: int = 2
+    """Number of short drives that are searched as seen in a mirror."""
+    mirror_lead: float = 0.2
+    """Minimum lead of a mirrored fit."""
     near_fit: float = 0.4
     """Minimum fit of a place that agrees with the odometry since the robot was lost."""
     expected_fit: float = 0.3
@@ -157,7 +167,14 @@ class MapTrackingSettings:
     search_turn: float = 0.35
     """[rad] Turn between searches; it doubles likewise."""
     max_search_distance: float = 2.4
-    """[m] Maximum distance between searches."""
+    """[m] Maximum distance between searches, or `search_growth` times the distance driven while lost."""
+    search_growth: float = 0.1
+    """[m/m] Ratio that makes searches rarer where a long drive fits nowhere."""
+    looks: int = 5
+    """Number of short drives that are searched before all scans are tracked. If none fits by `near_fit`, the map is
+    of another place: 60 drives with laser and map of other rooms fit by at most 0.28."""
+    look_scans: int = 120
+    """Number of scans of such a drive."""
     every_nth_everywhere: int = 3
     """Every n-th search covers the whole map, even if the odometry limits where the robot can be."""
     view_scans: int = 5

@@ -12,11 +12,11 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
-from sensorgraph.localization.front_end import ScanTrack, information_at
 from sensorgraph.localization.global_search import GlobalPlaces, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.matching import match
+from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.types import Bools, Floats, Progress
 
@@ -226,10 +226,13 @@ class MapTracker:
         s, state = self.settings, self.state
         if state.last_search < 0:
             return True
-        share = min(2.0 ** (state.n_searches - 1), s.max_search_distance / s.search_distance)
+        lost = self.driven[k] - self.driven[state.view[0]]
+        most = max(s.max_search_distance, s.search_growth * lost)
+        share = min(2.0 ** (state.n_searches - 1), most / s.search_distance)
         turn = abs(wrap(self.track.poses[k, 2] - self.track.poses[state.last_search, 2]))
+        turn_limit = min(share * s.search_turn, np.pi / 2 * most / s.max_search_distance)
         way = self.driven[k] - self.driven[state.last_search]
-        return bool(way > share * s.search_distance or turn > min(share * s.search_turn, np.pi / 2))
+        return bool(way > share * s.search_distance or turn > turn_limit)
 
     def _window(self, k: int) -> SearchWindow | None:
         """Return the window that the odometry allows since the loss; None without a last confirmed pose."""
