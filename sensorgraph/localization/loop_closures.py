@@ -117,9 +117,11 @@ class LoopCloser:
         for b, submap in enumerate(self.submaps):
             way = float(self.way[submap.middle] - self.way[last])
             drift = 2.0 * float(np.sqrt(self.variance[submap.middle] - self.variance[last]))
-            window = max(s.window + s.window_per_metre * way, drift)
+            window = s.window + s.window_per_metre * way
             turn = s.turn_window + s.turn_window_per_metre * way
             breaks = np.diff(self.track.piece[last : submap.middle + 1]) > 0
+            if breaks.any():  # the wheels alone measured the motion
+                window = max(window, drift)
             hits = 0
             if not (breaks & ~self.track.is_carried[last : submap.middle]).any():
                 window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
