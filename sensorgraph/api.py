@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.diagnosis.report.driving_files import DrivingDiagnosis
 from sensorgraph.diagnosis.without_reference import drive_alone, driving_of, located_in, with_driving
 from sensorgraph.effects import Amendment, effects_file
-from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error, takes_options
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
 from sensorgraph.exporting.export import export as write_world
@@ -155,6 +155,7 @@ def locate(
 
 
 @as_sensorgraph_error
+@takes_options(building.option_names)
 def build(
     runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, **options: Any
 ) -> Sensorgraph:
@@ -167,7 +168,7 @@ def build(
 
     Raises
     ------
-    SensorgraphError : Too few scans have a pose, the poses jump, or the runs have different sensors.
+    SensorgraphError : An option is unknown, too few scans have a pose, the poses jump, or the runs have different sensors.
     """
     several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
     walls = None if arena is None else _arena(arena)
@@ -278,6 +279,7 @@ def diagnose(
 
 
 @as_sensorgraph_error
+@takes_options(lambda: identifying.IdentificationSpec.__dataclass_fields__)
 def identify(
     data: RunLike | SignalData, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
 ) -> identifying.IdentifiedSignal:

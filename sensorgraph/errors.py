@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import difflib
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -29,13 +31,53 @@ class SensorgraphError(ValueError):
 
 
 def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
-    """Convert the errors of the other packages in a public function into `SensorgraphError`."""
+    """Convert the errors of the other packages in a public function, and unknown options, into `SensorgraphError`.
+
+    A function with `**options` needs `takes_options` too, which knows their names.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    known = (
+        None if any(one.kind is one.VAR_KEYWORD for one in parameters) else [one.name for one in parameters]
+    )
 
     @wraps(function)
     def raising(*args: P.args, **kwargs: P.kwargs) -> R:
+        if known is not None:
+            refuse_unknown_options(kwargs, known)
         try:
             return function(*args, **kwargs)
         except (PlanError, LogError, IdentError) as exc:
             raise SensorgraphError(str(exc)) from exc
 
     return raising
+
+
+def takes_options(names: Callable[[], Iterable[str]]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Refuse all `**options` of a function that are not among `names()`, before any work is done."""
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        own = [one for one in inspect.signature(function).parameters if one != "options"]
+
+        @wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+            refuse_unknown_options(kwargs, [*own, *names()])
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorated
+
+
+def refuse_unknown_options(given: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse an option that is not known, and suggest the most similar one.
+
+    Raises
+    ------
+    SensorgraphError : An option is unknown.
+    """
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+            raise SensorgraphError(
+                f"unknown option `{name}`; " + (f"did you mean `{near[0]}`?" if near else "none is expected")
+            )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from inspect import signature
 from pathlib import PurePath
 from typing import Any
 
@@ -60,6 +61,10 @@ def build(
         (`record --graph`). With `update` it is identified on the new runs; otherwise an existing one is kept.
     progress : Opens a progress bar for each stage.
     options : Options of the model. The polynomial takes `degree`, `harmonics` and `n_terms`, a number or `auto` each.
+
+    Raises
+    ------
+    SensorgraphError : The model or one of its options is unknown, too few scans have a pose, or the runs differ in their sensor.
     """
     if model not in MODELS:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
@@ -94,6 +99,12 @@ def build(
     return _add_memory(graph, feed_again(), progress) if memory else graph
 
 
+def option_names() -> list[str]:
+    """Return the names of all options of `build` and of the models."""
+    own = [one.name for one in signature(build).parameters.values() if one.kind is one.KEYWORD_ONLY]
+    return [*own, *(name for model in MODELS.values() for name in model.OPTIONS)]
+
+
 def _add_memory(graph: Sensorgraph, feed: TrainingData, progress: ProgressBars) -> Sensorgraph:
     scans = all_scans(feed)
     assert scans is not None
@@ -109,7 +120,7 @@ def _fit(
     options: dict[str, Any],
 ) -> Model:
     """Fit a model block by block if it supports that, otherwise to all scans together."""
-    if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
+    if issubclass(model, Faces) and not options.keys() - set(model.OPTIONS):
         mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
         own = dict(options)
         wanted = own.pop("cells", None)

@@ -23,7 +23,7 @@ import numpy as np
 from logs.files import atomic_file
 from planners.arena import Arena
 from robotmodic_ident import Narmax, Scale, Terms, polynomial
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.design_task import (
     DesignTask,
@@ -119,6 +119,7 @@ class ControllerDesign:
         }
 
 
+@as_sensorgraph_error
 def design(
     graph: Sensorgraph,
     task: DesignTask,

@@ -130,6 +130,8 @@ class Model(Protocol):
     """A fitted model; `restore(*model.state())` recreates it."""
 
     name: ClassVar[str]
+    OPTIONS: ClassVar[tuple[str, ...]]
+    """Names of the options that `fit` takes."""
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:

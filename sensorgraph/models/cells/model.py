@@ -55,6 +55,7 @@ class CellModel:
     """A table of cells, and the visibility polynomial it was made with."""
 
     name: ClassVar[str] = "cells"
+    OPTIONS: ClassVar[tuple[str, ...]] = ("cell",)
 
     sensor: RangeSensor
     mount: Floats
@@ -77,7 +78,7 @@ class CellModel:
         ------
         SensorgraphError : An option is unknown, the cell size is out of range, or no ray returned within reach.
         """
-        if unknown := set(options) - {"cell"}:
+        if unknown := set(options) - set(cls.OPTIONS):
             raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
             )

@@ -61,6 +61,7 @@ class Faces(FacesData):
     """Faces with their visible stretches, the noise of returns, and the observed space."""
 
     name: ClassVar[str] = "faces"
+    OPTIONS: ClassVar[tuple[str, ...]] = ("calibrate", "cells")
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
@@ -70,7 +71,7 @@ class Faces(FacesData):
         ------
         SensorgraphError : An option is unknown, or no ray returned.
         """
-        if unknown := sorted(options.keys() - {"calibrate", "cells"}):
+        if unknown := sorted(options.keys() - set(cls.OPTIONS)):
             raise SensorgraphError(
                 f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
                 "set `model` to polynomial or remove the option"

@@ -25,7 +25,7 @@ from sensorgraph.models.narmax.fit import TrainingRows, fit_dropouts, fit_rays, 
 from sensorgraph.models.narmax.parameters import FREE_RUN, ONE_STEP, QUANTILES, START, NarmaxParameters
 from sensorgraph.models.narmax.sequences import ScanSequence
 from sensorgraph.models.narmax.settings import NARMAX
-from sensorgraph.models.narmax.stored_form import ARRAYS, form_of, restored
+from sensorgraph.models.narmax.stored_form import ARRAYS, OPTIONS, form_of, restored
 from sensorgraph.models.polynomial.support import SUPPORT, Support, leverage_root, scale_of, sees_around
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
@@ -37,6 +37,7 @@ class RayNarmax(NarmaxParameters):
     """The equations of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "narmax"
+    OPTIONS: ClassVar[tuple[str, ...]] = OPTIONS
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:

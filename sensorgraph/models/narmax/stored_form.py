@@ -19,6 +19,7 @@ from sensorgraph.models.polynomial.support import Support
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Ints
 
+OPTIONS = ("lags", "degree", "neighbours", "noise_lags", "n_terms")
 ARRAYS = (
     "order", "err", "theta", "stderr", "noise", "noise_stderr", "tests", "rows", "start_order", "start_theta",
     "theta_none", "memory", "sigma", "spread", "root",
@@ -76,13 +77,12 @@ def form_of(options: Mapping[str, Any]) -> NarmaxForm:
     ------
     SensorgraphError : An option is unknown or out of range.
     """
-    known = ("lags", "degree", "neighbours", "noise_lags", "n_terms")
-    if unknown := set(options) - set(known):
+    if unknown := set(options) - set(OPTIONS):
         raise SensorgraphError(
-            f"option {', '.join(sorted(unknown))} is not known to the model narmax; expected {', '.join(known)}"
+            f"option {', '.join(sorted(unknown))} is not known to the model narmax; expected {', '.join(OPTIONS)}"
         )
-    chosen = {name: options.get(name, "auto") for name in known}
-    default = {name: getattr(NARMAX, "max_terms" if name == "n_terms" else name) for name in known}
+    chosen = {name: options.get(name, "auto") for name in OPTIONS}
+    default = {name: getattr(NARMAX, "max_terms" if name == "n_terms" else name) for name in OPTIONS}
     form = NarmaxForm(spacing=1, **{name: default[name] if v == "auto" else v for name, v in chosen.items()})
     try:
         return check_form(form)

@@ -48,6 +48,7 @@ class Polynomial:
     """Polynomials of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "polynomial"
+    OPTIONS: ClassVar[tuple[str, ...]] = ("degree", "harmonics", "n_terms")
 
     sensor: RangeSensor
     form: PolynomialForm
@@ -96,7 +97,7 @@ class Polynomial:
         ------
         SensorgraphError : An option is unknown, or no ray returned.
         """
-        if unknown := set(options) - {"degree", "harmonics", "n_terms"}:
+        if unknown := set(options) - set(cls.OPTIONS):
             raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
                 "expected degree, harmonics or n_terms"
