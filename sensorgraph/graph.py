@@ -34,6 +34,8 @@ POSES_AT_A_TIME = 2048
 """Number of poses predicted together; it limits memory and sets the interval of progress reports."""
 MAX_POSE_DISTANCE = 1e8
 """[m] Largest accepted distance of a pose from the origin of map."""
+MAX_HEADING = 100.0
+"""[rad] Largest accepted heading: unwrapped ones grow by full turns, and larger ones are probably degrees."""
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # a fixed date, so that the same graph gives the same bytes
 _MAY_BE_NAN = ("calibration.offset_se",)
 """Arrays of a file in which nan marks a quantity that was not identified."""
@@ -78,7 +80,9 @@ class Sensorgraph:
         Raises
         ------
         ValueError : The poses have another shape.
-        SensorgraphError : A pose is not finite or too far from the origin, or a ray or point value is unknown.
+        SensorgraphError : A pose is not finite or too far from the origin, a ray or point value is unknown, or headings are
+            in degrees. Unwrapped headings, of several turns, are accepted up to 100 rad; not if one exceeds a
+            turn and all are whole numbers.
         """
         poses = np.asarray(poses, dtype=np.float64)
         index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
@@ -114,6 +118,13 @@ class Sensorgraph:
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
             raise SensorgraphError(f"pose {row} is not finite; remove such poses")
+        phi = poses[..., 2]
+        if (most := np.abs(phi).max(initial=0.0)) > 2 * math.pi and (
+            most > MAX_HEADING or (phi == phi.round()).all()
+        ):
+            raise SensorgraphError(
+                f"a pose has the heading {most:g}; radians expected: use np.radians(degrees)"
+            )
         if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
             row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
             raise SensorgraphError(

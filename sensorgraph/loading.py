@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import math
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from planners.errors import PlanError
 from planners.maps import geojson, ros_map
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.quantities import ANGLE, is_number, pose_of, quantity, split_unit
 from sensorgraph.types import Floats
 from sensorgraph.world.described import completed
 from sensorgraph.world.identified_arena import arena_of
@@ -83,11 +85,12 @@ def _arena_of_log(path: Path) -> Arena:
 
 
 def read_poses(path: Path) -> Floats:
-    """Read columns x, y, phi of a CSV file; (n_poses, 3) [m, m, rad].
+    """Read columns x, y, phi of a CSV file, numbers in m and rad or with a unit (`1.5 deg`); (n_poses, 3) [m, m, rad].
 
     Raises
     ------
-    SensorgraphError : A column is missing, a line holds no numbers, or there is no pose.
+    SensorgraphError : A column is missing, a line holds no numbers, phi is more than a full turn (degrees?), or there
+        is no pose.
     """
     rows: list[list[float]] = []
     try:
@@ -101,13 +104,19 @@ def read_poses(path: Path) -> Floats:
                     f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi"
                 )
             for row in reader:
+                texts = [row[name] for name in ("x", "y", "phi")]
                 try:
-                    rows.append([float(row[name]) for name in ("x", "y", "phi")])
+                    pose = [float(text) for text in texts]
                 except (TypeError, ValueError):
-                    raise SensorgraphError(
-                        f"{path}: line {reader.line_num}: expected numbers, found {list(row.values())}; "
-                        "each line needs x,y,phi"
-                    ) from None
+                    if not all(is_number(split_unit(text)[0]) for text in texts):
+                        raise SensorgraphError(
+                            f"{path}: line {reader.line_num}: expected numbers, found {list(row.values())}; "
+                            "each line needs x,y,phi"
+                        ) from None
+                    pose = pose_of(texts, f"{path}: line {reader.line_num}")
+                if math.isfinite(pose[2]) and abs(pose[2]) > ANGLE.most:
+                    quantity(pose[2], f"{path}: line {reader.line_num}: phi", ANGLE)
+                rows.append(pose)
     except (UnicodeDecodeError, csv.Error) as exc:
         raise SensorgraphError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
     poses = np.array(rows, dtype=np.float64).reshape(-1, 3)

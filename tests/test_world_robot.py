@@ -60,36 +60,36 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("footprint_radius: 0", "expected a value above 0"),
         ("sensor: {n_rays: 1.5}", "expected a whole number"),
         ("sensor: {n_rays: true}", "expected a whole number"),
-        ("sensor: {fov: 270}", "`sensor.fov` is 270; expected radians, at most 6.28; write 270 deg"),
+        ("sensor: {fov: 270}", "`sensor.fov` is 270; radians expected, at most 6.28; write 270 deg"),
         ("sensor: {fov: 400 deg}", "`sensor.fov` is 400 deg; expected at most 360 deg"),
         (
             "sensor: {mount: [0.1, 0, 180]}",
-            "`sensor.mount` is 180; expected radians, at most 6.28; write 180 deg",
+            "`sensor.mount` is 180; radians expected, at most 6.28; write 180 deg",
         ),
         (
             "sensor: {mount: [120, 0, 0]}",
-            "expected metres, at most 20; write 120 mm, or 120 m if metres are meant",
+            "metres expected, at most 20; write 120 mm, or 120 m if metres are meant",
         ),
         (
             "sensors: [{n_rays: 5, fov: 180}]",
-            "`sensors[0].fov` is 180; expected radians, at most 6.28; write 180 deg",
+            "`sensors[0].fov` is 180; radians expected, at most 6.28; write 180 deg",
         ),
         (
             "sensor: {range_max: 12000}",
-            "`sensor.range_max` is 12000; expected metres, at most 200; write 12000 mm, or",
+            "`sensor.range_max` is 12000; metres expected, at most 200; write 12000 mm, or",
         ),
-        ("footprint_radius: 25", "expected metres, at most 20; write 25 cm, or 25 m if metres are meant"),
+        ("footprint_radius: 25", "metres expected, at most 20; write 25 cm, or 25 m if metres are meant"),
         (
             "sensor: {sweep_time: 33}",
-            "`sensor.sweep_time` is 33; expected seconds, at most 10; write 33 ms, or 33 s",
+            "`sensor.sweep_time` is 33; seconds expected, at most 10; write 33 ms, or 33 s",
         ),
         (
             "limits: {omega: 90}",
-            "`limits.omega` is 90; expected rad/s, at most 20; write 90 deg/s, or 90 rad/s",
+            "`limits.omega` is 90; rad/s expected, at most 20; write 90 deg/s, or 90 rad/s",
         ),
-        ("limits: {v: 400}", "expected m/s, at most 30; write 400 mm/s"),
-        ("tolerances: {map: 4.5}", "`tolerances.map` is 4.5; expected metres, at most 1; write 4.5 mm"),
-        ("tolerances: {pose_yaw: 1.5}", "expected radians, at most 1; write 1.5 deg"),
+        ("limits: {v: 400}", "m/s expected, at most 30; write 400 mm/s"),
+        ("tolerances: {map: 4.5}", "`tolerances.map` is 4.5; metres expected, at most 1; write 4.5 mm"),
+        ("tolerances: {pose_yaw: 1.5}", "radians expected, at most 1; write 1.5 deg"),
         ("sensor: {rate: 20 kHz}", "`sensor.rate` is 20 kHz; expected at most 10 kHz"),
         ("sensor: {rate: 10 ms}", "expected a number such as 10.0, in hertz or with a unit (Hz, kHz, rpm)"),
         (
@@ -220,7 +220,7 @@ def test_all_quantities_have_units() -> None:
 def test_a_unit_allows_what_a_bare_number_does_not() -> None:
     """A laser may see 250 m; written without a unit this is more likely in cm."""
     assert parse_robot("sensor: {range_max: 250 m}").sensor.range_max == 250
-    with pytest.raises(SensorgraphError, match="250; expected metres, at most 200"):
+    with pytest.raises(SensorgraphError, match="250; metres expected, at most 200"):
         parse_robot("sensor: {range_max: 250}")
 
 

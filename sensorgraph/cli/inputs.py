@@ -228,13 +228,14 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def parse_pose(text: str, option: str = "--start") -> Floats:
-    """Parse X,Y,PHI of an option into a pose (3,) [m, m, rad]."""
+    """Parse X,Y,PHI of an option, each in m or rad or with a unit, into a pose (3,) [m, m, rad]."""
     import numpy as np
 
-    try:
-        pose = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        pose = np.zeros(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise SensorgraphError(f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
-    return pose
+    from sensorgraph.quantities import is_number, pose_of, split_unit
+
+    parts = text.split(",")
+    if len(parts) != 3 or not all(is_number(split_unit(part)[0]) for part in parts):
+        raise SensorgraphError(
+            f"{option} is {text!r}, expected X,Y,PHI in m, m and rad such as 1.0,2.0,0.5, or 1.0,2.0,30 deg"
+        )
+    return np.array(pose_of(parts, option))

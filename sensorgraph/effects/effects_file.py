@@ -18,6 +18,7 @@ from planners.yaml_text import parse_yaml
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.quantities import ANGLE, LENGTH, NO_UNIT, SPEED, TIME, Dimension, quantity
 
 logger = logging.getLogger(__name__)
 
@@ -26,6 +27,8 @@ SHOWN_PLACES = 6
 KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
 OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
 """Effect -> optional parameters, which are neutral if left out."""
+DIMENSIONS = {"": NO_UNIT, "m/m": NO_UNIT, "m": LENGTH, "rad": ANGLE, "s": TIME, "m/s": SPEED}
+"""Unit of a parameter -> its dimension, whose other units a file may use."""
 
 
 def write(amendments: Iterable[Amendment], path: Path) -> None:
@@ -118,8 +121,8 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
         )
     effect = EFFECTS[entry["name"]]
     where = f"{where} ({effect.name})"
-    names = [p.name for p in effect.parameters]
-    parameters = _numbers(entry.get("parameters"), names, where, "parameter")
+    known = {p.name: DIMENSIONS[p.unit] for p in effect.parameters}
+    parameters = _numbers(entry.get("parameters"), known, where, "parameter")
     for p in effect.parameters:
         if p.name not in parameters:
             if p.name in OPTIONAL.get(effect.name, ()):
@@ -137,7 +140,7 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     return Amendment(
         effect=effect,
         parameters=parameters,
-        stderr=_numbers(entry.get("stderr"), names, where, "stderr", is_finite=False),
+        stderr=_numbers(entry.get("stderr"), known, where, "stderr", is_finite=False),
         location=location,
         probability=_optional(entry, "probability", where),
         evidence=_optional(entry, "evidence", where),
@@ -159,7 +162,7 @@ def _location(data: Any, where: str) -> Location | None:
         return Location(name=name)
     if not isinstance(xy, list) or len(xy) != 2:
         raise SensorgraphError(f"{where}: location.xy is {xy!r}, expected [x, y] in m")
-    x, y = (_number(value, f"{where}: location.xy") for value in xy)
+    x, y = (_number(value, f"{where}: location.xy", LENGTH) for value in xy)
     return Location(name=name, xy=(x, y))
 
 
@@ -207,16 +210,17 @@ def _check_part(
 
 
 def _numbers(
-    data: Any, known: Sequence[str], where: str, what: str, *, is_finite: bool = True
+    data: Any, known: Mapping[str, Dimension], where: str, what: str, *, is_finite: bool = True
 ) -> dict[str, float]:
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise SensorgraphError(
             f"{where}: {what} is {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}"
         )
-    _refuse_unknown(data, known, where, what)
+    _refuse_unknown(data, list(known), where, what)
     return {
-        key: _number(value, f"{where}: {what} `{key}`", is_finite=is_finite) for key, value in data.items()
+        key: _number(value, f"{where}: {what} `{key}`", known[key], is_finite=is_finite)
+        for key, value in data.items()
     }
 
 
@@ -225,15 +229,11 @@ def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
     return None if value is None else _number(value, f"{where}: {key}", is_finite=False)
 
 
-def _number(value: Any, where: str, *, is_finite: bool = True) -> float:
-    """Check a number; `1e-3`, which YAML reads as text, is a number too."""
-    try:
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if math.isnan(number) or (is_finite and math.isinf(number)):
-        raise SensorgraphError(f"{where} is {value!r}, expected a number")
-    return number
+def _number(value: Any, where: str, dimension: Dimension = NO_UNIT, *, is_finite: bool = True) -> float:
+    """Return a number in the SI unit of its dimension; without `is_finite`, of any size, as a standard error is."""
+    if not is_finite and isinstance(value, float) and math.isinf(value):
+        return value
+    return quantity(value, where, dimension, most=None if is_finite else math.inf)
 
 
 def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, what: str) -> None:

@@ -29,6 +29,7 @@ from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.resume import driven_poses, other_place_warnings
 from sensorgraph.planning.survey import LaserSurvey, survey_of
 from sensorgraph.planning.views import views_within
+from sensorgraph.quantities import ANGLE, quantity
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.robot import Robot, load_robot
 
@@ -148,6 +149,7 @@ def plan(
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
     _check_views(views, planner, resume)
+    _check_headings(start=start, end=end, dock=dock)
     targets = None if views is None else partial(
         views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
     )  # fmt: skip
@@ -167,6 +169,13 @@ def plan(
     )  # fmt: skip
     _add_notes(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
+
+
+def _check_headings(**poses: Floats | None) -> None:
+    """Refuse poses (3,) whose heading is more than a full turn, as degrees are."""
+    for name, pose in poses.items():
+        if pose is not None and np.shape(pose) == (3,):
+            quantity(float(pose[2]), f"`{name}`: phi", ANGLE)
 
 
 def _default_order(planner: str, machine: Robot, *, is_cut: bool, has_other_order: bool) -> str:

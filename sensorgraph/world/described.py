@@ -11,11 +11,11 @@ import numpy as np
 from logs.run import RangeSensor, Run
 from planners.yaml_text import parse_yaml
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.quantities import ROUNDED
 from sensorgraph.types import Floats
 from sensorgraph.world.ray_order import SAME_BEARING, bearings_text, is_full_turn, ray_order
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.robot_sensor import ANGLE_KEYS
-from sensorgraph.world.robot_values import ROUNDED
 from sensorgraph.world.sweep import FROM_ROBOT, sweep_warning, with_stated_times, with_sweep_of
 
 MOUNT = "mount"

@@ -11,8 +11,9 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import wrap
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.quantities import ROUNDED
 from sensorgraph.types import Floats
-from sensorgraph.world.robot_values import ROUNDED, section
+from sensorgraph.world.robot_values import section
 
 RAYS: dict[str, Any] = {
     "n_rays": 181,
