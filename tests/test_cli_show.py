@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,3 +107,20 @@ def test_what_cannot_be_drawn_is_said_in_one_line(
     assert len(said.splitlines()) == 1
     assert says in said
     assert not list(tmp_path.iterdir())
+
+
+def test_a_ray_shows_its_main_faces_first_and_the_rest_on_request(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["show", str(files / "faces.sensorgraph"), "--ray", "5"]
+    assert cli(words) == 0
+    short = capsys.readouterr().out
+    assert cli([*words, "--all"]) == 0
+    full = capsys.readouterr().out
+    shares = [float(one) for one in re.findall(r"stops it at ([\d.]+) % of poses", full)]
+    assert shares == sorted(shares, reverse=True)
+    shown = re.findall(r"^face \d+", short, re.MULTILINE)
+    assert 4 <= len(shown) <= len(shares) == len(re.findall(r"^face \d+", full, re.MULTILINE))
+    assert ("--all prints them" in short) == (len(shown) < len(shares))
+    assert cli(["show", words[1], "--all"]) == 2
+    assert "--all is for the equation of a ray; give --ray INDEX" in capsys.readouterr().err

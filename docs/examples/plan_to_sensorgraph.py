@@ -21,7 +21,7 @@ print(f"{run.n_scans} scans of {run.sensor.n_rays} rays")
 graph = sg.build("run.mcap")
 graph.save(Path("lab.sensorgraph"))
 print("\nThe ray straight ahead, on the first face (c and s: cosine and sine of phi):")
-print("\n".join(graph.equation(90).splitlines()[2:4]) + "\n")
+print("\n".join(graph.equation(90).splitlines()[2:5]) + "\n")
 
 # Evaluate: score the graph on a run that it has not seen.
 other = sg.record(sg.plan(arena, robot, cell=0.5, headings=8, seed=1), seed=1)

@@ -12,6 +12,7 @@ FLAGS = {
     "dock": "--dock",
     "domain": "--domain",
     "end": "--end",
+    "every": "--all",
     "force": "--force",
     "inputs": "--inputs",
     "lags": "--lags",

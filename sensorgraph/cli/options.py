@@ -109,7 +109,10 @@ PlanViews = Annotated[
 PlanCell = Annotated[float, typer.Option(help="Side of a position cell (m).")]
 PlanHeadings = Annotated[int, typer.Option(help="Number of heading bins in a full turn.")]
 PlanStart = Annotated[
-    str | None, typer.Option(help="Start pose X,Y,PHI (m, m, rad); default: chosen by the planner.")
+    str | None,
+    typer.Option(
+        help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg); default: chosen by the planner."
+    ),
 ]
 PlanEnd = Annotated[str | None, typer.Option(help="End pose X,Y,PHI (m, m, rad); default: at the last bin.")]
 PlanBattery = Annotated[
@@ -313,6 +316,12 @@ PredictPoint = Annotated[str, typer.Option(help="Point value in `ranges`: mode, 
 ShowRay = Annotated[
     int | None, typer.Option(metavar="INDEX", help="Print the equation of the ray with this index.")
 ]
+ShowAll = Annotated[
+    bool,
+    typer.Option(
+        "--all", help="Print all faces of the ray, also those that stop it at less than 1 % of poses."
+    ),
+]
 Bearing = Annotated[
     float | None,
     typer.Option(
@@ -466,7 +475,8 @@ RecordController = Annotated[
     ),
 ]
 RecordStart = Annotated[
-    str | None, typer.Option(help="Start pose X,Y,PHI (m, m, rad) of a replay of commands.")
+    str | None,
+    typer.Option(help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg) of a replay of commands."),
 ]
 RecordEffects = Annotated[
     Path | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sensorgraph.cli.options import Bearing, GraphFile, ShowFigure, ShowRay, ShowRun, TopicsByExample
+from sensorgraph.cli.options import Bearing, GraphFile, ShowAll, ShowFigure, ShowRay, ShowRun, TopicsByExample
 
 if TYPE_CHECKING:
     from sensorgraph.graph import Sensorgraph
@@ -17,6 +17,7 @@ def show(
     graph: GraphFile,
     ray: ShowRay = None,
     bearing: Bearing = None,
+    every: ShowAll = False,
     figure: ShowFigure = None,
     run: ShowRun = None,
     topic: TopicsByExample = None,
@@ -29,18 +30,22 @@ def show(
 
       sensorgraph show square.sensorgraph --ray 67
 
-      sensorgraph show square.sensorgraph --bearing 45
+      sensorgraph show square.sensorgraph --bearing 45 --all
 
       sensorgraph show square.sensorgraph --run run.mcap -o faces.png
     """
     from math import degrees
 
+    from sensorgraph.cli.messages import with_flags
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.models.faces.model import Faces
     from sensorgraph.show.rays import chosen_ray
 
     if run is not None and figure is None:
         raise SensorgraphError("--run is for the picture; give the picture's name with -o faces.png")
+    if every and ray is None and bearing is None:
+        raise SensorgraphError("--all is for the equation of a ray; give --ray INDEX or --bearing DEG")
     model = Sensorgraph.load(graph)
     ray = chosen_ray(model.sensor, ray, bearing)
     if figure is not None:
@@ -48,7 +53,10 @@ def show(
         if ray is None:
             return
     if ray is not None:
-        typer.echo(model.equation(ray))
+        text = model.equation(ray)
+        if isinstance(model.model, Faces) and not every:
+            text = model.model.equation(ray, every=False)
+        typer.echo(with_flags(text))
         low, high = model.sensor.range_min, model.sensor.range_max
         typer.echo(f"predictions are limited to {low:g} ... {high:g} m, the range of the sensor")
         return

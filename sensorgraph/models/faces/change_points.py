@@ -154,6 +154,19 @@ def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
     )
 
 
+def joined_faces(a: FaceSet, b: FaceSet) -> FaceSet:
+    """Concatenate faces, those of `a` first; neighbours refer to `a`."""
+    return FaceSet(
+        normals=np.concatenate([a.normals, b.normals]),
+        offsets=np.concatenate([a.offsets, b.offsets]),
+        first=np.concatenate([a.first, a.first[-1] + b.first[1:]]),
+        edges=np.concatenate([a.edges, b.edges]),
+        levels=np.concatenate([a.levels, b.levels]),
+        blur=np.concatenate([a.blur, b.blur]),
+        neighbour=np.concatenate([a.neighbour, b.neighbour]),
+    )
+
+
 @kernel
 def _list_crossings(
     origins: Any, directions: Any, ranges: Any, range_max: Any, weights: Any, faces: Any, buckets: Any, noise: Any,

@@ -7,9 +7,9 @@ from scipy.special import ndtr
 
 from sensorgraph.models.faces.blurred_edges import MIN_ERROR
 from sensorgraph.models.faces.change_points import Crossings
-from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
 from sensorgraph.models.faces.settings import FACES
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 EDGES = FACES.edges
 
@@ -34,7 +34,14 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
         if best[1] >= 0:
             edges[e], neighbour[e], blur[e] = best[2], best[1], 0.0
     out = faces._replace(edges=edges, neighbour=neighbour, blur=blur)
-    return _with_sorted_edges(out)
+    return _without_empty_stretches(_with_sorted_edges(out))
+
+
+def has_length(faces: FaceSet) -> Bools:
+    """Return a mask (n_faces,) of the faces with a visible stretch of some length; corners may take all of a face."""
+    stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > EDGES.min_length)
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))[:-1]
+    return np.bincount(owner[stretches], minlength=faces.n_faces) > 0
 
 
 def _ends(faces: FaceSet) -> tuple[Ints, Ints]:
@@ -113,6 +120,26 @@ def _with_sorted_edges(faces: FaceSet) -> FaceSet:
         part = slice(faces.first[k], faces.first[k + 1])
         edges[part] = np.maximum.accumulate(edges[part])
     return faces._replace(edges=edges)
+
+
+def _without_empty_stretches(faces: FaceSet) -> FaceSet:
+    """Merge both edges of each stretch that has no length, in faces that have some."""
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    empty = np.zeros(len(owner), dtype=np.bool_)
+    empty[:-1] = (np.diff(faces.edges) <= EDGES.min_length) & (owner[1:] == owner[:-1])
+    empty &= has_length(faces)[owner]
+    blur, neighbour = faces.blur.copy(), faces.neighbour.copy()
+    for j in np.flatnonzero(empty):  # in order, so that several in a row are merged into the last
+        if neighbour[j] >= 0 and neighbour[j + 1] < 0:
+            blur[j + 1], neighbour[j + 1] = blur[j], neighbour[j]
+    keep = ~empty
+    return faces._replace(
+        first=np.concatenate([[0], np.cumsum(np.bincount(owner[keep], minlength=faces.n_faces))]),
+        edges=faces.edges[keep],
+        levels=faces.levels[keep],
+        blur=blur[keep],
+        neighbour=neighbour[keep],
+    )
 
 
 def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:

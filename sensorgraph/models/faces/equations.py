@@ -7,40 +7,44 @@ import math
 import numpy as np
 
 from sensorgraph.models.calibration.ray_terms import RayTerms
+from sensorgraph.models.faces.data import FacesData
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
-from sensorgraph.models.faces.visibility import ReturnNoise
+from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.stops import stop_shares
 from sensorgraph.types import Floats
 
 
-def face_equations(
-    faces: FaceSet,
-    hits: Floats,
-    noise: ReturnNoise,
-    terms: RayTerms,
-    mount: Floats,
-    *,
-    ray: int,
-    bearing: float,
-) -> list[str]:
-    """Return the equations of a ray as text, face by face, in the order of the returns that the faces explain.
+def face_equations(model: FacesData, start: Floats, *, ray: int, every: bool) -> list[str]:
+    """Return the equations of a ray as text, face by face, those first that stop it at the most poses.
 
     Parameters
     ----------
-    hits : (n_faces,) Training returns of each face.
-    mount : (3,) [m, m, rad] Pose of the laser in the frame of the poses.
-    bearing : [rad] Bearing of the ray in the laser frame.
+    start : (3,) [m, m, rad] Start of the ray in the frame of the poses.
+    every : Print every face and stretch. False: those that stop the ray at 1 % of the poses or more.
     """
+    faces, bearing = model.faces, float(model.sensor.bearings[ray])
+    shares = stop_shares(faces, model.observed, start, bearing, model.sensor.range_max)
+    of_faces = np.add.reduceat(shares, faces.first[:-1]) if faces.n_faces else np.zeros(0)
+    least = -1.0 if every else FACES.prediction.shown_share
     lines = [
         f"ray {ray}, bearing {math.degrees(bearing):.2f}°: the first of these faces that stops it",
         "(x, y, phi: pose; c = cos phi, s = sin phi; only faces with a negative denominator count)",
     ]
-    for k in np.argsort(-hits, kind="stable").tolist():
-        lines.append(f"face {k}: r = {_rational(faces, k, mount, float(bearing + mount[2]))}")
-        lines.append(f"    stops it where {_visible_stretches(faces, k)}")
+    for k in np.lexsort((-model.hits, -of_faces)).tolist():
+        if of_faces[k] >= least:
+            lines.append(f"face {k}: r = {_rational(faces, k, start, bearing + float(start[2]))}")
+            lines += _visible_stretches(faces, k, shares, least)
+    if rare := int((of_faces < least).sum()):
+        lines.append(
+            f"{rare} more face{'s' * (rare > 1)}, each at less than {100 * least:g} % of poses, "
+            f"{100 * of_faces[of_faces < least].sum():.1f} % together; `every` prints them"
+        )
+    noise = model.noise
     spread = f"{noise.sigma:.4f} m"
     if noise.sigma_xy > 0 or noise.sigma_yaw > 0:
         spread += f" of range, {noise.sigma_xy:.4f} m and {noise.sigma_yaw:.5f} rad of pose"
-    return [*lines, *_laser_terms(terms, ray), f"the standard deviation of a return is {spread}"]
+    terms = _laser_terms(model.calibration.terms, ray)
+    return [*lines, *terms, f"the standard deviation of a return is {spread}"]
 
 
 def _laser_terms(terms: RayTerms, ray: int) -> list[str]:
@@ -64,16 +68,26 @@ def _rational(faces: FaceSet, k: int, mount: Floats, bearing: float) -> str:
     return f"({above}) / ({below})"
 
 
-def _visible_stretches(faces: FaceSet, k: int) -> str:
-    """Return the visible stretches of a face as text, in terms of the abscissa t along it."""
-    a, b = faces.first[k], faces.first[k + 1] - 1
-    (nx, ny), edges, levels = faces.normals[k], faces.edges, faces.levels
-    parts = [
-        f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (probability {levels[j]:.3f})"
-        for j in range(a, b)
-        if levels[j] > MIN_VISIBILITY
+def _visible_stretches(faces: FaceSet, k: int, shares: Floats, least: float) -> list[str]:
+    """Return two lines: where a face stops the ray, in map and at which share of poses; and the same along it (t)."""
+    edges, levels = faces.edges, faces.levels
+    own = np.arange(faces.first[k], faces.first[k + 1] - 1)
+    own = own[levels[own] > MIN_VISIBILITY]
+    if len(own) == 0:
+        return ["    stops it nowhere"]
+    if (shares[own] >= least).any():
+        own = own[shares[own] >= least]
+    (nx, ny), foot = faces.normals[k], faces.normals[k] * faces.offsets[k]
+    ends = [foot + edges[j] * faces.tangents[k] for j in (own[0], own[-1] + 1)]
+    a, b = (", ".join(f"{value + 0.0:.2f}" for value in end.round(2)) for end in ends)
+    share = 100 * float(shares[faces.first[k] : faces.first[k + 1]].sum())
+    length = float(edges[own[-1] + 1] - edges[own[0]])
+    where = f"near ({a})" if length < 0.1 else f"from ({a}) to ({b})"
+    along = ", ".join(f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (probability {levels[j]:.3f})" for j in own)
+    return [
+        f"    stops it at {share:.1f} % of poses, {where}",
+        f"    stops it where {along}; t = {sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}",
     ]
-    return f"{', '.join(parts)}; t = {sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}"
 
 
 def sum_text(parts: list[tuple[float, str]]) -> str:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, is_visible, take_faces
-from sensorgraph.models.faces.corners import join_corners, with_edge_errors
+from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.redundant import without_redundant_faces
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.splits import split_bent_faces
 from sensorgraph.models.faces.strata import spread_evenly
@@ -75,16 +76,21 @@ def fit_faces(
         faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
         work.add((SPLIT_PASSES + FIT.round_passes) * len(draft))
         logger.info("%d faces, %.4f nats per ray", faces.n_faces, expectation.log_likelihood / len(draft))
+    faces = without_redundant_faces(draft, faces, noise)
+    logger.info("%d faces, none redundant", faces.n_faces)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     work.add(len(draft))
     faces, noise, expectation = _em(final, faces, noise, passes=1)
+    faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
     crossings = crossings_of(final, faces, noise, pose_errors)
     faces = fit_stretches(faces, crossings)
     seen_faces = np.flatnonzero(is_visible(faces))
     faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
     work.add(3 * len(final))
     faces = join_corners(faces, crossings)
+    seen_faces = np.flatnonzero(has_length(faces))
+    faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
     expectation = e_step(final, faces, noise)
     counted = final if rays.weights is None or len(final) < len(rays) else rays
     summed = expectation if counted is final else e_step(counted, faces, noise)

@@ -267,14 +267,14 @@ class Faces(FacesData):
         )  # fmt: skip
         return out
 
-    def equation(self, ray: int) -> str:
-        """Return the equations of one ray as text, face by face, in the order of the returns that the faces explain."""
+    def equation(self, ray: int, *, every: bool = True) -> str:
+        """Return the equations of one ray as text, face by face, those first that stop it at the most poses.
+
+        `every` False leaves out faces and stretches that stop it at less than 1 % of the poses.
+        """
         if measures_cones(self.sensor):
             return "\n".join(cone_equations(self, _start_of(ray, self.sensor, self.mount), ray))
-        lines = face_equations(
-            self.faces, self.hits, self.noise, self.calibration.terms, _start_of(ray, self.sensor, self.mount),
-            ray=ray, bearing=float(self.sensor.bearings[ray]),
-        )  # fmt: skip
+        lines = face_equations(self, _start_of(ray, self.sensor, self.mount), ray=ray, every=every)
         if self.cells is not None:
             lines += ["", "the faces leave too much of this log unexplained, so cells predict:"]
             lines.append(self.cells.equation(ray))

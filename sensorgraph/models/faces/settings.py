@@ -180,6 +180,8 @@ class FaceEdgeSettings:
     """Factor on the minimum visibility of the march below which a stretch is set to 0."""
     corner_distance: float = 0.03
     """[m] Distance within which two ends may form a corner."""
+    min_length: float = 1e-6
+    """[m] Length up to which a stretch between two corners is empty."""
     max_blur: float = 0.03
     """[m] Upper limit of the standard error of an edge's position."""
     max_loss: float = 6.0
@@ -234,6 +236,8 @@ class FaceFitSettings:
     """Maximum number of first selections."""
     min_face_gain: float = 8.0
     """[nats] Minimum gain in log likelihood of a face."""
+    redundancy_passes: int = 3
+    """EM iterations of the visibility of faces without redundant ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,6 +263,10 @@ class FacePredictionSettings:
     """Probability of a stop below which a face is not a candidate."""
     edge_sigmas: float = 4.0
     """Distance from an edge within which it is blurred, in standard errors."""
+    shown_poses: int = 4096
+    """Number of poses for the shares of poses in printed equations; each is known to 0.5 % or better."""
+    shown_share: float = 0.01
+    """Share of poses below which a face or a stretch of it is printed only on request."""
     min_edge_variance: float = 1e-8
     """[m²] Lower limit of the variance of an edge's position."""
 

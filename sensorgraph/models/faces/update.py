@@ -11,9 +11,10 @@ from sensorgraph.models.faces.change_points import (
     crossings_of,
     fit_stretches,
     is_visible,
+    joined_faces,
     take_faces,
 )
-from sensorgraph.models.faces.corners import join_corners, with_edge_errors
+from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -72,7 +73,7 @@ def update_faces(
     )
     old = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
-    faces = _concatenated(faces, binned_faces(lines))
+    faces = joined_faces(faces, binned_faces(lines))
     for _ in range(UPDATE.em_passes):
         expectation = e_step(rays, faces, noise)
         faces = faces._replace(levels=_visibility(faces, expectation, old, scale))
@@ -95,25 +96,15 @@ def update_faces(
     faces, held_lines = take_faces(faces, index), held_lines[index]
     crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
     faces = join_corners(faces, crossings)
+    index = np.flatnonzero(has_length(faces))
+    faces, held_lines = take_faces(faces, index), held_lines[index]
+    crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
     expectation = e_step(rays, faces, noise)
     new = SufficientStatistics.of(rays, faces, expectation, stored_crossings, n_rays=n_rays)
     total = _merge_statistics(old, new, held_lines, faces, crossings)
     stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *FACES.expectation.stray_range)
     noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total
-
-
-def _concatenated(a: FaceSet, b: FaceSet) -> FaceSet:
-    """Concatenate faces, those of `a` first; neighbours refer to `a`."""
-    return FaceSet(
-        normals=np.concatenate([a.normals, b.normals]),
-        offsets=np.concatenate([a.offsets, b.offsets]),
-        first=np.concatenate([a.first, a.first[-1] + b.first[1:]]),
-        edges=np.concatenate([a.edges, b.edges]),
-        levels=np.concatenate([a.levels, b.levels]),
-        blur=np.concatenate([a.blur, b.blur]),
-        neighbour=np.concatenate([a.neighbour, b.neighbour]),
-    )
 
 
 def _with_new_faces(
