@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -148,8 +148,7 @@ def plan(
     """
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
-    _check_views(views, planner, resume)
-    _check_headings(start=start, end=end, dock=dock)
+    _check(views, planner, resume, {"start": start, "end": end, "dock": dock})
     targets = None if views is None else partial(
         views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
     )  # fmt: skip
@@ -169,13 +168,6 @@ def plan(
     )  # fmt: skip
     _add_notes(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
-
-
-def _check_headings(**poses: Floats | None) -> None:
-    """Refuse poses (3,) whose heading is more than a full turn, as degrees are."""
-    for name, pose in poses.items():
-        if pose is not None and np.shape(pose) == (3,):
-            quantity(float(pose[2]), f"`{name}`: phi", ANGLE)
 
 
 def _default_order(planner: str, machine: Robot, *, is_cut: bool, has_other_order: bool) -> str:
@@ -220,8 +212,13 @@ def _survey(
     return survey
 
 
-def _check_views(views: int | None, planner: str, resume: object | None) -> None:
-    """Reject arguments that contradict a plan of views."""
+def _check(
+    views: int | None, planner: str, resume: object | None, poses: Mapping[str, Floats | None]
+) -> None:
+    """Reject headings of more than a full turn, as degrees are, and arguments that contradict a plan of views."""
+    for name, pose in poses.items():
+        if pose is not None and np.shape(pose) == (3,):
+            quantity(float(pose[2]), f"`{name}`: phi", ANGLE)
     if views is None:
         if planner == "views":
             raise PlanError("the planner views needs the number of poses; give `views`")
