@@ -149,8 +149,6 @@ class Tracker:
                 prior_information=information_at(predicted, deviations),
                 settings=self.matching,
             )
-        if deviations is not None:
-            first = self._by_wheels(k, points, normals, first)
         off = np.zeros(3) if deviations is None else compose(invert(predicted), first.pose) / deviations
         is_other = first.agreement < s.min_continuity * self.state.agreement or bool(
             (np.abs(off) > s.max_slip).any()
@@ -164,33 +162,6 @@ class Tracker:
                 False  # no scan between the two was matched
             )
         return found
-
-    def _by_wheels(self, k: int, points: Floats, normals: Floats, first: Match) -> Match:
-        """Return a match at the odometry since the last key frame, if a match that contradicts it fits no better.
-
-        Returns that move with the robot, such as reflections or a crowd, hold each scan back by a little; over many
-        scans this adds up to far more than the odometry can be wrong.
-        """
-        state, s = self.state, self.settings
-        if not self._is_odometry_whole(state.key_frames[-1], k):
-            return first
-        predicted, deviations = self._predict(k, state.key_frames[-1])
-        if deviations is None or state.surfaces is None:
-            return first
-        off = np.abs(compose(invert(predicted), first.pose)) / deviations
-        if (off < s.max_pull).all():
-            return first
-        held = np.where(off < s.max_pull, deviations, s.held * deviations)
-        other = match(
-            points,
-            normals,
-            state.surfaces,
-            predicted,
-            prior_information=information_at(predicted, held),
-            settings=self.matching,
-        )
-        is_as_good = other.agreement > first.agreement - s.agreement_error
-        return other if is_as_good and other.noise < s.noise_growth * first.noise else first
 
     def _is_covered(self, k: int) -> bool:
         """Tell whether all returns of a scan are within the match radius, as with a covered laser."""

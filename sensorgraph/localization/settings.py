@@ -147,16 +147,6 @@ class FrontEndSettings:
     max_slip: float = 20.0
     """Deviation of a match from its odometry pose, in standard deviations of the odometry, beyond which
     continuity is not known. One of the 11,383 scans exceeded it, at 22."""
-    max_pull: float = 2.0
-    """Deviation of a match from the odometry since the last key frame, in standard deviations, above which a
-    match at the odometry is preferred if it fits as well."""
-    held: float = 0.1
-    """Factor on the deviations of the odometry for this match, along the parts of the motion that differ."""
-    noise_growth: float = 1.5
-    """Maximum ratio of the scatter of this match to that of the free one: a scatter of 1 cm grows further where
-    the odometry slipped by more than `sigma`."""
-    agreement_error: float = 0.05
-    """Standard error of an agreement: that of a share of 0.85 of 50 independent points."""
     min_overlap: float = 0.3
     """Minimum share of the points with a surface near them."""
     min_share_elsewhere: float = 0.85
