@@ -24,8 +24,8 @@ from sensorgraph.work_counter import WorkCounter
 logger = logging.getLogger(__name__)
 
 FIT = FACES.fit
-SELECT_PASSES, SPLIT_PASSES, FINAL_PASSES = 4, 2, 5
-"""Approximate cost of a selection, a split and the last fit in passes over the rays; used for progress only."""
+SELECT_PASSES, SPLIT_PASSES, REDUNDANCY_PASSES, FINAL_PASSES = 4, 2, 5, 5
+"""Approximate cost of a selection, a split, the removal of redundant faces and the last fit in passes over the rays; used for progress only."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +80,7 @@ def fit_faces(
     logger.info("%d faces, none redundant", faces.n_faces)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
-    work.add(len(draft))
+    work.add((REDUNDANCY_PASSES + 1) * len(draft))
     faces, noise, expectation = _em(final, faces, noise, passes=1)
     faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
     crossings = crossings_of(final, faces, noise, pose_errors)
@@ -170,4 +170,6 @@ def _thinned(rays: Rays, most: int) -> Rays:
 def fit_cost(n_rays: int) -> int:
     """Return the approximate number of rays that `fit_faces` processes in all its passes, as a measure of its time."""
     draft, final = min(n_rays, FIT.draft_rays), min(n_rays, FIT.final_rays)
-    return (SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + 1) * draft + FINAL_PASSES * final
+    return (
+        SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + REDUNDANCY_PASSES + 1
+    ) * draft + FINAL_PASSES * final

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from sensorgraph.models.faces.change_points import joined_faces, take_faces
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid
+from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     Rays,
@@ -36,19 +36,33 @@ def without_redundant_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> F
     FaceSet in bins, whose visibility is that of the EM.
     """
     lines = visible_lines(faces)
-    suspect, reach = _covered(lines, e_step(rays, faces, noise).line_sums, noise)
+    expectation = e_step(rays, faces, noise)
+    suspect, reach = _covered(lines, expectation.line_sums, noise)
     if not suspect.any():
         return faces
-    others = Lines(normals=lines.normals, offsets=lines.offsets, spans=reach).take(np.flatnonzero(~suspect))
-    fewer = binned_faces(others)
+    hosts, suspects = np.flatnonzero(~suspect), np.flatnonzero(suspect)
+    others = Lines(normals=lines.normals, offsets=lines.offsets, spans=reach).take(hosts)
+    fewer = _grown(take_faces(faces, hosts), others)
     for _ in range(FACES.fit.redundancy_passes):
         fewer = _settled(rays, fewer, noise)
-    suspects = np.flatnonzero(suspect)
-    loss = _losses(rays, lines.take(suspects), faces, fewer, noise)
-    needed = suspects[loss > 0]
-    return (
-        fewer if len(needed) == 0 else _settled(rays, joined_faces(fewer, take_faces(faces, needed)), noise)
-    )
+    without = e_step(rays, fewer, noise)
+    loss = _losses(rays, expectation.nats - without.nats, lines.take(suspects), noise)
+    fewer, needed = m_step(fewer, without, noise, refit=False)[0], suspects[loss > 0]
+    if len(needed) == 0:
+        return fewer
+    return _settled(rays, joined_faces(fewer, take_faces(faces, needed)), noise)
+
+
+def _grown(faces: FaceSet, lines: Lines) -> FaceSet:
+    """Return faces in bins over the spans of `lines`, with the visibility that they have so far."""
+    grown = binned_faces(lines)
+    levels, middles = grown.levels.copy(), grown.edges + FACES.expectation.first_bin / 2
+    for k in range(faces.n_faces):
+        old, new = (slice(one.first[k], one.first[k + 1] - 1) for one in (faces, grown))
+        at = np.searchsorted(faces.edges[old], middles[new], side="right") - 1
+        known = (at >= 0) & (middles[new] < faces.edges[faces.first[k + 1] - 1])
+        levels[new] = np.where(known, faces.levels[old][np.maximum(at, 0)], levels[new])
+    return grown._replace(levels=levels)
 
 
 def _settled(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> FaceSet:
@@ -88,10 +102,14 @@ def _covered(lines: Lines, sums: Floats, noise: ReturnNoise) -> tuple[Bools, Flo
     return covered, spans
 
 
-def _losses(rays: Rays, lines: Lines, faces: FaceSet, fewer: FaceSet, noise: ReturnNoise) -> Floats:
-    """Return the log likelihood (n_lines,) [nats] that the rays which end at each line lose with fewer faces.
+def _losses(rays: Rays, lost: Floats, lines: Lines, noise: ReturnNoise) -> Floats:
+    """Return the log likelihood (n_lines,) [nats] that the rays which end at each line lose without the lines.
 
     The complexity penalty of a line, as in a split, is subtracted.
+
+    Parameters
+    ----------
+    lost : (n,) [nats] Log likelihood that each ray loses.
     """
     tangents = np.stack([-lines.normals[:, 1], lines.normals[:, 0]], axis=1)
     middles = lines.normals * lines.offsets[:, None] + tangents * lines.spans.mean(axis=1)[:, None]
@@ -99,14 +117,7 @@ def _losses(rays: Rays, lines: Lines, faces: FaceSet, fewer: FaceSet, noise: Ret
     returned = np.flatnonzero(np.isfinite(rays.ranges))
     found = cKDTree(middles).query(rays.hits[returned], distance_upper_bound=float(radii.max()))
     far, nearest = np.asarray(found[0]), np.asarray(found[1])
-    grids = bucket_grid(faces), bucket_grid(fewer)
-    loss = np.zeros(len(lines))
-    for k in range(len(lines)):
-        own = rays.take(returned[np.flatnonzero((nearest == k) & (far < radii[k]))])
-        loss[k] = (
-            e_step(own, faces, noise, grids[0]).log_likelihood
-            - e_step(own, fewer, noise, grids[1]).log_likelihood
-            - FACES.splits.min_gain
-            - np.log(max(len(own), 1))
-        )
-    return loss
+    near = far < np.append(radii, 0.0)[nearest]  # a ray without a line nearby has the index n_lines
+    count = np.bincount(nearest[near], minlength=len(lines))
+    loss = np.bincount(nearest[near], weights=lost[returned[near]], minlength=len(lines))
+    return np.asarray(loss - FACES.splits.min_gain - np.log(np.maximum(count, 1)))

@@ -236,7 +236,7 @@ class FaceFitSettings:
     """Maximum number of first selections."""
     min_face_gain: float = 8.0
     """[nats] Minimum gain in log likelihood of a face."""
-    redundancy_passes: int = 3
+    redundancy_passes: int = 2
     """EM iterations of the visibility of faces without redundant ones."""
 
 

@@ -110,6 +110,8 @@ class Expectation:
     """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
     unexplained: Floats
     """(n,) probability that the ray returned without a face stopping it."""
+    nats: Floats
+    """(n,) log likelihood of each ray, without its weight."""
     log_likelihood: float
     """Log likelihood of all rays."""
     distance: float
@@ -161,10 +163,10 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
     buckets = bucket_grid(faces) if buckets is None else buckets
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
-    unexplained, total = np.zeros(len(rays)), np.zeros(2)
+    unexplained, nats, total = np.zeros(len(rays)), np.zeros(len(rays)), np.zeros(2)
     _e_step(
         rays.origins, rays.directions, rays.ranges, rays.range_max, weights_of(rays), faces, buckets, noise.array,
-        stops, reached, lines, spread, unexplained, total,
+        stops, reached, lines, spread, unexplained, nats, total,
     )  # fmt: skip
     return Expectation(
         stops=stops,
@@ -172,6 +174,7 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
         line_sums=lines,
         noise_sums=spread,
         unexplained=unexplained,
+        nats=nats,
         log_likelihood=float(total[0]),
         distance=float(total[1]),
     )
@@ -319,6 +322,7 @@ def _e_step(
     lines: Any,
     spread: Any,
     unexplained: Any,
+    nats: Any,
     total: Any,
 ) -> Any:
     normals, _, first, _, levels, _, _ = faces
@@ -334,7 +338,8 @@ def _e_step(
         n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
         value, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         count = weights[i] if len(weights) else 1.0
-        total[0] += count * np.log(max(value, MIN_LIKELIHOOD))
+        nats[i] = np.log(max(value, MIN_LIKELIHOOD))
+        total[0] += count * nats[i]
         total[1] += count * min(z, range_max)
         unexplained[i] = stray
         for m in range(n):
