@@ -236,6 +236,6 @@ def parse_pose(text: str, option: str = "--start") -> Floats:
     parts = text.split(",")
     if len(parts) != 3 or not all(is_number(split_unit(part)[0]) for part in parts):
         raise SensorgraphError(
-            f"{option} is {text!r}, expected X,Y,PHI in m, m and rad such as 1.0,2.0,0.5, or 1.0,2.0,30 deg"
+            f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5 in m, m and rad, or 1.0,2.0,30 deg"
         )
     return np.array(pose_of(parts, option))
