@@ -59,7 +59,7 @@ def test_start_takes_units_and_refuses_degrees_without_one() -> None:
     ):
         parse_pose("1,2,90", "--end")
     for text in ("1,2", "1,2,3,4", "a,b,c", "1,2,nan", "1,,2"):
-        with pytest.raises(SensorgraphError, match="expected X,Y,PHI such as 1.0,2.0,0.5 in m, m and rad"):
+        with pytest.raises(SensorgraphError, match=r"expected X,Y,PHI such as 1.0,2.0,0.5 in m, m and rad"):
             parse_pose(text)
     with pytest.raises(
         SensorgraphError, match=r"--start: y is '2 deg', expected a number, in metres or with a unit \(m"
