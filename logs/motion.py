@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from logs.run import Pairing, PoseFrame, RangeSensor, Run
+from logs.sensor import PoseFrame, RangeSensor
 from logs.transforms import compose, invert, wrap
 from logs.types import Floats, Ints
 
@@ -25,6 +26,34 @@ MIN_JUDGED = 8
 
 SAME_STAMP = 1e-6
 """[s] closer stamps count as equal: their difference is rounding and defines no velocity."""
+
+
+class Recorded(Protocol):
+    """What this module needs of `logs.run.Run`, which describes the fields."""
+
+    @property
+    def sensor(self) -> RangeSensor: ...
+    @property
+    def stamps(self) -> Floats: ...
+    @property
+    def ranges(self) -> Floats: ...
+    @property
+    def pose_stamps(self) -> Floats: ...
+    @property
+    def poses(self) -> Floats: ...
+    @property
+    def pose_frame(self) -> PoseFrame: ...
+    @property
+    def odom_stamps(self) -> Floats: ...
+    @property
+    def odometry(self) -> Floats: ...
+
+
+class Paired(Protocol):
+    """What this module needs of `logs.run.Pairing`."""
+
+    @property
+    def poses(self) -> Floats: ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +109,7 @@ def _velocities(stamps: Floats, poses: Floats) -> Floats:
     return np.concatenate([slope[:1], np.clip(inner, -most, most), slope[-1:]])
 
 
-def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
+def motion_of(run: Recorded, *, use_odometry: bool = True) -> Motion:
     """Return the motion from the reference poses, with odometry between reference poses at a low rate.
 
     Odometry is used where at least `MIN_ODOMETRY` odometry poses lie between two reference poses. Its mismatch at the
@@ -104,7 +133,7 @@ def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
     return Motion(stamps=stamps, poses=_unwrapped(poses))
 
 
-def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None = None) -> Floats:
+def ray_poses(run: Recorded, pairing: Paired, scans: Ints, *, motion: Motion | None = None) -> Floats:
     """Return the poses from which the rays of some scans are taken.
 
     Parameters
@@ -148,7 +177,7 @@ def _unwrapped(poses: Floats) -> Floats:
     return np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
 
 
-def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | None:
+def _between_references(run: Recorded, stamps: Floats, poses: Floats) -> Motion | None:
     """Return the odometry poses between reference poses, transformed to map; None if odometry is not used."""
     known = np.isfinite(run.odometry).all(axis=1)
     when, odometry = run.odom_stamps[known], run.odometry[known]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         review,
     )
     from sensorgraph.effects import EFFECTS
-    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.graph import Sensorgraph, load
     from sensorgraph.identification.design import design
     from sensorgraph.identification.design_task import DesignTask
     from sensorgraph.loading import load_arena
@@ -57,6 +57,7 @@ __all__ = [
     "evaluate",
     "export",
     "identify",
+    "load",
     "load_arena",
     "load_robot",
     "locate",
@@ -72,6 +73,7 @@ _HOMES = {
     "Arena": "planners.arena",
     "Robot": "sensorgraph.world.robot",
     "Sensorgraph": "sensorgraph.graph",
+    "load": "sensorgraph.graph",
     "DesignTask": "sensorgraph.identification.design_task",
     "design": "sensorgraph.identification.design:design",
     "load_arena": "sensorgraph.loading",

@@ -202,20 +202,22 @@ def evaluate(
 
 
 @as_sensorgraph_error
-def predict(graph: GraphLike, poses: ArrayLike | Path, *, point: Point = "mode") -> Prediction:
-    """Predict every ray at given poses: arrays (n_poses, n_rays).
+def predict(
+    graph: GraphLike, poses: ArrayLike | Path, *, rays: Sequence[int] | None = None, point: Point = "mode"
+) -> Prediction:
+    """Predict rays at given poses: arrays (n_poses, n_rays).
 
     Parameters
     ----------
-    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map; or a CSV with these columns.
-    point : Point value of the mixture in `ranges`.
+    poses : As `Sensorgraph.predict` takes them, or a CSV with the columns x, y, phi.
+    rays, point : Indices of the predicted rays (None: all), and point value of the mixture in `ranges`.
 
     Raises
     ------
     SensorgraphError : A pose is not finite, or is far from any arena.
     """
     where = read_poses(Path(poses)) if isinstance(poses, str | Path) else np.asarray(poses, dtype=np.float64)
-    return _graph(graph).predict(np.atleast_2d(where), point=point)
+    return _graph(graph).predict(np.atleast_2d(where), rays=rays, point=point)
 
 
 @as_sensorgraph_error
@@ -322,8 +324,7 @@ def review(
     ----------
     path : Recording to write, `*.rrd`.
     graph : Sensorgraph to compare with the run.
-    plan : Plan, or its folder, whose path is drawn.
-    arena : Arena whose walls are drawn. None: the arena kept in the run.
+    plan, arena : Plan, or its folder, and arena that are drawn. Without an arena: the one kept in the run.
     ray : Index of the ray whose time series is shown. None: the ray straight ahead.
     force : Accept a run whose poses jump.
 

@@ -2,44 +2,40 @@
 
 from __future__ import annotations
 
-import io
-import json
-import math
 import textwrap
-import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from logs.files import atomic_file
 from logs.html_table import html_table
-from logs.inflation import most_plain
 from logs.motion import to_ray_starts
-from logs.run import PoseFrame, RangeSensor, rare_times, with_rare_times
+from logs.run import PoseFrame, RangeSensor, rare_times
+from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models import MODELS
+from sensorgraph.graph_file import FORMAT, SENSOR_FIELDS, VERSION, read_graph, sensor_arrays, write_members
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
+from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.thin_rays import noise_of_poses
 from sensorgraph.models.residual_memory import ResidualMemory
-from sensorgraph.models.stored_numbers import check_numbers
+from sensorgraph.sensor_model import (
+    GraphRays,
+    Unanswered,
+    check_poses,
+    check_readings,
+    likelihood_of,
+    sample_of,
+    warn_of_sweep,
+)
+from sensorgraph.show.figures.model_figure import model_figure
 from sensorgraph.types import Floats, Progress
 
-FORMAT = "sensorgraph"
-VERSION = 1
-"""Version of the file format; a reader refuses a newer one."""
 POSES_AT_A_TIME = 2048
 """Number of poses predicted together; it limits memory and sets the interval of progress reports."""
-MAX_POSE_DISTANCE = 1e8
-"""[m] Largest accepted distance of a pose from the origin of map."""
-MAX_HEADING = 100.0
-"""[rad] Largest accepted heading: unwrapped ones grow by full turns, and larger ones are probably degrees."""
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # a fixed date, so that the same graph gives the same bytes
-_MAY_BE_NAN = ("calibration.offset_se",)
-"""Arrays of a file in which nan marks a quantity that was not identified."""
-_SENSOR_FIELDS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +49,7 @@ class Sensorgraph:
     origin: Mapping[str, Any]
     """Origin of the graph as plain data: `version`, `inputs`, `options`, `split` and counts."""
     memory: ResidualMemory | None = None
-    """Correlation of the residuals between places and times, used for drawing only; None: not identified."""
+    """Correlation of the residuals between places and times, for draws and likelihoods; None: not identified."""
 
     def predict(
         self,
@@ -80,24 +76,99 @@ class Sensorgraph:
         Raises
         ------
         ValueError : The poses have another shape.
-        SensorgraphError : A pose is not finite or too far from the origin, a ray or point value is unknown, or headings are
-            in degrees. Unwrapped headings, of several turns, are accepted up to 100 rad; not if one exceeds a
-            turn and all are whole numbers.
+        SensorgraphError : A pose is not finite or too far away, a ray or point value is unknown, or headings are in degrees
+            (above 100 rad, or above a turn where all are whole numbers).
         """
-        poses = np.asarray(poses, dtype=np.float64)
-        index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
-        self._check_rays(index)
-        self._check_poses(poses, len(index))
+        poses, index = self._asked(poses, rays)
         if point not in POINTS:
             raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
-        if poses.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
-            poses = to_ray_starts(poses[:, None], self.sensor, self.pose_frame)[:, index]
         parts = []
         for first in range(0, max(len(poses), 1), POSES_AT_A_TIME):
             if progress is not None:
                 progress(first, len(poses))
             parts.append(self._predict_some(poses[first : first + POSES_AT_A_TIME], index, point))
-        return parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
+        found = parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
+        return replace(found, rays=GraphRays(graph=self, poses=poses, rays=index))
+
+    def log_likelihood(
+        self,
+        ranges: ArrayLike,
+        poses: ArrayLike,
+        *,
+        rays: Sequence[int] | NDArray[np.integer] | None = None,
+        correlated: bool = True,
+        per_ray: bool = False,
+        unanswered: Unanswered = "broad",
+    ) -> Floats:
+        """Return the log-likelihood of readings at poses: log p(ranges | pose), as a particle filter needs it.
+
+        A return has a density [1/m]. No return (+inf or beyond range_max), too close (-inf or below range_min) and a
+        broken reading (nan, which counts nothing) are readings, too (`models.likelihood` has the equations).
+
+        Parameters
+        ----------
+        ranges : (n_rays,) [m] one scan, judged at every pose; or (n_poses, n_rays): one scan for each pose.
+        poses : (n_poses, 3) or (3,) [m, m, rad] of `pose_frame` in map; or (n_poses, n_rays, 3), one pose for each ray.
+        rays : Indices of the rays that count. None: all rays.
+        correlated : Temper the sum by the correlation of neighbouring readings, which `memory` knows.
+        per_ray : Return the terms of the sum, (n_poses, n_rays).
+        unanswered : What rays count that no training ray crossed. "broad": any reading is as probable; "skip": nothing.
+
+        Returns
+        -------
+        (n_poses,) log-likelihoods, or (n_poses, n_rays) with `per_ray`.
+
+        Raises
+        ------
+        SensorgraphError : The ranges are of another sensor or unit, or all poses are outside the map.
+        """
+        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        if where.ndim == 2 and self.sensor.scan_duration > 0:
+            warn_of_sweep(self.sensor.scan_duration)
+        readings = check_readings(ranges, len(where), index, self.sensor)
+        return likelihood_of(
+            self, readings, where, index, correlated=correlated, per_ray=per_ray, unanswered=unanswered
+        )
+
+    def sample(
+        self,
+        poses: ArrayLike,
+        n: int = 1,
+        seed: int = 0,
+        *,
+        rays: Sequence[int] | NDArray[np.integer] | None = None,
+        residual_memory: bool = True,
+    ) -> Floats:
+        """Draw scans at poses: (n, n_poses, n_rays) [m]; +inf: no return, -inf: closer than range_min.
+
+        Parameters
+        ----------
+        poses : (n_poses, 3) or (3,) [m, m, rad] of `pose_frame` in map; or (n_poses, n_rays, 3), one pose for each ray.
+        n : Number of draws; each is of another possible world, which all poses share.
+        seed : Random seed; the same seed gives the same scans.
+        residual_memory : Draw readings that end near each other with correlated errors, as the log had them.
+        """
+        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        return sample_of(self, where, n, seed, index, residual_memory=residual_memory)
+
+    def lasers(self, poses: Floats) -> Floats:
+        """Return the poses (..., 3) of the laser in map for poses (..., 3) of `pose_frame`."""
+        mount = getattr(self.model, "mount", self.sensor.mount)
+        return poses if self.pose_frame == "laser" else np.asarray(compose(poses, mount))
+
+    def _asked(
+        self, poses: Floats, rays: Sequence[int] | NDArray[np.integer] | None
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        """Return checked poses, one for each ray where the rays start at several points, and the indices of rays."""
+        poses = np.asarray(poses, dtype=np.float64)
+        index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
+        self._check_rays(index)
+        check_poses(poses, len(index))
+        if poses.ndim == 3 and poses.shape[1] == 1:
+            poses = poses[:, 0]
+        if poses.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
+            poses = to_ray_starts(poses[:, None], self.sensor, self.pose_frame)[:, index]
+        return poses, index
 
     def _predict_some(self, poses: Floats, index: NDArray[np.intp], point: Point) -> Prediction:
         """Predict the rays `index` at one batch of poses, (n, 3) or (n, n_rays, 3)."""
@@ -108,28 +179,6 @@ class Sensorgraph:
             for j in range(len(index))
         ]
         return Prediction.concatenate(of_rays, axis=1)
-
-    def _check_poses(self, poses: Floats, n_rays: int) -> None:
-        if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (n_rays,)):
-            raise ValueError(
-                f"poses has shape {poses.shape}, expected (n_poses, 3) for x, y, phi or (n_poses, {n_rays}, 3)"
-            )
-        flat = poses.reshape(len(poses), -1, 3)
-        if not np.isfinite(poses).all():
-            row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
-            raise SensorgraphError(f"pose {row} is not finite; remove such poses")
-        phi = poses[..., 2]
-        if (most := np.abs(phi).max(initial=0.0)) > 2 * math.pi and (
-            most > MAX_HEADING or (phi == phi.round()).all()
-        ):
-            raise SensorgraphError(
-                f"a pose has the heading {most:g}; radians expected: use np.radians(degrees)"
-            )
-        if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
-            row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
-            raise SensorgraphError(
-                f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_POSE_DISTANCE:g} m from the origin"
-            )
 
     def __repr__(self) -> str:
         """Summarise the contents and the origin in a few lines."""
@@ -159,6 +208,29 @@ class Sensorgraph:
             **({} if self.memory is None else {"memory": self.memory.summary()}),
         }
 
+    def with_pose_errors(self, sigma_xy: float | None = None, sigma_yaw: float | None = None) -> Sensorgraph:
+        """Return the graph for uncertain poses, whose errors widen the distribution of every reading.
+
+        Without this, faces predict for the exact pose. Cells and polynomials contain the pose errors of their own logs
+        and are returned unchanged. The errors are standard deviations [m] of x and of y and [rad] of phi; None: those of
+        the poses in the graph's logs.
+        """
+        if not isinstance(self.model, Faces):
+            return self
+        noise = noise_of_poses(self.model, sigma_xy, sigma_yaw)
+        return replace(self, model=replace(self.model, noise=noise))
+
+    def plot(self) -> Any:
+        """Draw the faces or cells of the graph in a figure of matplotlib; `sensorgraph show --picture` adds a run.
+
+        Raises
+        ------
+        SensorgraphError : The model has neither faces nor cells, or no surface.
+        """
+        if not isinstance(self.model, Faces | CellModel):
+            raise SensorgraphError(f"the model {self.model.name} has neither faces nor cells to draw")
+        return model_figure(self.model)
+
     def equation(self, ray: int) -> str:
         """Return the explicit equation of one ray, given by index."""
         self._check_rays(np.array([ray]))
@@ -179,7 +251,7 @@ class Sensorgraph:
         OSError : The file cannot be written.
         """
         header, arrays = self.model.state()
-        sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS} | rare_times(self.sensor)
+        sensor = {name: getattr(self.sensor, name) for name in SENSOR_FIELDS} | rare_times(self.sensor)
         top = {
             "format": FORMAT,
             "version": VERSION,
@@ -189,22 +261,9 @@ class Sensorgraph:
             "origin": dict(self.origin),
             "state": header,
         }
-        members = {"header.json": json.dumps(top, indent=1, sort_keys=True).encode()}
-        arrays = {**arrays, **_sensor_arrays(self.sensor)}
+        arrays = {**arrays, **sensor_arrays(self.sensor)}
         arrays |= {} if self.memory is None else self.memory.arrays()
-        for name in sorted(arrays):
-            buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
-            members[f"{name}.npy"] = buffer.getvalue()
-        with (
-            atomic_file(Path(path)) as part,
-            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file,
-        ):
-            for name, data in members.items():
-                info = zipfile.ZipInfo(name, date_time=_ZIP_DATE)
-                info.compress_type = zipfile.ZIP_DEFLATED
-                info.external_attr = 0o644 << 16
-                file.writestr(info, data)
+        write_members(Path(path), top, arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> Sensorgraph:
@@ -214,108 +273,14 @@ class Sensorgraph:
         ------
         SensorgraphError : The file is not a sensorgraph, is damaged, or has a newer version.
         """
-        path = Path(path)
-        top, arrays = _read(path)
-        if top.get("format") != FORMAT or not isinstance(top.get("version"), int):
-            raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
-        if top["version"] > VERSION:
-            raise SensorgraphError(
-                f"{path}: the file has version {top['version']}, this software reads up to version {VERSION}; "
-                "install a newer sensorgraph"
-            )
-        if top.get("model") not in MODELS:
-            raise SensorgraphError(
-                f"{path}: model {top.get('model')!r} is not known; expected {', '.join(MODELS)}"
-            )
-        try:
-            check_numbers(top["state"], arrays, may_be_nan=_MAY_BE_NAN)
-            _check_origin(top)
-            scalars: dict[str, Any] = {name: float(top["sensor"][name]) for name in _SENSOR_FIELDS}
-            sensor = RangeSensor(
-                bearings=arrays.pop("sensor.bearings"),
-                mount=arrays.pop("sensor.mount"),
-                origins=arrays.pop("sensor.origins", np.zeros((0, 2))),
-                cones=arrays.pop("sensor.cones", np.zeros(0)),
-                delays=arrays.pop("sensor.delays", np.zeros(0)),
-                **scalars,
-            )
-            sensor = with_rare_times(sensor, top["sensor"])
-            model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
-            memory = ResidualMemory.restore(arrays)
-            return cls(
-                model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"], memory=memory
-            )
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            IndexError,
-            OverflowError,
-            MemoryError,
-        ) as exc:
-            detail = f"{type(exc).__name__}: {exc}"
-            raise SensorgraphError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
+        return cls(**read_graph(Path(path)))
 
 
-def _check_origin(top: Mapping[str, Any]) -> None:
-    """Check the frame of the poses and the form of the origin against what `save` writes."""
-    if top["pose_frame"] not in get_args(PoseFrame):
-        raise ValueError(f"pose_frame is {top['pose_frame']!r}, expected {' or '.join(get_args(PoseFrame))}")
-    inputs = top["origin"].get("inputs", [])
-    if not isinstance(inputs, list) or not all(isinstance(entry, dict) for entry in inputs):
-        raise ValueError(f"the inputs are {inputs!r}, expected a list with one entry for each run")
+def load(path: Path | str) -> Sensorgraph:
+    """Load a sensorgraph from its file; no code of the file is executed.
 
-
-def _sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a sensor; origins, cones and delays only where they differ from those of a single laser."""
-    arrays = {"sensor.bearings": sensor.bearings, "sensor.mount": sensor.mount}
-    if sensor.is_composite:
-        arrays["sensor.origins"] = sensor.origins
-    arrays |= {"sensor.cones": sensor.cones} if sensor.cones.any() else {}
-    return arrays | ({"sensor.delays": sensor.delays} if sensor.delays.any() else {})
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    arrays: dict[str, NDArray[Any]] = {}
-    try:
-        with zipfile.ZipFile(path) as file:
-            if "header.json" not in file.namelist():
-                raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
-            stored, promised = path.stat().st_size, sum(info.file_size for info in file.infolist())
-            if promised > most_plain(stored):
-                raise SensorgraphError(
-                    f"{path}: {stored:,} bytes claim to unpack to {promised:,}, which no sensorgraph does; "
-                    "the file is damaged or malicious: build it again"
-                )
-            top = json.loads(file.read("header.json"))
-            for name in file.namelist():
-                if name.endswith(".npy"):
-                    arrays[name.removesuffix(".npy")] = _array(file.read(name))
-    except SensorgraphError:
-        raise
-    except Exception as exc:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
-        if isinstance(exc, OSError) and exc.filename is not None:  # the file cannot be opened
-            raise
-        raise SensorgraphError(
-            f"{path}: not a sensorgraph, or damaged ({exc}); build it again with `sensorgraph build`"
-        ) from exc
-    if not isinstance(top, dict):
-        raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
-    return top, arrays
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    """Read one array in numpy's format; its header must declare exactly the bytes that follow."""
-    file = io.BytesIO(data)
-    if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("an array is stored in another version of numpy's format, expected 1.0")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-    if (
-        dtype.hasobject
-        or min(shape, default=0) < 0
-        or math.prod(shape) * dtype.itemsize != len(data) - file.tell()
-    ):
-        raise ValueError(f"an array declares {shape} of {dtype}, but holds {len(data) - file.tell()} bytes")
-    flat = np.frombuffer(data, dtype=dtype, offset=file.tell()).astype(dtype.newbyteorder("="))
-    return flat.reshape(shape, order="F" if fortran else "C")
+    Raises
+    ------
+    SensorgraphError : The file is not a sensorgraph, is damaged, or has a newer version.
+    """
+    return Sensorgraph.load(path)

@@ -16,7 +16,8 @@ from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.show.figures.face_pieces import predicted_ends, residual_pieces, visible_pieces
+from sensorgraph.show.figures.face_pieces import residual_pieces, visible_pieces
+from sensorgraph.show.figures.sensorgraph import predicted_ends
 from sensorgraph.world.raycast import cast
 
 

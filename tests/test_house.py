@@ -27,6 +27,7 @@ OWNERS = {
     },
     "shapely": {"planners/", "sensorgraph/world/", "sensorgraph/exporting/"},
     "matplotlib": {
+        "logs/run_figure.py",
         "sensorgraph/show/figures/",
         "sensorgraph/diagnosis/report/figures/",
     },

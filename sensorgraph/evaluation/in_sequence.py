@@ -79,7 +79,7 @@ class SequenceScores:
         """Add some scans of the run, given by index."""
         for name, whole in self.predictions.items():
             rows = self.place[scans]
-            part = Prediction(**{key: getattr(whole, key)[rows] for key in Prediction.__dataclass_fields__})
+            part = whole.take(rows)
             self.sums[name].add(measured, part, scored, valid)
             self.errors[name].append(np.abs(measured - part.point(self.sums[name].point or "mode"))[scored])
 

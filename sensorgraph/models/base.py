@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from logs.files import atomic_file
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.types import Bools, Floats, Ints, Progress
+
+if TYPE_CHECKING:
+    from sensorgraph.models.distribution import Mixture
 
 Point = Literal["mode", "median", "mean"]
 POINTS: tuple[str, ...] = get_args(Point)
@@ -70,8 +73,19 @@ class TrainingScans:
         return len(self.poses)
 
 
+class PredictedRays(Protocol):
+    """The rays of a prediction, from which their distribution is computed when it is needed."""
+
+    @property
+    def mixture(self) -> Mixture: ...
+    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: ArrayLike) -> Floats: ...
+    def points(self, ranges: Floats) -> Floats: ...
+
+
 SAVED_ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
 """Arrays of a prediction that its file holds."""
+ARRAYS = (*SAVED_ARRAYS, "p_off")
+"""Arrays of a prediction."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,17 +106,81 @@ class Prediction:
     """Predicted probability that a measured return differs from the point value by more than `OFF_DISTANCE`."""
     answered: Bools
     """Whether the training data support the prediction."""
+    rays: PredictedRays | None = field(default=None, repr=False)
+    """The predicted rays; None in a prediction that was not made by `Sensorgraph.predict`."""
 
     def __post_init__(self) -> None:
-        shapes = {name: np.shape(getattr(self, name)) for name in self.__dataclass_fields__}
+        shapes = {name: np.shape(getattr(self, name)) for name in ARRAYS}
         if len(set(shapes.values())) != 1:
             raise ValueError(f"a prediction has shapes {shapes}, expected one shape (n_poses, n_rays)")
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self], *, axis: int = 0) -> Self:
         """Concatenate predictions along the poses (`axis` 0) or the rays (`axis` 1)."""
-        names = cls.__dataclass_fields__
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names})
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts], axis) for name in ARRAYS
+        }
+        return cls(**arrays)
+
+    def take(self, index: slice | Bools | Ints) -> Self:
+        """Return the arrays of some poses, without their distribution."""
+        arrays: dict[str, Any] = {name: getattr(self, name)[index] for name in ARRAYS}
+        return type(self)(**arrays)
+
+    def __repr__(self) -> str:
+        """Summarise the prediction in one line."""
+        n_poses, n_rays = self.ranges.shape
+        share = float(self.answered.mean()) if self.answered.size else 0.0
+        return f"Prediction: {n_poses:,} pose{'s' if n_poses != 1 else ''} × {n_rays:,} rays, {share:.0%} answered"
+
+    def pdf(self, z: ArrayLike) -> Floats:
+        """Return the density [1/m] (n_poses, n_rays) of readings z [m], given a return; z is broadcast to that shape."""
+        return self._rays.evaluate(lambda mixture, values: mixture.pdf(values), z)
+
+    def cdf(self, z: ArrayLike) -> Floats:
+        """Return the probability (n_poses, n_rays) of readings below z [m], given a return; z is broadcast."""
+        return self._rays.evaluate(lambda mixture, values: mixture.cdf(values), z)
+
+    def quantile(self, q: ArrayLike) -> Floats:
+        """Return the ranges [m] (n_poses, n_rays) below which a return lies with probability q; q is broadcast.
+
+        Raises
+        ------
+        ValueError : q is not between 0 and 1.
+        """
+        return self._rays.evaluate(lambda mixture, values: mixture.quantile(values), q)
+
+    def interval(self, p: float) -> tuple[Floats, Floats]:
+        """Return lower and upper ranges [m], (n_poses, n_rays) each, between which a return lies with probability p.
+
+        Raises
+        ------
+        ValueError : p is not between 0 and 1.
+        """
+        if not 0 < p < 1:
+            raise ValueError(f"p is {p!r}, expected a number above 0 and below 1")
+        return self.quantile(0.5 - 0.5 * p), self.quantile(0.5 + 0.5 * p)
+
+    def components(self) -> tuple[Floats, Floats, Floats, Ints]:
+        """Return weights, means [m], widths [m] and faces of the mixtures, (n_poses, n_rays, n_most) each.
+
+        Weights are probabilities that the surface stops the ray; with `p_no_return` they sum to 1. Unused entries have
+        weight 0, mean +inf and face -1.
+        """
+        found = self._rays.mixture
+        return found.weights, found.means, found.widths, found.sources
+
+    def points(self) -> Floats:
+        """Return the predicted end points (n_poses, n_rays, 2) [m, map]; nan where no return is more probable."""
+        return self._rays.points(self.ranges)
+
+    @property
+    def _rays(self) -> PredictedRays:
+        if self.rays is None:
+            raise ValueError(
+                "the prediction has no distribution; only one that `Sensorgraph.predict` made has it"
+            )
+        return self.rays
 
     def save(self, path: Path) -> None:
         """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ.
@@ -140,6 +218,14 @@ class Model(Protocol):
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        ...
+
+    def mixture(self, poses: Floats, rays: Ints) -> Mixture:
+        """Return the mixtures of rays (n_rays,) at poses (n_poses, 3)."""
+        ...
+
+    def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
         ...
 
     def equation(self, ray: int) -> str:

@@ -15,29 +15,15 @@ from scipy.special import ndtr
 
 from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
+from sensorgraph.models.distribution import DENSITY_AT_0, SQRT_HALF, TAIL, chance_below
 from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Bools, Floats
 
-MODE_WINDOW, CLEAR_SHARE, TAIL = MIXTURE.mode_window, MIXTURE.clear_share, MIXTURE.tail_sigmas
+MODE_WINDOW, CLEAR_SHARE = MIXTURE.mode_window, MIXTURE.clear_share
 BRACKET, MAX_STEPS, MIN_STEP = MIXTURE.bracket_sigmas, MIXTURE.max_steps, MIXTURE.min_step
 MIN_WEIGHT = MIXTURE.min_weight
-SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
-"""sqrt(1/2), and the standard normal density at 0."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 """Columns of the table that `summarise` fills."""
-
-
-@inner_kernel
-def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
-    """Return sum_i w_i Φ((x - r_i) / s_i) over candidates first ... last - 1: their weight below x [m]."""
-    total = 0.0
-    for i in range(first, last):
-        z = (x - r[i]) / s[i]
-        if z > TAIL:
-            total += w[i]
-        elif z > -TAIL:
-            total += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
-    return total
 
 
 @inner_kernel
@@ -183,7 +169,9 @@ def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> 
         p_no_return=none,
         p_off=table[..., P_OFF],
         answered=answered,
-        **values,
+        median=values["median"],
+        mode=values["mode"],
+        mean=values["mean"],
     )
 
 

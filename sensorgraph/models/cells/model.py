@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, TrainingScans
+from sensorgraph.models.cells.distribution import fill_log_likelihoods, fill_mixtures
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
-from sensorgraph.models.cells.grid import per_ray
+from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
+from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.mixture import MODE, NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints, Progress
@@ -129,6 +131,36 @@ class CellModel:
             beyond, out[..., NO_RETURN] > 0.5, near >= CELLS.answers.min_near_probability
         )
         return to_prediction(out, point, answered)
+
+    def mixture(self, poses: Floats, rays: Ints) -> Mixture:
+        """Return the mixtures of rays (n_rays,) at poses (n_poses, 3), within reach; the arrays are large."""
+        lasers, bearings = laser_poses(poses, self.mount), self.sensor.bearings[rays]
+        shape = len(poses), len(rays), max_cells_met(self.table.reach, self.table.cell)
+        means, weights, widths = (np.empty(shape) for _ in range(3))
+        survival = np.empty(shape[:2])
+        n = fill_mixtures(
+            lasers, bearings, self.table, self.reliability[which_of("mode")], means, weights, widths, survival
+        )
+        none = survival * self.nothing
+        total = np.maximum(weights[..., :n].sum(axis=2) + none, 1e-300)
+        return Mixture(
+            means=means[..., :n],
+            weights=weights[..., :n] / total[..., None],
+            widths=widths[..., :n],
+            sources=np.full((*shape[:2], n), -1),
+            p_no_return=none / total,
+        )
+
+    def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
+        out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)
+        longest = max(self.sensor.range_max - self.table.reach, self.table.cell)
+        fill_log_likelihoods(
+            laser_poses(poses, self.mount), self.sensor.bearings[rays], self.table,
+            self.reliability[which_of("mode")], (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
+            self.sensor.range_min, out, supported,
+        )  # fmt: skip
+        return out, supported
 
     def draw(
         self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)

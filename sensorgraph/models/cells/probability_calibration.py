@@ -13,7 +13,8 @@ from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
-from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF, TAIL
+from sensorgraph.models.distribution import TAIL
+from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
 from sensorgraph.types import Bools, Floats
 
 ANSWERS = CELLS.answers

@@ -15,9 +15,10 @@ import numpy as np
 
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.cones.settings import CONES
+from sensorgraph.models.distribution import SQRT_HALF
 from sensorgraph.models.faces.observed_space import is_ray_observed
 from sensorgraph.models.faces.settings import FACES
-from sensorgraph.models.mixture import SQRT_HALF, summarise
+from sensorgraph.models.mixture import summarise
 
 MIN_COSINE = CONES.min_cosine
 GRAZING = math.sqrt(1.0 - MIN_COSINE**2) / MIN_COSINE

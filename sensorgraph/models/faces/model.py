@@ -29,10 +29,10 @@ from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cones.fit import fit_cones, readings_of_cones
 from sensorgraph.models.cones.prediction import cone_equations, cone_table
 from sensorgraph.models.cones.settings import measures_cones
+from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import face_equations
 from sensorgraph.models.faces.fit import fit_faces
-from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.models.faces.ray_march import (
     MIN_VISIBILITY,
     BucketGrid,
@@ -49,7 +49,9 @@ from sensorgraph.models.faces.reduction import (
 from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.sufficient_statistics import scale_of
+from sensorgraph.models.faces.thin_rays import lasers, thin_likelihoods, thin_mixtures, thin_table
 from sensorgraph.models.faces.update import update_faces
+from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
@@ -227,27 +229,31 @@ class Faces(FacesData):
         if self.cells is not None:
             return self.cells.predict(poses, rays, point)
         if measures_cones(self.sensor):
-            table, supported = cone_table(self, _lasers(poses, self.mount), rays, which_of(point))
+            table, supported = cone_table(self, lasers(poses, self.mount), rays, which_of(point))
         else:
-            table, supported = self._thin_table(poses, rays, which_of(point))
+            table, supported = thin_table(self, self.buckets, poses, rays, which_of(point))
         is_clear = (table[..., P_OFF] < PREDICTION.max_p_off) | (
             table[..., NO_RETURN] > 1 - PREDICTION.max_p_off
         )
         return to_prediction(table, point, supported & is_clear)
 
-    def _thin_table(self, poses: Floats, rays: Ints, which: int) -> tuple[Floats, Bools]:
-        """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` does, and whether the rays lie in observed space."""
-        table = np.empty((len(poses), len(rays), 6))
-        supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
-        x, y, cos, sin = _lasers(poses, self.mount)
-        bearings, terms = self.sensor.bearings[rays], self.calibration.terms
-        predict_rays(
-            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, self.buckets,
-            self.noise.array, self.observed.origin, self.observed.cell, self.observed.distance_to_unobserved, self.returns,
-            terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
-            which, table, supported,
-        )  # fmt: skip
-        return table, supported
+    def mixture(self, poses: Floats, rays: Ints) -> Mixture:
+        """Return the mixtures of rays (n_rays,) at poses (n_poses, 3)."""
+        if self.cells is not None:
+            return self.cells.mixture(poses, rays)
+        if measures_cones(self.sensor):
+            found = self.predict(poses, rays, "mode")
+            return single_mixture(found.mode, found.sigma, found.p_no_return)
+        return thin_mixtures(self, self.buckets, poses, rays)
+
+    def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
+        if self.cells is not None:
+            return self.cells.log_likelihood(ranges, poses, rays)
+        if measures_cones(self.sensor):
+            mixture, supported = self.mixture(poses, rays), self.predict(poses, rays, "mode").answered
+            return log_density(mixture, ranges, self.sensor.range_min, self.noise.stray), supported
+        return thin_likelihoods(self, self.buckets, ranges, poses, rays)
 
     def draw(
         self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
@@ -259,7 +265,7 @@ class Faces(FacesData):
         if self.cells is not None:
             return self.cells.draw(poses, uniform, normal, rays)
         out = np.empty(uniform.shape)
-        x, y, cos, sin = _lasers(poses, self.mount)
+        x, y, cos, sin = lasers(poses, self.mount)
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
@@ -312,15 +318,6 @@ class Faces(FacesData):
 def _start_of(ray: int, sensor: RangeSensor, mount: Floats) -> Floats:
     """Return the start of a ray (3,) [m, m, rad] in the frame of the poses: the laser, or one of several sensors."""
     return compose(mount, np.append(sensor.origins[ray], 0.0)) if sensor.is_composite else mount
-
-
-def _lasers(poses: Floats, mount: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, y, cos and sin (n_poses,) of the poses of a laser mounted at `mount` (3,)."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    mx, my, yaw = mount
-    x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
-    c, s = math.cos(yaw), math.sin(yaw)
-    return x, y, cos * c - sin * s, sin * c + cos * s
 
 
 def _fit_cones(

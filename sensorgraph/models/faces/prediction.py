@@ -11,14 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inlined_kernel, kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.calibration.ray_terms import incidence_bias
+from sensorgraph.models.distribution import SQRT_HALF
 from sensorgraph.models.faces.observed_space import is_ray_observed
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MAX_CANDIDATES, crossed_faces
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import variance
-from sensorgraph.models.mixture import SQRT_HALF, summarise
+from sensorgraph.models.likelihood import log_density_of
+from sensorgraph.models.mixture import summarise
 
 PREDICTION = FACES.prediction
 SUPPORT_MARGIN, MIN_SURVIVAL, MIN_SHARE = (
@@ -31,26 +33,73 @@ MAX_OFF_SIGMAS = 4.5
 EDGE_GATE, MIN_EDGE_VARIANCE = PREDICTION.edge_sigmas**2, PREDICTION.min_edge_variance
 
 
-@kernel
-def predict_rays(
+@inlined_kernel
+def ray_mixture(
     x: Any,
     y: Any,
-    cos: Any,
-    sin: Any,
-    cos_b: Any,
-    sin_b: Any,
+    ux: Any,
+    uy: Any,
     range_max: Any,
     faces: Any,
     buckets: Any,
     noise: Any,
-    origin: Any,
-    cell: Any,
-    clearance: Any,
-    returns: Any,
-    constant: Any,
-    slope: Any,
-    incidence: Any,
-    is_biased: Any,
+    terms: Any,
+    work: Any,
+    mixture: Any,
+) -> Any:
+    """List the candidates of the mixture of one ray; return their number and the probability that none stops it.
+
+    Parameters
+    ----------
+    x, y, ux, uy : Start [m] in map and direction of the ray.
+    noise : (4,) Variances [m², m², rad²] of range, position and heading, and density [1/m] of outliers.
+    terms : Constant [m], slope, incidence terms of the ray, and whether there are any.
+    work : Arrays of length `CANDIDATE_SLOTS`, filled by `crossed_faces`.
+    mixture : Arrays of length `CANDIDATE_SLOTS`, filled: range [m], weight, standard deviation [m], face.
+    """
+    normals, _, first, edges, levels, blur, neighbour = faces
+    r, k, j, t = work
+    rho, w, s, source = mixture
+    constant, slope, incidence, is_biased = terms
+    is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # there is noise of poses
+    n = crossed_faces(x, y, ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
+    survival, c = 1.0, 0
+    for m in range(n):
+        f = k[m]
+        den = normals[f, 0] * ux + normals[f, 1] * uy
+        across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den) if is_moved else 0.0
+        alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+        e = j[m]  # index of the nearest edge
+        if e < first[f]:
+            e = first[f]
+        elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
+            e += 1
+        spread = blur[e] ** 2 + across + MIN_EDGE_VARIANCE
+        off = t[m] - edges[e]
+        if off * off < EDGE_GATE * spread:
+            adjacent = neighbour[e]
+            if adjacent < 0 or normals[adjacent, 0] * ux + normals[adjacent, 1] * uy >= 0:
+                before = levels[e - 1] if e > first[f] else 0.0
+                alpha = before + (levels[e] - before) * 0.5 * math.erfc(-off / math.sqrt(2.0 * spread))
+        if alpha < MIN_SHARE:
+            continue
+        rho[c], w[c], source[c] = r[m], survival * alpha, f
+        if is_biased:
+            rho[c] += constant + slope * r[m] + incidence_bias(den, r[m], incidence)
+        s[c] = sigma
+        if is_moved:
+            s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
+        c += 1
+        survival *= 1.0 - alpha
+        if survival < MIN_SURVIVAL:
+            break
+    return c, survival
+
+
+@kernel
+def predict_rays(
+    beams: Any,
+    observed: Any,
     which: Any,
     table: Any,
     supported: Any,
@@ -59,47 +108,21 @@ def predict_rays(
 
     The function is one loop over rays without temporary arrays: march, blur edges, mix, look up the observed space.
     """
-    normals, _, first, edges, levels, blur, neighbour = faces
+    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
+        beams
+    )
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # there is noise of poses
+    source = np.empty(CANDIDATE_SLOTS, np.int64)
+    origin, cell, clearance = observed
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = crossed_faces(x[i], y[i], ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
-            survival, c = 1.0, 0
-            for m in range(n):
-                f = k[m]
-                den = normals[f, 0] * ux + normals[f, 1] * uy
-                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den) if is_moved else 0.0
-                alpha = levels[j[m]] if j[m] >= first[f] else 0.0
-                e = j[m]  # index of the nearest edge
-                if e < first[f]:
-                    e = first[f]
-                elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
-                    e += 1
-                spread = blur[e] ** 2 + across + MIN_EDGE_VARIANCE
-                off = t[m] - edges[e]
-                if off * off < EDGE_GATE * spread:
-                    adjacent = neighbour[e]
-                    if adjacent < 0 or normals[adjacent, 0] * ux + normals[adjacent, 1] * uy >= 0:
-                        before = levels[e - 1] if e > first[f] else 0.0
-                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(
-                            -off / math.sqrt(2.0 * spread)
-                        )
-                if alpha < MIN_SHARE:
-                    continue
-                rho[c], w[c] = r[m], survival * alpha
-                if is_biased:
-                    rho[c] += constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
-                s[c] = sigma
-                if is_moved:
-                    s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
-                c += 1
-                survival *= 1.0 - alpha
-                if survival < MIN_SURVIVAL:
-                    break
+            c, survival = ray_mixture(
+                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
+                (constant[b], slope[b], incidence, is_biased), (r, k, j, t), (rho, w, s, source),
+            )  # fmt: skip
             row = table[i, b]
             if c == 1:  # most rays have one candidate
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], survival
@@ -113,6 +136,86 @@ def predict_rays(
                     rho, w, s, c, survival, range_max, which
                 )
             reach = range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
+            supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
+                x[i], y[i], ux, uy, reach, origin, cell, clearance
+            )
+
+
+@kernel
+def list_rays(
+    beams: Any,
+    rho: Any,
+    w: Any,
+    s: Any,
+    source: Any,
+    survival: Any,
+) -> Any:
+    """Fill the mixtures of all rays; return the largest number of candidates.
+
+    Parameters
+    ----------
+    beams : Lasers, rays, faces and noise, as `Faces` passes them to all kernels of thin rays.
+    rho, w, s, source : (n_poses, n_rays, `CANDIDATE_SLOTS`) As `ray_mixture` fills them; unused entries stay.
+    survival : (n_poses, n_rays) Probability that no candidate stops the ray.
+    """
+    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
+        beams
+    )
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    most = 0
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            c, survival[i, b] = ray_mixture(
+                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
+                (constant[b], slope[b], incidence, is_biased), (r, k, j, t),
+                (rho[i, b], w[i, b], s[i, b], source[i, b]),
+            )  # fmt: skip
+            most = max(most, c)
+    return most
+
+
+@kernel
+def log_likelihood_rays(
+    beams: Any,
+    observed: Any,
+    ranges: Any,
+    range_min: Any,
+    out: Any,
+    supported: Any,
+) -> Any:
+    """Fill out (n_poses, n_rays) with the log-likelihood of readings, as `likelihood.log_density` defines it.
+
+    Parameters
+    ----------
+    observed : Origin [m], cell [m] and clearance of the observed space.
+    ranges : (1 or n_poses, n_rays) [m] Readings in the convention of REP-117.
+    range_min : [m] Closer surfaces give the reading -inf.
+    supported : (n_poses, n_rays) Filled: the ray was observed up to the most probable surface.
+    """
+    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
+        beams
+    )
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    source = np.empty(CANDIDATE_SLOTS, np.int64)
+    origin, cell, clearance = observed
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            c, survival = ray_mixture(
+                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
+                (constant[b], slope[b], incidence, is_biased), (r, k, j, t), (rho, w, s, source),
+            )  # fmt: skip
+            z = ranges[min(i, len(ranges) - 1), b]
+            out[i, b] = log_density_of(z, rho, w, s, c, survival, range_min, noise[3])
+            heaviest = 0
+            for m in range(1, c):
+                if w[m] > w[heaviest]:
+                    heaviest = m
+            reach = range_max if survival > 0.5 or c == 0 else rho[heaviest] - SUPPORT_MARGIN
             supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
                 x[i], y[i], ux, uy, reach, origin, cell, clearance
             )

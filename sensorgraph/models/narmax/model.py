@@ -19,6 +19,8 @@ from logs.run import RangeSensor
 from robotmodic_ident import Terms
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.distribution import Mixture, single_mixture
+from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.narmax import recursion
 from sensorgraph.models.narmax.equations import equation_text, summary_of
 from sensorgraph.models.narmax.fit import TrainingRows, fit_dropouts, fit_rays, ray_spacing, sequence_of
@@ -208,6 +210,17 @@ class RayNarmax(NarmaxParameters):
             p_off=off,
             answered=trusted[:, None] & (self.rows[rays] > 0),
         )
+
+    def mixture(self, poses: Floats, rays: Ints) -> Mixture:
+        """Return the mixtures of rays (n_rays,) at poses (n_poses, 3): one Gaussian each."""
+        found = self.predict(poses, rays, "mean")
+        return single_mixture(found.mean, found.sigma, found.p_no_return)
+
+    def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
+        found = self.predict(poses, rays, "mean")
+        mixture = single_mixture(found.mean, found.sigma, found.p_no_return)
+        return log_density(mixture, ranges, self.sensor.range_min, 0.0), found.answered
 
     def equation(self, ray: int) -> str:
         """Return one ray's equation with lags in metres and radians, its tests, and the fitted terms as text."""

@@ -20,12 +20,14 @@ from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.distribution import Mixture, single_mixture
+from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
 from sensorgraph.models.polynomial.support import Support, leverage_limit, scale_of, sees_around
 from sensorgraph.models.stored_numbers import check_range, check_shape
-from sensorgraph.types import Floats, Ints, Progress
+from sensorgraph.types import Bools, Floats, Ints, Progress
 
 SUPPORT = POLYNOMIAL.support
 POSES_PER_BLOCK = POLYNOMIAL.poses_per_block
@@ -179,6 +181,17 @@ class Polynomial:
     def ray_terms(self, ray: int) -> Ints:
         """Return the indices of a ray's terms in order of selection."""
         return np.asarray(self.order[ray][self.order[ray] >= 0], dtype=np.intp)
+
+    def mixture(self, poses: Floats, rays: Ints) -> Mixture:
+        """Return the mixtures of rays (n_rays,) at poses (n_poses, 3): one Gaussian each."""
+        found = self.predict(poses, rays, "mean")
+        return single_mixture(found.mean, found.sigma, found.p_no_return)
+
+    def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
+        found = self.predict(poses, rays, "mean")
+        mixture = single_mixture(found.mean, found.sigma, found.p_no_return)
+        return log_density(mixture, ranges, self.sensor.range_min, 0.0), found.answered
 
     def equation(self, ray: int) -> str:
         """Return one ray's equation in metres and radians, its sigma, and its terms as text."""

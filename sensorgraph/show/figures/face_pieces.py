@@ -7,15 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from logs.motion import ray_poses
-from logs.run import Run, pair
-from sensorgraph.evaluation.evaluate import evaluate, poses_for
-from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.raycast import laser_poses
 
 PIECE_LENGTH = 0.10
 """[m] Length along a face over which residuals are averaged."""
@@ -101,23 +95,3 @@ def pieces_of(model: Faces, owner: Ints, low: Floats, high: Floats, values: Floa
     along = faces.tangents[owner]
     ends = np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
     return FacePieces(ends=ends, normals=faces.normals[owner], values=values)
-
-
-def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats]:
-    """Return predicted end points (n, 2), directions (n, 2) and residuals (n,) [m] of the answered rays of a run.
-
-    Rays with a residual above MAX_RESIDUAL are left out, because they hit another surface.
-    """
-    evaluation = evaluate(graph, run, force=True)
-    poses = ray_poses(run, pair(run), evaluation.scan_indices)  # (n, n_rays or 1, 3)
-    poses = poses_for(graph, run.pose_frame, run.sensor.mount, poses)
-    assert isinstance(graph.model, (Faces, CellModel))
-    lasers = laser_poses(poses, graph.model.mount)
-    bearing = lasers[..., 2] + graph.sensor.bearings
-    directions = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    ends = lasers[..., :2] + evaluation.prediction.mode[..., None] * directions
-    use = (
-        np.abs(np.nan_to_num(evaluation.residual, nan=np.inf)) < MAX_RESIDUAL
-    ) & evaluation.prediction.answered
-    use &= evaluation.prediction.p_no_return < 0.5
-    return ends[use], directions[use], evaluation.residual[use]

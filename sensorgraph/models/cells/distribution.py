@@ -1,0 +1,133 @@
+"""Distribution of a reading among cells: the candidates of a ray, weighted so that the chance of being off is right.
+
+The march gives candidates with weights w_i about ranges r_i. The scans set aside tell how often a reading is further than
+d = `OFF_DISTANCE` from the mode m (`probability_calibration`): the chance p, where the weights say another one. Candidates
+with |r_i - m| <= d are multiplied by a and the others by b, such that
+
+    a A + b B = A + B,  a A' + b B' = p (A + B).
+
+A and B are the weights of both groups, A' and B' the parts of them that lie further than d from the mode.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel, outer_kernel
+from sensorgraph.models.base import OFF_DISTANCE
+from sensorgraph.models.cells.evidence import MIN_RANGE
+from sensorgraph.models.cells.grid import max_cells_met
+from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
+from sensorgraph.models.cells.settings import CELLS
+from sensorgraph.models.distribution import DENSITY_AT_0, TAIL, chance_below
+from sensorgraph.models.likelihood import MIN_DENSITY
+from sensorgraph.models.mixture import MODE, P_OFF, summarise
+from sensorgraph.types import Bools, Floats
+
+KNOTS = np.array(CELLS.answers.knots)
+OUTLIER_DENSITY, MAX_UNSEEN_LENGTH = CELLS.answers.outlier_density, CELLS.answers.max_unseen_length
+
+
+@outer_kernel
+def scale_weights(r: Floats, w: Floats, s: Floats, n: int, mode: float, p_off: float) -> None:
+    """Scale the weights w (n or more,) in place so that a return is off the mode [m] with probability `p_off`."""
+    near, far, near_off, far_off = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        x = r[i] - mode
+        off = 0.5 * math.erfc((OFF_DISTANCE - x) / (s[i] * math.sqrt(2.0)))
+        off += 0.5 * math.erfc((OFF_DISTANCE + x) / (s[i] * math.sqrt(2.0)))
+        if abs(x) <= OFF_DISTANCE:
+            near += w[i]
+            near_off += w[i] * off
+        else:
+            far += w[i]
+            far_off += w[i] * off
+    determinant = near_off * far - far_off * near
+    if near <= 0.0 or far <= 0.0 or determinant >= 0.0:  # one group alone cannot be shifted
+        return
+    total = near + far
+    b = (near_off - p_off * near) * total / determinant
+    b = min(max(b, 0.0), total / far)
+    a = (total - b * far) / near
+    for i in range(n):
+        w[i] *= a if abs(r[i] - mode) <= OFF_DISTANCE else b
+
+
+@kernel
+def fill_mixtures(
+    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats,
+    r: Floats, w: Floats, sigma: Floats, survival: Floats,
+) -> int:  # fmt: skip
+    """Fill r, w, sigma (n_poses, n_rays, n_max) and survival (n_poses, n_rays); return the largest number of candidates.
+
+    `poses` (n_poses, 3) are those of the laser; `reliability` (n_knots,) holds the observed chances of being off the mode.
+    """
+    size = max_cells_met(table.reach, table.cell)
+    at = np.empty((size, 2), dtype=np.int64)
+    ends, unseen = np.empty(size), np.empty(size)
+    most = 1
+    for p in range(len(poses)):
+        for q in range(len(bearings)):
+            angle = poses[p, 2] + bearings[q]
+            n, survival[p, q] = stop_candidates(
+                poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
+                r[p, q], w[p, q], sigma[p, q], unseen,
+            )  # fmt: skip
+            summary = summarise(r[p, q], w[p, q], sigma[p, q], n, survival[p, q], table.reach, 0)
+            p_off = np.interp(summary[P_OFF], KNOTS, reliability)
+            scale_weights(r[p, q], w[p, q], sigma[p, q], n, summary[MODE], p_off)
+            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.sigma
+            most = max(most, n)
+    return most
+
+
+@kernel
+def fill_log_likelihoods(
+    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats, beyond: Any,
+    ranges: Floats, range_min: float, out: Floats, supported: Bools,
+) -> None:  # fmt: skip
+    """Fill out (n_poses, n_rays) with log-likelihoods, and whether training rays crossed the space before the mode.
+
+    Parameters
+    ----------
+    beyond : Share of missing returns among the readings beyond reach, and density [1/m] of the others.
+    ranges : (1 or n_poses, n_rays) [m] Readings in the convention of REP-117.
+    """
+    size = max_cells_met(table.reach, table.cell)
+    at = np.empty((size, 2), dtype=np.int64)
+    ends, r, w, s, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    nothing, density_beyond = beyond
+    for p in range(len(poses)):
+        for q in range(len(bearings)):
+            z = ranges[min(p, len(ranges) - 1), q]
+            angle = poses[p, 2] + bearings[q]
+            n, survival = stop_candidates(
+                poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends, r, w, s, unseen
+            )
+            summary = summarise(r, w, s, n, survival, table.reach, 0)
+            length = 0.0
+            for k in range(n):
+                if r[k] <= summary[MODE]:
+                    length = unseen[k]
+            supported[p, q] = length <= MAX_UNSEEN_LENGTH
+            if math.isnan(z):
+                out[p, q] = 0.0
+                continue
+            if z == math.inf:
+                value = survival * nothing
+            elif z > table.reach:
+                value = survival * (1.0 - nothing) * density_beyond
+            else:
+                scale_weights(r, w, s, n, summary[MODE], np.interp(summary[P_OFF], KNOTS, reliability))
+                if z == -math.inf:
+                    value = chance_below(max(range_min, MIN_RANGE), r, w, s, 0, n)
+                else:
+                    value = OUTLIER_DENSITY
+                    for k in range(n):
+                        x = (z - r[k]) / s[k]
+                        if abs(x) < TAIL:
+                            value += w[k] / s[k] * DENSITY_AT_0 * math.exp(-0.5 * x * x)
+            out[p, q] = math.log(max(value, MIN_DENSITY))

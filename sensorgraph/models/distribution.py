@@ -1,0 +1,190 @@
+"""Distribution of a reading: the mixture of all surfaces that a ray may meet, its density, quantiles and samples.
+
+Given that the ray returns, a reading z [m] has the density and distribution function
+
+    f(z) = sum_i w_i φ((z - r_i) / s_i) / (s_i W),  F(z) = sum_i w_i Φ((z - r_i) / s_i) / W,  W = sum_i w_i.
+
+With probability 1 - W the ray does not return. A `Mixture` holds r, w and s for many rays as padded arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planners.kernel import inner_kernel, kernel
+from sensorgraph.models.settings import MIXTURE
+from sensorgraph.types import Floats, Ints
+
+SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
+"""sqrt(1/2), and the standard normal density at 0."""
+TAIL = MIXTURE.tail_sigmas
+QUANTILE_TOLERANCE = 1e-7
+"""[m] Width of the bracket at which the search for a quantile ends."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mixture:
+    """The surfaces that may stop each ray; arrays (n_poses, n_rays, n_most), sorted by range, unused entries last."""
+
+    means: Floats
+    """[m] Range to each surface; +inf in unused entries."""
+    weights: Floats
+    """Probability that the surface stops the ray and the ray returns; 0 in unused entries."""
+    widths: Floats
+    """[m] Standard deviation of a reading from the surface."""
+    sources: Ints
+    """Index of the face or cell of each surface; -1 in unused entries and where there is none."""
+    p_no_return: Floats
+    """(n_poses, n_rays) Probability of no return; with the weights it sums to 1."""
+
+    def __post_init__(self) -> None:
+        shapes = {name: np.shape(getattr(self, name)) for name in ("means", "weights", "widths", "sources")}
+        if len(set(shapes.values())) != 1 or self.p_no_return.shape != self.means.shape[:2]:
+            raise ValueError(
+                f"a mixture has shapes {shapes} and p_no_return {self.p_no_return.shape}, expected one shape "
+                "(n_poses, n_rays, n_most) and (n_poses, n_rays)"
+            )
+
+    @classmethod
+    def padded(cls, parts: list[Self], axis: int) -> Self:
+        """Concatenate mixtures along the poses (`axis` 0) or the rays (`axis` 1)."""
+        most = max(part.means.shape[2] for part in parts)
+        fill = {"means": np.inf, "weights": 0.0, "widths": 1.0, "sources": -1}
+
+        def joined(name: str) -> Any:
+            arrays = [getattr(part, name) for part in parts]
+            wide = [
+                np.pad(a, ((0, 0), (0, 0), (0, most - a.shape[2])), constant_values=fill[name])
+                for a in arrays
+            ]
+            return np.concatenate(wide, axis)
+
+        none = np.concatenate([part.p_no_return for part in parts], axis)
+        return cls(p_no_return=none, **{name: joined(name) for name in fill})
+
+    def pdf(self, z: ArrayLike) -> Floats:
+        """Return the density [1/m] (n_poses, n_rays) of a reading z [m], given a return; z is broadcast."""
+        return self._each(_pdf, z)
+
+    def cdf(self, z: ArrayLike) -> Floats:
+        """Return the probability (n_poses, n_rays) of a reading below z [m], given a return; z is broadcast."""
+        return self._each(_cdf, z)
+
+    def quantile(self, q: ArrayLike) -> Floats:
+        """Return the range [m] (n_poses, n_rays) below which a return lies with probability q; q is broadcast.
+
+        A ray that never returns has the quantile +inf.
+
+        Raises
+        ------
+        ValueError : q is not between 0 and 1.
+        """
+        wanted = np.asarray(q, dtype=np.float64)
+        if not ((wanted > 0) & (wanted < 1)).all():
+            raise ValueError(f"q is {q!r}, expected numbers above 0 and below 1")
+        return self._each(_quantile, wanted)
+
+    def _each(self, of_ray: object, values: ArrayLike) -> Floats:
+        shape = self.p_no_return.shape
+        each = np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=np.float64), shape))
+        out = np.empty(shape)
+        of_ray(self.means, self.weights, self.widths, each, out)  # type: ignore[operator]
+        return out
+
+
+def single_mixture(mean: Floats, sigma: Floats, p_no_return: Floats) -> Mixture:
+    """Return mixtures of one Gaussian each; all arrays (n_poses, n_rays)."""
+    return Mixture(
+        means=mean[..., None].copy(),
+        weights=1.0 - p_no_return[..., None],
+        widths=np.maximum(sigma, 1e-9)[..., None],
+        sources=np.full((*mean.shape, 1), -1),
+        p_no_return=p_no_return,
+    )
+
+
+@inner_kernel
+def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
+    """Return sum_i w_i Φ((x - r_i) / s_i) over candidates first ... last - 1: their weight below x [m]."""
+    total = 0.0
+    for i in range(first, last):
+        z = (x - r[i]) / s[i]
+        if z > TAIL:
+            total += w[i]
+        elif z > -TAIL:
+            total += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
+    return total
+
+
+@inner_kernel
+def density_at(z: float, r: Floats, w: Floats, s: Floats, n: int) -> float:
+    """Return sum_i w_i φ((z - r_i) / s_i) / s_i [1/m] over n candidates."""
+    total = 0.0
+    for i in range(n):
+        x = (z - r[i]) / s[i]
+        if abs(x) < TAIL:
+            total += w[i] / s[i] * math.exp(-0.5 * x * x)
+    return total * DENSITY_AT_0
+
+
+@inner_kernel
+def count_of(w: Floats) -> int:
+    """Return the number of candidates: entries before the first weight of 0 at the end."""
+    n = len(w)
+    while n > 0 and w[n - 1] == 0.0:
+        n -= 1
+    return n
+
+
+@kernel
+def _pdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats) -> None:
+    """Fill out (n_poses, n_rays) with the density at z (n_poses, n_rays)."""
+    for i in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            n = count_of(weights[i, b])
+            total = 0.0
+            for m in range(n):
+                total += weights[i, b, m]
+            value = density_at(z[i, b], means[i, b], weights[i, b], widths[i, b], n)
+            out[i, b] = value / total if total > 0.0 else 0.0
+
+
+@kernel
+def _cdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats) -> None:
+    """Fill out (n_poses, n_rays) with the distribution function at z (n_poses, n_rays)."""
+    for i in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            n = count_of(weights[i, b])
+            total = 0.0
+            for m in range(n):
+                total += weights[i, b, m]
+            below = chance_below(z[i, b], means[i, b], weights[i, b], widths[i, b], 0, n)
+            out[i, b] = below / total if total > 0.0 else 0.0
+
+
+@kernel
+def _quantile(means: Floats, weights: Floats, widths: Floats, q: Floats, out: Floats) -> None:
+    """Fill out (n_poses, n_rays) with the quantiles q (n_poses, n_rays), by bisection of a bracket of all candidates."""
+    for i in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            n = count_of(weights[i, b])
+            total, low, high = 0.0, 1e300, -1e300
+            for m in range(n):
+                total += weights[i, b, m]
+                low = min(low, means[i, b, m] - TAIL * widths[i, b, m])
+                high = max(high, means[i, b, m] + TAIL * widths[i, b, m])
+            if total <= 0.0:
+                out[i, b] = math.inf
+                continue
+            while high - low > QUANTILE_TOLERANCE:
+                x = 0.5 * (low + high)
+                if chance_below(x, means[i, b], weights[i, b], widths[i, b], 0, n) < q[i, b] * total:
+                    low = x
+                else:
+                    high = x
+            out[i, b] = 0.5 * (low + high)

@@ -1,0 +1,325 @@
+"""The graph as a sensor model: distribution, likelihood and samples of the readings at any poses.
+
+`Sensorgraph.predict`, `log_likelihood` and `sample` use this module. Poses are (n_poses, 3), or (n_poses, n_rays, 3) with
+one pose for each ray, as while a laser sweeps on a moving robot.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from logs.run import RangeSensor
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.models.base import Model, Prediction
+from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.distribution import Mixture
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.likelihood import MIN_DENSITY, information_share
+from sensorgraph.models.place_noise import places_of
+from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.scene import apply_range_limits
+
+logger = logging.getLogger(__name__)
+Unanswered = Literal["broad", "skip"]
+"""What a ray counts that no training data support: a reading anywhere up to range_max, or nothing."""
+UNANSWERED: tuple[str, ...] = ("broad", "skip")
+POSES_PER_MIXTURE = 16
+"""Number of poses whose mixtures are in memory at once."""
+POSES_PER_TASK = 64
+"""Number of poses whose likelihood one thread computes at a time."""
+MAX_LONG_SHARE = 0.5
+"""Share of finite readings beyond range_max above which they are taken to be in another unit."""
+
+MAX_POSE_DISTANCE = 1e8
+"""[m] Largest accepted distance of a pose from the origin of map."""
+MAX_HEADING = 100.0
+"""[rad] Largest accepted heading: unwrapped ones grow by full turns, and larger ones are probably degrees."""
+
+
+class Graph(Protocol):
+    """What this module needs of a `Sensorgraph`, which describes the attributes."""
+
+    @property
+    def model(self) -> Model: ...
+    @property
+    def sensor(self) -> RangeSensor: ...
+    @property
+    def memory(self) -> ResidualMemory | None: ...
+    def lasers(self, poses: Floats) -> Floats: ...
+    def predict(self, poses: Floats, *, rays: Ints) -> Prediction: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraphRays:
+    """Rays of a graph at poses, whose distribution is computed in pieces when it is needed."""
+
+    graph: Graph
+    poses: Floats
+    """(n_poses, 3) or (n_poses, n_rays, 3) [m, m, rad]"""
+    rays: Ints
+    """(n_rays,) indices."""
+
+    def _parts(self) -> Iterator[tuple[slice, Mixture]]:
+        """Yield slices of the poses with their mixtures."""
+        model = self.graph.model
+        for first in range(0, len(self.poses), POSES_PER_MIXTURE):
+            here = slice(first, first + POSES_PER_MIXTURE)
+            poses = self.poses[here]
+            if poses.ndim == 2:
+                yield here, model.mixture(poses, self.rays)
+                continue
+            each = [
+                model.mixture(np.ascontiguousarray(poses[:, j]), self.rays[j : j + 1])
+                for j in range(len(self.rays))
+            ]
+            yield here, Mixture.padded(each, axis=1)
+
+    @property
+    def mixture(self) -> Mixture:
+        """The mixtures of all rays; large for many poses of a model of cells."""
+        return Mixture.padded([part for _, part in self._parts()], axis=0)
+
+    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: ArrayLike) -> Floats:
+        """Return a function of mixtures and values for all rays: (n_poses, n_rays); values are broadcast."""
+        shape = len(self.poses), len(self.rays)
+        each = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+        out = np.empty(shape)
+        for here, part in self._parts():
+            out[here] = function(part, each[here])
+        return out
+
+    def points(self, ranges: Floats) -> Floats:
+        """Return the end points (n_poses, n_rays, 2) [m, map] of ranges (n_poses, n_rays) [m]; nan where not finite."""
+        places = places_of(
+            self.graph.lasers(self.poses), self.graph.sensor.bearings[self.rays], ranges, np.inf
+        )
+        return np.where(np.isfinite(ranges)[..., None], places[..., :2], np.nan)
+
+
+def likelihood_of(
+    graph: Graph,
+    ranges: Floats,
+    poses: Floats,
+    rays: Ints,
+    *,
+    correlated: bool,
+    per_ray: bool,
+    unanswered: Unanswered,
+) -> Floats:
+    """Compute `Sensorgraph.log_likelihood`; ranges (n_poses or 1, n_rays) [m], poses as the module describes."""
+    if unanswered not in UNANSWERED:
+        raise SensorgraphError(f"unanswered is {unanswered!r}, expected {' or '.join(UNANSWERED)}")
+    found, supported = _of_rays(graph, ranges, poses, rays)
+    known = ~np.isnan(np.broadcast_to(ranges, found.shape))
+    if unanswered == "broad":
+        found = np.where(supported | ~known, found, _broad(ranges, graph.sensor))
+        counts = known
+    else:
+        found = np.where(supported, found, 0.0)
+        counts = known & supported
+    if not supported.any():
+        _check_place(graph, poses)
+    share = np.ones(len(ranges))
+    if correlated and graph.memory is None:
+        _warn_of_missing_memory()
+    elif correlated and graph.memory is not None:
+        share = information_share(graph.memory, _ends_in_laser(ranges, graph.sensor, rays))
+    found *= share[:, None]
+    return found if per_ray else np.where(counts, found, 0.0).sum(axis=1)
+
+
+def _of_rays(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+    """Return the log-likelihood and the support (n_poses, n_rays) of each ray, computed by two threads."""
+    model = graph.model
+    out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)
+
+    def some(first: int) -> None:
+        here = slice(first, first + POSES_PER_TASK)
+        own = ranges if len(ranges) == 1 else ranges[here]
+        if poses.ndim == 2:
+            out[here], supported[here] = model.log_likelihood(own, poses[here], rays)
+            return
+        for j in range(len(rays)):
+            there = np.ascontiguousarray(poses[here, j])
+            found, is_known = model.log_likelihood(own[:, j : j + 1], there, rays[j : j + 1])
+            out[here, j], supported[here, j] = found[:, 0], is_known[:, 0]
+
+    starts = range(0, len(poses), POSES_PER_TASK)
+    if len(starts) > 1:
+        list(_threads().map(some, starts))
+    else:
+        for first in starts:
+            some(first)
+    return out, supported
+
+
+def _check_place(graph: Graph, poses: Floats) -> None:
+    """Refuse poses that are all outside the space that the training rays crossed.
+
+    Raises
+    ------
+    SensorgraphError : No pose lies in the map.
+    """
+    model = graph.model
+    if not isinstance(model, Faces | CellModel):
+        return
+    if isinstance(model, Faces):
+        corner, side, known = model.observed.origin, model.observed.cell, model.observed.counts > 0
+    else:
+        corner, side, known = model.table.low, model.table.cell, model.table.is_seen[model.table.rows] > 0
+    index = np.argwhere(known)
+    low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
+    xy = graph.lasers(poses)[..., :2]
+    if not ((xy >= low) & (xy <= high)).all(axis=-1).any():
+        x, y = xy.reshape(-1, 2)[0]
+        raise SensorgraphError(
+            f"all poses are outside the map, the first at ({x:.2f}, {y:.2f}) m; expected x from {low[0]:.2f} to "
+            f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m, in the frame map of the graph's log"
+        )
+
+
+@cache
+def _warn_of_missing_memory() -> None:
+    """Warn once that neighbouring readings count as independent."""
+    logger.warning(
+        "the graph has no residual memory, so neighbouring readings count as independent and likelihoods are too "
+        "narrow; build it with memory=True"
+    )
+
+
+@cache
+def warn_of_sweep(duration: float) -> None:
+    """Warn once that one pose is given for a scan that takes `duration` [s]."""
+    logger.warning(
+        "the laser takes %.0f ms for a scan, and one pose is given for all its rays; on a moving robot pass a pose for "
+        "each ray, (n_poses, n_rays, 3), such as run.ray_poses(scan)",
+        1e3 * duration,
+    )
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Return the threads of the likelihood; the kernels release the lock of the interpreter."""
+    return ThreadPoolExecutor(min(len(os.sched_getaffinity(0)), 8), thread_name_prefix="likelihood")
+
+
+def _broad(ranges: Floats, sensor: RangeSensor) -> Floats:
+    """Return the log-likelihood of readings where nothing is known: with equal chances none, or any up to range_max."""
+    chance = np.where(np.isposinf(ranges), 0.5, 0.5 / sensor.range_max)  # [1/m] of a return
+    too_close = 0.5 * sensor.range_min / sensor.range_max
+    return np.log(np.where(np.isneginf(ranges), max(too_close, MIN_DENSITY), chance))
+
+
+def _ends_in_laser(ranges: Floats, sensor: RangeSensor, rays: Ints) -> Floats:
+    """Return the measured end points (n, n_rays, 2) [m] in the frame of the laser."""
+    bearings = sensor.bearings[rays]
+    ends = ranges[..., None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+    return np.asarray(ends + sensor.origins[rays] if sensor.is_composite else ends)
+
+
+def draw(graph: Graph, poses: Floats, uniform: Floats, normal: Floats, rays: Ints) -> Floats:
+    """Draw one reading of rays (n_rays,) at poses: (n_poses, n_rays) [m], +inf for no return.
+
+    `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings.
+    """
+    model = graph.model
+    if not isinstance(model, Faces | CellModel):
+        found = graph.predict(poses, rays=rays)
+        return np.asarray(np.where(uniform < found.p_no_return, np.inf, found.mode + found.sigma * normal))
+    if poses.ndim == 2:
+        return model.draw(poses, uniform, normal, rays)
+    readings = np.empty(poses.shape[:2])
+    for j in range(len(rays)):  # each ray from its own pose
+        own, there = rays[j : j + 1], np.ascontiguousarray(poses[:, j])
+        readings[:, j] = model.draw(there, uniform[:, j : j + 1], normal[:, j : j + 1], own)[:, 0]
+    return readings
+
+
+def sample_of(graph: Graph, poses: Floats, n: int, seed: int, rays: Ints, *, residual_memory: bool) -> Floats:
+    """Compute `Sensorgraph.sample`: (n, n_poses, n_rays) [m]."""
+    out = np.empty((n, len(poses), len(rays)))
+    memory = graph.memory if residual_memory else None
+    places = None
+    if memory is not None:
+        mode = graph.predict(poses, rays=rays).mode
+        sensor = graph.sensor
+        places = places_of(graph.lasers(poses), sensor.bearings[rays], mode, sensor.range_max)
+    for k in range(n):
+        rng = np.random.default_rng([seed, k])
+        uniform, normal = rng.random(out.shape[1:]), rng.normal(size=out.shape[1:])
+        if memory is not None and places is not None:
+            world = int(rng.integers(2**31))
+            for i in range(len(poses)):
+                uniform[i], normal[i] = memory.numbers(world, 0.0, places[i], uniform[i], normal[i])
+        out[k] = apply_range_limits(draw(graph, poses, uniform, normal, rays), graph.sensor)
+    return out
+
+
+def check_readings(ranges: ArrayLike, n_poses: int, rays: Ints, sensor: RangeSensor) -> Floats:
+    """Return readings (n_poses or 1, n_rays) [m]; those beyond range_max are no return, those below range_min too close.
+
+    Raises
+    ------
+    SensorgraphError : The readings are of other rays or poses, or in another unit.
+    """
+    given = np.asarray(ranges, dtype=np.float64)
+    known = np.atleast_2d(given)
+    if known.ndim != 2 or len(known) not in (1, n_poses):
+        raise SensorgraphError(
+            f"ranges has shape {given.shape}, expected (n_rays,) for one scan or ({n_poses}, n_rays): one scan for each pose"
+        )
+    if known.shape[1] == sensor.n_rays:
+        known = known[:, rays]
+    elif known.shape[1] != len(rays):
+        raise SensorgraphError(
+            f"a scan has {known.shape[1]} ranges, expected the {sensor.n_rays} rays of the graph's sensor; "
+            "name those that you have with rays="
+        )
+    finite = known[np.isfinite(known)]
+    if len(finite) and (finite > sensor.range_max).mean() > MAX_LONG_SHARE:
+        median = float(np.median(finite))
+        raise SensorgraphError(
+            f"most ranges exceed range_max {sensor.range_max:g} m (median {median:g}); expected metres"
+            + (": divide millimetres by 1000" if 1e-3 * median < sensor.range_max else "")
+        )
+    known = np.where(known > sensor.range_max, np.inf, known)
+    return np.where(known < sensor.range_min, -np.inf, known)
+
+
+def check_poses(poses: Floats, n_rays: int) -> None:
+    """Check the shape, the numbers and the unit of poses.
+
+    Raises
+    ------
+    ValueError : The poses have another shape.
+    SensorgraphError : A pose is not finite or too far away, or headings are in degrees.
+    """
+    if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (1,), (n_rays,)):
+        raise ValueError(
+            f"poses has shape {poses.shape}, expected (n_poses, 3) for x, y, phi or (n_poses, {n_rays}, 3)"
+        )
+    flat = poses.reshape(len(poses), -1, 3)
+    if not np.isfinite(poses).all():
+        row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
+        raise SensorgraphError(f"pose {row} is not finite; remove such poses")
+    phi = poses[..., 2]
+    if (most := np.abs(phi).max(initial=0.0)) > 2 * math.pi and (
+        most > MAX_HEADING or (phi == phi.round()).all()
+    ):
+        raise SensorgraphError(f"a pose has the heading {most:g}; radians expected: use np.radians(degrees)")
+    if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
+        row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
+        raise SensorgraphError(
+            f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_POSE_DISTANCE:g} m from the origin"
+        )

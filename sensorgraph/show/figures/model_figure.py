@@ -1,0 +1,218 @@
+"""Draw a sensorgraph: the probability that each face or cell stops a ray, mean residuals, and unobserved space."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.cells.ray_march import RATES
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.show.figures.face_pieces import (
+    mean_by_index,
+    pieces_of,
+    residual_pieces,
+    visible_edges,
+    visible_pieces,
+)
+from sensorgraph.show.figures.style import (
+    ALARM,
+    FLOOR,
+    INK,
+    SOFT,
+    SOLID,
+    SUBTITLE,
+    colour_bar,
+    map_height,
+    new_figure,
+    reduce_frame,
+)
+from sensorgraph.types import Bools, Floats
+
+PATCH_SIZE = 0.2
+"""[m] Side of the squares over which residuals are averaged where there are no faces."""
+MIN_PROBABILITY = 0.1
+"""Probability that a cell stops a ray below which the cell is not drawn."""
+COLOUR_BAR: dict[str, Any] = {
+    "location": "right",
+    "fraction": 0.03,
+    "shrink": 0.8,
+    "aspect": 40,
+    "pad": 0.015,
+}
+
+
+def model_figure(model: Faces | CellModel, residuals: tuple[Floats, Floats, Floats] | None = None) -> Any:
+    """Return the figure of a model of faces or cells.
+
+    The left panel shows the probability that each face or cell stops a ray. The right panel shows the mean residuals
+    of a run or, without a run, the density of the training returns. White space was observed, grey space was not.
+
+    Parameters
+    ----------
+    residuals : End points (n, 2) [m], directions (n, 2) and residuals (n,) [m] of the rays of a run. None: no run.
+
+    Raises
+    ------
+    SensorgraphError : The model has no surface.
+    """
+    (x0, y0), (x1, y1) = _limits(model)
+    width = 12.0
+    tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)
+    figure = new_figure(width, tall + 0.9)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes in (left, right):
+        _observed_space(axes, model)
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+        axes.set_xlabel("x [m]", color=INK)
+        reduce_frame(axes)
+    left.set_ylabel("y [m]", color=INK)
+    _visibility(figure, left, model)
+    if residuals is not None:
+        _mean_residuals(figure, right, model, *residuals)
+    elif isinstance(model, Faces):
+        _training_returns(figure, right, model)
+    else:
+        right.set_title("residuals: give a run with --run", loc="left", fontsize=SUBTITLE, color=SOFT)
+    return figure
+
+
+def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
+    """Return the lower left and the upper right corner (2,) [m] of the picture."""
+    corner, side, known = _crossed_cells(model)
+    index = np.argwhere(known)
+    if isinstance(model, Faces) and model.faces.n_faces:
+        ends = visible_pieces(model).ends.reshape(-1, 2)
+        low, high = ends.min(axis=0), ends.max(axis=0)
+    elif len(index):
+        low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
+    else:
+        raise SensorgraphError("the graph has no surface to draw; build it from a run with returns")
+    margin = 0.03 * float((high - low).max()) + 0.05
+    return low - margin, high + margin
+
+
+def _crossed_cells(model: Faces | CellModel) -> tuple[Floats, float, Bools]:
+    """Return corner [m], side [m] and cells (nx, ny) that training rays have crossed."""
+    if isinstance(model, Faces):
+        return model.observed.origin, model.observed.cell, model.observed.counts > 0
+    table = model.table
+    return table.low, table.cell, table.is_seen[table.rows] > 0
+
+
+def _image(axes: Any, corner: Floats, side: float, values: Any, **style: Any) -> Any:
+    nx, ny = values.shape[:2]
+    extent = (corner[0], corner[0] + nx * side, corner[1], corner[1] + ny * side)
+    turned = values.transpose(1, 0, *range(2, values.ndim))
+    return axes.imshow(turned, origin="lower", extent=extent, interpolation="nearest", **style)
+
+
+def _observed_space(axes: Any, model: Faces | CellModel) -> None:
+    """Paint the space crossed by training rays white, and other space grey."""
+    from matplotlib.colors import to_rgb
+
+    axes.set_facecolor(SOLID)
+    corner, side, known = _crossed_cells(model)
+    paint = np.where(known[..., None], to_rgb(FLOOR), to_rgb(SOLID))
+    _image(axes, corner, side, paint, zorder=0)
+
+
+def _cells_of(model: Faces | CellModel) -> CellModel | None:
+    return model if isinstance(model, CellModel) else model.cells
+
+
+def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
+    """Draw the probability that a ray stops at a face or in a cell."""
+    title = "probability that a ray stops"
+    cells, image = _cells_of(model), None
+    if cells is not None:
+        table = cells.table
+        per_direction = -np.expm1(-RATES[table.rate] * table.cell)
+        probability = per_direction.max(axis=1)  # from the direction in which the cell is most visible
+        value = np.where(table.rows >= 0, probability[table.rows], 0.0)
+        shown = np.ma.masked_less(value, MIN_PROBABILITY)
+        image = _image(axes, table.low, table.cell, shown, cmap="viridis_r", vmin=0, vmax=1, zorder=1)
+        title += f", cells of {100 * table.cell:.0f} cm"
+    else:
+        assert isinstance(model, Faces)
+        pieces = visible_pieces(model)
+        order = np.argsort(pieces.values, kind="stable")
+        image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", (0.0, 1.0))
+        title += f": {model.faces.n_faces} faces"
+    axes.set_title(title, loc="left", fontsize=SUBTITLE, color=INK)
+    colour_bar(figure, image, axes, "probability", **COLOUR_BAR)
+
+
+def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
+    """Draw the training returns per metre of each visible piece, and returns that no face explains."""
+    owner, edge = visible_edges(model)
+    length = np.maximum(model.faces.edges[edge + 1] - model.faces.edges[edge], 1e-3)
+    hits = model.hits[owner] if model.statistics is None else model.statistics.stops[edge]
+    pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
+    value = np.log10(np.maximum(pieces.values, 1.0))
+    image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
+    axes.set_title("training returns per metre", loc="left", fontsize=SUBTITLE, color=INK)
+    if model.statistics is not None and len(model.statistics.unexplained_hits.cells):
+        axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
+        axes.set_title(
+            "training returns per metre; red: returns that no face explains", loc="left", fontsize=SUBTITLE, color=INK
+        )  # fmt: skip
+    colour_bar(figure, image, axes, "log10 (returns per metre)", **COLOUR_BAR)
+
+
+def _mean_residuals(
+    figure: Any, axes: Any, model: Faces | CellModel, ends: Floats, directions: Floats, residual: Floats
+) -> None:
+    """Draw the mean residual along each face or, for a model with cells, in squares."""
+    if _cells_of(model) is None:
+        assert isinstance(model, Faces)
+        pieces = residual_pieces(model, ends, directions, residual)
+        order = np.argsort(np.nan_to_num(np.abs(pieces.values), nan=-1.0), kind="stable")
+        value = 100 * pieces.values[order]
+        top = _colour_limit(value)
+        image = _draw_pieces(axes, pieces.ends[order], value, "RdBu_r", (-top, top))
+    else:
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        corner = np.floor(low / PATCH_SIZE) * PATCH_SIZE
+        nx, ny = (np.floor((high - corner) / PATCH_SIZE).astype(int) + 1).tolist()
+        i, j = np.floor((ends - corner) / PATCH_SIZE).astype(int).T
+        flat = np.ravel_multi_index((i, j), (nx, ny))
+        value = 100 * mean_by_index(flat, residual, np.isfinite(residual), nx * ny).reshape(nx, ny)
+        top = _colour_limit(value)
+        image = _image(
+            axes,
+            corner,
+            PATCH_SIZE,
+            np.ma.masked_invalid(value),
+            cmap="RdBu_r",
+            vmin=-top,
+            vmax=top,
+            zorder=1,
+        )
+    axes.set_title(
+        f"mean residual of {len(residual):,} answered rays; red: measured farther", loc="left", fontsize=SUBTITLE, color=INK
+    )  # fmt: skip
+    colour_bar(figure, image, axes, "measured − predicted [cm]", **COLOUR_BAR)
+
+
+def _colour_limit(value: Floats) -> float:
+    """Return the magnitude at which the colour scale ends, the 90 % quantile."""
+    known = np.abs(value[np.isfinite(value)])
+    return max(float(np.quantile(known, 0.9)), 1e-3) if len(known) else 1.0
+
+
+def _draw_pieces(axes: Any, ends: Floats, value: Floats, colours: str, limits: tuple[float, float]) -> Any:
+    """Draw pieces (n, 2, 2) coloured by value (n,); nan is drawn as a thin grey line."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import Normalize
+
+    known = np.isfinite(value)
+    axes.add_collection(LineCollection(list(ends[~known]), colors=SOFT, linewidths=0.6, zorder=2))
+    lines = LineCollection(
+        list(ends[known]), array=value[known], cmap=colours, norm=Normalize(*limits), linewidths=2.2, zorder=3
+    )
+    lines.set_capstyle("butt")
+    axes.add_collection(lines)
+    return lines

@@ -1,0 +1,284 @@
+"""The graph as a sensor model: densities, quantiles and samples of one distribution, likelihoods that find the pose."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import sensorgraph as sg
+from logs.run import RangeSensor
+from planners.arena import Arena
+from sensorgraph import sensor_model
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models import MODELS
+from sensorgraph.models.base import TrainingScans
+from sensorgraph.models.distribution import Mixture
+from sensorgraph.models.likelihood import (
+    information_share,
+    information_share_plain,
+    log_density,
+    log_density_plain,
+)
+from sensorgraph.models.residual_memory import MEMORY, ResidualMemory
+from sensorgraph.types import Floats
+from sensorgraph.world.raycast import cast
+
+SIGMA = 0.01  # [m]
+
+
+def somewhere(n: int, rng: np.random.Generator) -> Floats:
+    """Poses (n, 3) in the left part of the room, off the pillar."""
+    return np.column_stack(
+        [rng.uniform(0.4, 2.2, n), rng.uniform(0.4, 2.6, n), rng.uniform(-np.pi, np.pi, n)]
+    )
+
+
+def measured(arena: Arena, sensor: RangeSensor, poses: Floats, rng: np.random.Generator) -> Floats:
+    ranges = cast(arena, poses, sensor).ranges
+    return ranges + SIGMA * rng.normal(size=ranges.shape)
+
+
+@pytest.fixture(scope="module")
+def graphs(room: Arena, sensor: RangeSensor) -> dict[str, Sensorgraph]:
+    """A graph of each model that predicts single scans, from the same 400 scans."""
+    rng = np.random.default_rng(1)
+    poses = somewhere(400, rng)
+    scans = TrainingScans(
+        sensor=sensor, poses=poses, ranges=measured(room, sensor, poses, rng), run=np.zeros(400, dtype=np.intp)
+    )  # fmt: skip
+    options = {"faces": {"calibrate": False, "cells": False}, "polynomial": {"degree": 3, "harmonics": 2}}
+    return {
+        name: Sensorgraph(
+            model=MODELS[name].fit(scans, **options.get(name, {})),
+            sensor=sensor,
+            pose_frame="base_link",
+            origin={},
+        )
+        for name in ("faces", "cells", "polynomial")
+    }
+
+
+def some_mixture(n: int = 40) -> Mixture:
+    """Rays (1, n) of up to four surfaces, the last entries unused."""
+    rng = np.random.default_rng(5)
+    means = np.sort(rng.uniform(0.5, 6.0, (1, n, 4)))
+    weights = rng.dirichlet(np.ones(5), (1, n))
+    none = weights[..., 4].copy()
+    weights = weights[..., :4].copy()
+    unused = np.arange(4) >= rng.integers(1, 5, (1, n, 1))
+    none += np.where(unused, weights, 0.0).sum(axis=2)
+    weights[unused], means[unused] = 0.0, np.inf
+    return Mixture(
+        means=means,
+        weights=weights,
+        widths=rng.uniform(0.005, 0.3, means.shape),
+        sources=np.zeros(means.shape, dtype=np.intp),
+        p_no_return=none,
+    )
+
+
+def test_mixture_agrees_with_scipy() -> None:
+    mixture = some_mixture()
+    z = np.linspace(0.4, 6.5, mixture.means.shape[1])[None]
+    used = mixture.weights > 0
+    share = mixture.weights / mixture.weights.sum(axis=2, keepdims=True)
+    at = np.where(used, mixture.means, 0.0)
+    pdf = np.where(used, share * norm.pdf(z[..., None], at, mixture.widths), 0.0).sum(axis=2)
+    cdf = np.where(used, share * norm.cdf(z[..., None], at, mixture.widths), 0.0).sum(axis=2)
+    np.testing.assert_allclose(mixture.pdf(z), pdf, atol=1e-7)
+    np.testing.assert_allclose(mixture.cdf(z), cdf, atol=1e-8)
+
+
+@pytest.mark.parametrize("q", [0.005, 0.25, 0.5, 0.9, 0.995])
+def test_quantile_inverts_the_distribution(q: float) -> None:
+    mixture = some_mixture()
+    np.testing.assert_allclose(mixture.cdf(mixture.quantile(q)), q, atol=1e-4)
+
+
+def test_likelihood_of_every_kind_of_reading_agrees_with_plain_numpy() -> None:
+    mixture = some_mixture()
+    z = np.linspace(0.1, 7.0, mixture.means.shape[1])[None].copy()
+    z[0, :3] = np.inf, -np.inf, np.nan
+    found = log_density(mixture, z, 0.3, 0.01)
+    np.testing.assert_allclose(found, log_density_plain(mixture, z, 0.3, 0.01), atol=1e-6)
+    assert found[0, 0] == pytest.approx(np.log(max(mixture.p_no_return[0, 0], 1e-4)))
+    assert found[0, 2] == 0.0
+
+
+def test_probability_of_all_readings_is_one() -> None:
+    """The density over all returns, and the probability of no return."""
+    mixture = some_mixture(1)
+    z = np.linspace(-1.0, 9.0, 20_001)
+    density = np.exp([log_density(mixture, np.array([[x]]), 0.0, 0.0)[0, 0] for x in z])
+    assert np.trapezoid(density, z) + mixture.p_no_return[0, 0] == pytest.approx(1.0, abs=2e-3)
+
+
+def memory_of(noise: dict[float, float]) -> ResidualMemory:
+    """A memory whose squares of some sizes [m] contribute some shares of the variance."""
+    shape = len(MEMORY.sizes), len(MEMORY.lifetimes) + 1
+    shares = np.zeros(shape)
+    for size, share in noise.items():
+        shares[MEMORY.sizes.index(size), 0] = share
+    return ResidualMemory(
+        sizes=np.array(MEMORY.sizes), lifetimes=np.array(MEMORY.lifetimes), events=np.zeros(shape), noise=shares
+    )  # fmt: skip
+
+
+def test_share_of_independent_readings() -> None:
+    rng = np.random.default_rng(2)
+    ends = rng.uniform(0.0, 2.0, (3, 50, 2))
+    ends[1, 10:20] = np.nan
+    memory = memory_of({0.1: 0.3, 1.6: 0.5})
+    found = information_share(memory, ends)
+    np.testing.assert_allclose(found, information_share_plain(memory, ends), rtol=1e-9)
+    assert (found < 0.5).all()
+    np.testing.assert_allclose(information_share(memory_of({}), ends), 1.0)
+    one_place = np.zeros((1, 50, 2))  # n / (n + n (n - 1) share)
+    assert information_share(memory_of({0.1: 0.5}), one_place)[0] == pytest.approx(1 / (1 + 49 * 0.5))
+
+
+@pytest.mark.parametrize("name", ["faces", "cells", "polynomial"])
+def test_distribution_of_a_prediction_is_consistent(graphs: dict[str, Sensorgraph], name: str) -> None:
+    graph, poses = graphs[name], somewhere(20, np.random.default_rng(3))
+    found = graph.predict(poses)
+    low, high = found.interval(0.9)
+    np.testing.assert_allclose(found.cdf(high) - found.cdf(low), 0.9, atol=2e-3)
+    weights, means, widths, faces = found.components()
+    assert weights.shape == means.shape == widths.shape == faces.shape
+    single = graph.predict(poses, rays=[7])
+    np.testing.assert_allclose(single.quantile(0.5), found.quantile(0.5)[:, [7]])
+    ends = found.points()
+    start = graph.lasers(poses)[:, None, :2]
+    far = np.hypot(*np.moveaxis(ends - start, -1, 0))
+    np.testing.assert_allclose(far, np.where(np.isfinite(found.ranges), found.ranges, np.nan), atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "coverage"), [("faces", 0.02), ("cells", 0.06)])
+def test_intervals_hold_what_they_say(
+    graphs: dict[str, Sensorgraph], room: Arena, sensor: RangeSensor, name: str, coverage: float
+) -> None:
+    """On fresh scans from exact poses."""
+    rng = np.random.default_rng(4)
+    poses = somewhere(100, rng)
+    ranges = measured(room, sensor, poses, rng)
+    found = graphs[name].predict(poses)
+    for share in (0.5, 0.9, 0.99):
+        low, high = found.interval(share)
+        inside = ((ranges >= low) & (ranges <= high))[found.answered]
+        assert inside.mean() == pytest.approx(share, abs=coverage)
+
+
+def test_pose_errors_widen_the_distribution(
+    graphs: dict[str, Sensorgraph], room: Arena, sensor: RangeSensor
+) -> None:
+    """Readings from poses that are 2 cm off are within 90 % intervals of the graph that knows it, and of no other."""
+    rng = np.random.default_rng(8)
+    poses = somewhere(200, rng)
+    ranges = measured(room, sensor, poses, rng)
+    off = poses + rng.normal(size=poses.shape) * [0.02, 0.02, 0.003]
+
+    def inside(graph: Sensorgraph) -> float:
+        found = graph.predict(off)
+        low, high = found.interval(0.9)
+        return float(((ranges >= low) & (ranges <= high))[found.answered].mean())
+
+    graph = graphs["faces"]
+    assert inside(graph.with_pose_errors(0.02, 0.003)) == pytest.approx(0.9, abs=0.03)
+    assert inside(graph) < 0.7
+
+
+@pytest.mark.parametrize("name", ["faces", "cells", "polynomial"])
+def test_likelihood_is_highest_at_the_true_pose(
+    graphs: dict[str, Sensorgraph], room: Arena, sensor: RangeSensor, name: str
+) -> None:
+    rng = np.random.default_rng(6)
+    pose = np.array([1.2, 1.4, 0.7])
+    scan = measured(room, sensor, pose[None], rng)[0]
+    others = pose + rng.uniform(-1, 1, (200, 3)) * [0.5, 0.5, 1.0]
+    found = graphs[name].log_likelihood(scan, np.vstack([pose, others]))
+    assert found.shape == (201,)
+    assert np.argmax(found) == 0 or np.abs(others[np.argmax(found) - 1] - pose)[:2].max() < 0.06
+
+
+def test_sum_of_rays_and_threads_and_one_pose_for_each_ray_agree(graphs: dict[str, Sensorgraph]) -> None:
+    graph = graphs["faces"]
+    poses = somewhere(150, np.random.default_rng(7))  # several tasks of threads
+    scan = graph.predict(poses[:1]).ranges[0]
+    found = graph.log_likelihood(scan, poses)
+    each = graph.log_likelihood(scan, poses, per_ray=True)
+    np.testing.assert_allclose(each.sum(axis=1), found)
+    alone = [graph.log_likelihood(scan, pose)[0] for pose in poses[::50]]
+    np.testing.assert_allclose(found[::50], alone)
+    swept = np.repeat(poses[:5, None], graph.sensor.n_rays, axis=1)
+    np.testing.assert_allclose(graph.log_likelihood(scan, swept), found[:5])
+    some = graph.log_likelihood(scan, poses[:5], rays=[3, 9])
+    np.testing.assert_allclose(some, each[:5, [3, 9]].sum(axis=1))
+
+
+def test_unanswered_rays_count_broad_or_not_at_all(graphs: dict[str, Sensorgraph]) -> None:
+    graph = graphs["faces"]
+    outside = np.array([[3.6, 0.5, 0.0], [1.0, 1.0, 0.0], [20.0, 0.0, 0.0]])
+    scan = np.full(graph.sensor.n_rays, 1.0)
+    broad = graph.log_likelihood(scan, outside, per_ray=True)[2]
+    np.testing.assert_allclose(broad, np.log(0.5 / graph.sensor.range_max))
+    assert (graph.log_likelihood(scan, outside, per_ray=True, unanswered="skip")[2] == 0).all()
+
+
+@pytest.mark.parametrize("name", ["faces", "cells"])
+def test_samples_have_the_distribution(graphs: dict[str, Sensorgraph], name: str) -> None:
+    graph, poses = graphs[name], somewhere(6, np.random.default_rng(9))
+    drawn = graph.sample(poses, 200, seed=3)
+    assert drawn.shape == (200, 6, graph.sensor.n_rays)
+    np.testing.assert_array_equal(drawn[:2], graph.sample(poses, 2, seed=3))
+    found = graph.predict(poses)
+    below = (drawn < found.quantile(0.5)).mean(axis=0)[found.answered]
+    assert below.mean() == pytest.approx(0.5, abs=0.05)
+
+
+BAD = {
+    "millimetres": (lambda scan: 1000 * scan, [1.0, 1.0, 0.0], "divide millimetres by 1000"),
+    "another sensor": (lambda scan: scan[:-1], [1.0, 1.0, 0.0], "a scan has 60 ranges, expected the 61 rays"),
+    "outside": (lambda scan: scan, [90.0, 1.0, 0.0], "all poses are outside the map, the first at (90.10, 1.02)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_input_is_one_line(graphs: dict[str, Sensorgraph], kind: str) -> None:
+    change, pose, words = BAD[kind]
+    scan = np.full(61, 1.0)
+    with pytest.raises(SensorgraphError) as error:
+        graphs["faces"].log_likelihood(change(scan), np.array([pose]))  # type: ignore[no-untyped-call]
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_broken_readings_count_nothing(graphs: dict[str, Sensorgraph]) -> None:
+    scan = np.full(61, np.nan)
+    np.testing.assert_array_equal(
+        graphs["faces"].log_likelihood(scan, somewhere(3, np.random.default_rng(1))), 0.0
+    )
+
+
+def test_a_sweep_with_one_pose_warns_once(
+    graphs: dict[str, Sensorgraph], caplog: pytest.LogCaptureFixture
+) -> None:
+    from dataclasses import replace
+
+    sensor_model.warn_of_sweep.cache_clear()
+    graph = graphs["faces"]
+    swept = replace(graph, sensor=replace(graph.sensor, sweep_time=0.05))
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            swept.log_likelihood(np.full(61, 1.0), np.array([[1.0, 1.0, 0.0]]))
+    assert sum("pass a pose for each ray" in message for message in caplog.messages) == 1
+
+
+def test_a_prediction_is_one_line(graphs: dict[str, Sensorgraph]) -> None:
+    assert repr(graphs["faces"].predict(np.array([[1.0, 1.0, 0.0]]))).startswith(
+        "Prediction: 1 pose × 61 rays, "
+    )
+    assert sg.load is not None
