@@ -1,0 +1,204 @@
+"""A graph as a sensor model of real logs: intervals, scores and chances of its distribution, beside other models.
+
+    python -m benchmarks.sensor_model LOG [LOG ...] [--picture FILE.png]
+
+Each log is built without every second block (`--split block`), and scored on what that holds out, where the graph answers
+and the return is between 0.1 and 10 m. Beside it: the beam model (Thrun, Burgard and Fox 2005, section 6.2) on the tuned
+5 cm occupancy grid of `occupancy_grid.py`, its z_hit, z_short, z_rand and sigma fitted by EM to half of the held-out
+stretches; `cells` with one Gaussian at the mode, sigma fitted to the same half; and a kernel density over the ranges
+that the five nearest training scans measured in this direction, its bandwidth fitted too. All are scored on the other half.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
+
+from benchmarks.occupancy_grid import Grid, tuned
+from logs import pair, read
+from logs.transforms import wrap
+from sensorgraph.building.build import build
+from sensorgraph.building.split import held_out
+from sensorgraph.models.cells.model import is_key_frame, laser_poses
+from sensorgraph.show.figures.style import new_figure, save_figure
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+LEVELS = (0.5, 0.9, 0.99)
+MAX_RANGE = 10.0
+"""[m] Longest scored return, the reach of cells and grid."""
+UNIFORM = 1.0 / MAX_RANGE
+"""[1/m] Density of an arbitrary reading."""
+N_NEAREST = 5
+"""Number of training scans of the kernel density."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """What one log says of the distribution of the graph."""
+
+    name: str
+    coverage: tuple[float, ...]
+    """Shares within the intervals of LEVELS."""
+    pit: Floats
+    """(n,) Distribution function at the measured ranges."""
+    chances: Floats
+    """(10, 3) Stated chance of being off by more than 5 cm, frequency, and number of rays."""
+    scores: dict[str, float]
+    """Mean log density [ln 1/m] of each model."""
+
+
+def gaussian(error: Floats, sigma: float) -> Floats:
+    """Return the normal density [1/m]."""
+    return np.asarray(np.exp(-0.5 * (error / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)))
+
+
+def beam_model(z: Floats, expected: Floats, fit: Bools) -> Floats:
+    """Return the density (n,) of the beam model, fitted to some rays by EM (Thrun et al., table 6.2)."""
+    weights, sigma, rate = np.array([0.7, 0.15, 0.15]), 0.05, 1.0
+
+    def parts() -> Floats:
+        short = np.where(
+            z < expected, rate * np.exp(-rate * z) / np.maximum(-np.expm1(-rate * expected), 1e-9), 0.0
+        )
+        return np.column_stack([gaussian(z - expected, sigma), short, np.full(len(z), UNIFORM)]) * weights
+
+    for _ in range(200):
+        shares = parts()[fit]
+        shares /= shares.sum(axis=1, keepdims=True)
+        weights = shares.mean(axis=0)
+        sigma = max(
+            float(np.sqrt((shares[:, 0] * (z - expected)[fit] ** 2).sum() / shares[:, 0].sum())), 1e-3
+        )
+        rate = float(shares[:, 1].sum() / max((shares[:, 1] * z[fit]).sum(), 1e-9))
+    return np.asarray(parts().sum(axis=1))
+
+
+def best_width(density: object, fit: Bools) -> float:
+    """Return the width [m] that maximises the mean log density of some rays."""
+    found = minimize_scalar(
+        lambda s: -float(np.log(density(np.exp(s))[fit]).mean()),  # type: ignore[operator]
+        bounds=(np.log(0.005), np.log(1.0)),
+        method="bounded",
+    )
+    return float(np.exp(found.x))
+
+
+def nearest_ranges(poses: Floats, train: Floats, ranges: Floats, bearings: Floats) -> Floats:
+    """Return what the nearest training scans measured in the direction of each ray: (n, n_rays, N_NEAREST) [m]."""
+    tree = cKDTree(np.column_stack([train[:, :2], np.cos(train[:, 2]), np.sin(train[:, 2])]))
+    _, near = tree.query(
+        np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])]), k=N_NEAREST
+    )
+    turn = wrap(poses[:, None, 2] - train[near, 2])  # (n, N_NEAREST)
+    wanted = wrap(turn[..., None] + bearings)
+    ray = np.clip(np.searchsorted(bearings, wanted), 0, len(bearings) - 1)
+    found = np.take_along_axis(ranges[near], ray, axis=2)
+    return np.asarray(np.moveaxis(found, 1, 2))
+
+
+def score(path: Path, most: int) -> Scored:
+    """Build and score one log; of the held-out scans, at most `most` are used."""
+    run = read(path)
+    pairing = pair(run)
+    held = held_out(run, "block")
+    graph = build([run], model="cells", split="block")
+    train = np.flatnonzero(pairing.paired & ~held)
+    train = train[is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
+    test = np.flatnonzero(pairing.paired & held)
+    test = test[:: max(1, len(test) // most)]
+    poses, ranges = pairing.poses[test], run.ranges[test]
+    found = graph.predict(poses)
+    use = found.answered & (ranges > 0.1) & (ranges < MAX_RANGE) & np.isfinite(found.mode)
+    z = ranges[use]
+    half = np.broadcast_to(((np.arange(len(test)) * 10 // len(test)) % 2 == 0)[:, None], use.shape)[use]
+    inside = []
+    for level in LEVELS:
+        low, high = found.interval(level)
+        inside.append(float(((ranges >= low) & (ranges <= high))[use].mean()))
+    own = graph.log_likelihood(ranges, poses, correlated=False, per_ray=True)[use]
+    to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: laser_poses(p, run.sensor.mount))
+    grid_args = to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
+    threshold = tuned(Grid, *grid_args)["grid, least MAE"]
+    expected, _ = Grid(*grid_args).cast(to_laser(poses), threshold)
+    near = nearest_ranges(
+        to_laser(poses), to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
+    )
+    near = np.where(np.isfinite(near), near, 2 * MAX_RANGE)[use]
+
+    def kernel_density(width: float) -> Floats:
+        return np.asarray(0.95 * gaussian(z[:, None] - near, width).mean(axis=1) + 0.05 * UNIFORM)
+
+    def one_gaussian(width: float) -> Floats:
+        return np.asarray(0.95 * gaussian(z - found.mode[use], width) + 0.05 * UNIFORM)
+
+    densities = {
+        "beam model": beam_model(z, expected[use], half),
+        "cells, one Gaussian": one_gaussian(best_width(one_gaussian, half)),
+        "kernel density": kernel_density(best_width(kernel_density, half)),
+    }
+    scores = {"graph": float(own[~half].mean())}
+    scores |= {name: float(np.log(density)[~half].mean()) for name, density in densities.items()}
+    off = (np.abs(ranges - found.mode) > 0.05)[use]
+    stated = found.p_off[use]
+    bins = np.clip((stated * 10).astype(int), 0, 9)
+    count = np.bincount(bins, minlength=10)
+    chances = np.column_stack(
+        [np.bincount(bins, values, minlength=10) / np.maximum(count, 1) for values in (stated, off)] + [count]
+    )
+    return Scored(
+        name=path.name.split(".")[0], coverage=tuple(inside), pit=found.cdf(ranges)[use], chances=chances, scores=scores
+    )  # fmt: skip
+
+
+def picture(logs: list[Scored], path: Path) -> None:
+    """Draw the histogram of the distribution function, and stated chances against frequencies."""
+    figure = new_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    for one in logs:
+        heights, edges = np.histogram(one.pit, 20, (0.0, 1.0), density=True)
+        left.stairs(heights, edges, label=one.name)
+        known = one.chances[:, 2] > 100
+        right.plot(one.chances[known, 0], one.chances[known, 1], "o-", ms=4, label=one.name)
+    left.axhline(1.0, color="0.6", lw=0.8)
+    right.plot([0, 1], [0, 1], color="0.6", lw=0.8)
+    left.set(xlabel="distribution function at the measured range", ylabel="density", ylim=(0, None))
+    right.set(
+        xlabel="stated chance of being off by more than 5 cm", ylabel="frequency", xlim=(0, 1), ylim=(0, 1)
+    )
+    right.legend()
+    save_figure(figure, path)
+
+
+def main() -> None:
+    """Print one row for each log."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--most", type=int, default=200, help="held-out scans of each log")
+    parser.add_argument("--picture", type=Path)
+    given = parser.parse_args()
+    done = []
+    for log in given.logs:
+        done.append(one := score(log, given.most))
+        shares = " / ".join(f"{100 * share:.1f}" for share in one.coverage)
+        print(f"{one.name}: within 50 / 90 / 99 % intervals {shares} % of {len(one.pit):,} returns")
+        print("  mean log score:", ", ".join(f"{name} {value:.3f}" for name, value in one.scores.items()))
+        for stated, seen, count in one.chances:
+            if count > 100:
+                print(
+                    f"  off by more than 5 cm: stated {100 * stated:.1f} %, was {100 * seen:.1f} % of {count:,.0f}"
+                )
+    if given.picture:
+        picture(done, given.picture)
+
+
+if __name__ == "__main__":
+    main()
