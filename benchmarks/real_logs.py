@@ -67,7 +67,7 @@ def learned_from(logs: list[TrainingLog]) -> Floats:
         for log in logs:
             aside, bearings = is_set_aside(len(log.poses)), log.run.sensor.bearings
             evidence = CellEvidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
-            table = tabulate(evidence, beta, CELLS.answers.first_sigma)
+            table = tabulate(evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma))
             phi, label, weight = training_samples(
                 evidence, log.poses[aside], log.ranges[aside], bearings, table, N_SAMPLES
             )
@@ -115,7 +115,7 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
                 **{
                     **vars(graph.model),
                     "beta": beta,
-                    "table": tabulate(evidence, beta, CELLS.answers.first_sigma),
+                    "table": tabulate(evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma)),
                 }
             )
             stranger = Sensorgraph(

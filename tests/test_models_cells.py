@@ -20,7 +20,7 @@ from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plai
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, list_at_risk
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
 from sensorgraph.models.cells.model import CellModel, is_key_frame, shipped_visibility
-from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
+from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import (
     RATES,
     CellTable,
@@ -163,7 +163,7 @@ def a_table() -> CellTable:
     rng = np.random.default_rng(5)
     poses = some_poses(rng, 30)
     return tabulate(
-        CellEvidence.of(poses, room(poses), BEARINGS).widened(), np.array(shipped_visibility()), 0.02
+        CellEvidence.of(poses, room(poses), BEARINGS).widened(), np.array(shipped_visibility()), (0.02, 0.0, 0.02)
     )
 
 
@@ -260,7 +260,20 @@ def test_spread_about_faces_is_found() -> None:
     poses = some_poses(rng, 40)
     for planted in (0.015, 0.04):
         measured = room(poses) + rng.normal(0, planted, (40, 91))
-        assert best_sigma(poses, measured, BEARINGS, table) == pytest.approx(planted, rel=0.15)
+        sigma, across, _ = fit_spread(poses, measured, BEARINGS, table)
+        assert sigma == pytest.approx(planted, rel=0.15)
+        assert across < 0.5 * planted
+
+
+def test_errors_of_poses_count_with_the_tangent_of_incidence() -> None:
+    """Poses that are 2 cm off move a reading by 2 cm / cos(incidence): sigma² = across² = 2 cm²."""
+    table = a_table()
+    rng = np.random.default_rng(21)
+    poses = some_poses(rng, 120)
+    off = poses + rng.normal(size=poses.shape) * [0.02, 0.02, 0.0]
+    sigma, across, _ = fit_spread(off, room(poses), BEARINGS, table)
+    assert sigma == pytest.approx(0.02, rel=0.2)
+    assert across == pytest.approx(0.02, rel=0.3)
 
 
 def test_calibration_learns_a_planted_curve_and_keeps_what_is_said_without_data() -> None:
@@ -302,7 +315,7 @@ def test_square_room_is_predicted_to_its_noise(square: CellModel) -> None:
 
 def test_readings_are_off_as_often_as_said_though_noise_alone_brings_more(square: CellModel) -> None:
     """With 3 cm about a face, Gaussian tails put 9.6 % of the readings 5 cm off; the log has seen fewer."""
-    rough = replace(square, table=square.table._replace(sigma=0.03))
+    rough = replace(square, table=square.table._replace(sigma=0.03, rough=0.03))
     poses = some_poses(np.random.default_rng(7), 200)
     said = rough.predict(poses, np.arange(91), "mode")
     rng = np.random.default_rng(8)

@@ -79,7 +79,7 @@ def fill_mixtures(
             summary = summarise(r[p, q], w[p, q], sigma[p, q], n, survival[p, q], table.reach, 0)
             p_off = np.interp(summary[P_OFF], KNOTS, reliability)
             scale_weights(r[p, q], w[p, q], sigma[p, q], n, summary[MODE], p_off)
-            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.sigma
+            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.rough
             most = max(most, n)
     return most
 

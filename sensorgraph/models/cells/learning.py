@@ -77,7 +77,7 @@ def list_at_risk(
                 chord = ends[k] - before
                 stop[k] = 0.0
                 if hit and ends[k] > z - CANDIDATE_DISTANCE:
-                    r = face_range(
+                    r, _ = face_range(
                         x0, y0, c, s, at[k, 0], at[k, 1], 0.5 * (before + ends[k]),
                         table.angle[row, b], table.offset[row, b], table.cell,
                     )  # fmt: skip

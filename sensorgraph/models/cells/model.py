@@ -8,7 +8,6 @@ stretches of the log that the evidence omits. A prediction traverses the cells a
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -25,7 +24,7 @@ from sensorgraph.models.cells.distribution import fill_log_likelihoods, fill_mix
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
-from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
+from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
@@ -98,9 +97,9 @@ class CellModel:
                 f"no ray of any training scan returned between {MIN_RANGE} and {reach:g} m"
             )
         report = progress or (lambda done, total: None)
-        beta, sigma, reliability = learn_visibility(poses, ranges, bearings, cell, reach, report)
+        beta, spread, reliability = learn_visibility(poses, ranges, bearings, cell, reach, report)
         evidence = CellEvidence.of(poses, ranges, bearings, cell=cell, reach=reach)
-        table = tabulate(evidence.widened(), beta, sigma)
+        table = tabulate(evidence.widened(), beta, spread)
         report(5, 5)
         far, none = int((ranges >= reach).sum()), int(np.isposinf(ranges).sum())
         counts = {
@@ -178,17 +177,20 @@ class CellModel:
         summaries, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
         from scipy.special import ndtr, ndtri  # imported here, since it takes long and only drawing needs it
 
-        sigma_here = self.table.sigma
-        by_noise = max(math.erfc(OFF_DISTANCE / (math.sqrt(2.0) * sigma_here)), 1e-300)
         p_off = np.interp(summaries[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
-        quantile = ndtr(normal)
-        near = sigma_here * ndtri(0.5 * by_noise + (1.0 - by_noise) * quantile)
-        far = sigma_here * np.where(
-            quantile < 0.5, ndtri(by_noise * quantile), -ndtri(by_noise * (1.0 - quantile))
-        )
+        quantiles = ndtr(normal)
         for i, pose in enumerate(lasers):
             r, w, sigma, survival = (part[0] for part in list_candidates(self.table, pose[None], bearings))
-            mode = summaries[i, :, MODE]
+            mode, quantile = summaries[i, :, MODE], quantiles[i]
+            on = np.where(np.abs(r - mode[:, None]) <= OFF_DISTANCE, w, 0.0)
+            all_on = np.maximum(on.sum(axis=1), 1e-300)
+            here = np.sqrt((on * sigma**2).sum(axis=1) / all_on)  # spread of the readings near the mode
+            here = np.where(here > 0, here, self.table.rough)
+            by_noise = np.maximum(2.0 * ndtr(-OFF_DISTANCE / here), 1e-300)
+            near = here * ndtri(0.5 * by_noise + (1.0 - by_noise) * quantile)
+            far = here * np.where(
+                quantile < 0.5, ndtri(by_noise * quantile), -ndtri(by_noise * (1.0 - quantile))
+            )
             # the other readings beyond reach are longer ranges, which are unknown
             beyond = survival * self.nothing
             nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
@@ -205,8 +207,8 @@ class CellModel:
             k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
             moved_by_noise, is_on = is_off & ~(share < by_cells), is_there & ~is_off
             out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
-            out[i, moved_by_noise] = mode[moved_by_noise] + far[i, moved_by_noise]
-            out[i, is_on] = mode[is_on] + near[i, is_on]
+            out[i, moved_by_noise] = mode[moved_by_noise] + far[moved_by_noise]
+            out[i, is_on] = mode[is_on] + near[is_on]
         return out
 
     def equation(self, ray: int) -> str:
@@ -217,7 +219,8 @@ class CellModel:
             "r_k = (d_k - n_k . q) / (n_k . u)   [m]   q: laser, u: direction, n_k . p = d_k: line through the hits",
             "w_k = (1 - (1 - a_k)^(l_k / g)) * (probability that no cell before stopped it)   "
             f"l_k: length in the cell, g = {self.table.cell:g} m",
-            f"a mixture of Gaussians with sigma {self.table.sigma:.4f} m; the remaining weight is no return within {self.table.reach:g} m",
+            f"a mixture of Gaussians with variance {self.table.sigma:.4f}^2 + {self.table.across:.4f}^2 tan^2(incidence) m^2 about "
+            f"a line, {self.table.rough:.4f}^2 m^2 without a line; the remaining weight is no return within {self.table.reach:g} m",
             "",
             f"logit a = sum of {len(TERMS)} terms; counts enter as log(1 + 3 count)",
         ]
@@ -231,7 +234,7 @@ class CellModel:
             "form": f"{len(self.table.rate) - 1} cells of {self.table.cell:g} m, one polynomial of {len(TERMS)} terms for all",
             "from": f"{c['hits']} hits of {c['key_frames']} key frames ({c['scans']} scans); "
             f"{c['set_aside']} of them set aside to learn visibility",
-            "sigma": f"{self.table.sigma:.3g} m about a face",
+            "sigma": f"{self.table.sigma:.3g} m about a line, {self.table.rough:.3g} m without one",
             "reach": f"{self.table.reach:g} m; {100 * self.nothing:.0f} % of the readings beyond are missing returns, the others are not answered",
         }
 
@@ -242,6 +245,8 @@ class CellModel:
             "cell": t.cell,
             "reach": t.reach,
             "sigma": t.sigma,
+            "across": t.across,
+            "rough": t.rough,
             "nothing": self.nothing,
             "counts": dict(self.counts),
             "shape": list(t.rows.shape),
@@ -290,10 +295,13 @@ class CellModel:
         check_range("nothing", header["nothing"], 0, 1)
         for name in ("cell", "reach", "sigma"):
             check_positive(name, header[name])
+        check_positive("rough", header.get("rough", header["sigma"]))
+        check_range("across", header.get("across", 0.0), 0)
         table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
-            sigma=float(header["sigma"]), is_seen=arrays["is_seen"],
+            sigma=float(header["sigma"]), across=float(header.get("across", 0.0)),
+            rough=float(header.get("rough", header["sigma"])), is_seen=arrays["is_seen"],
         )  # fmt: skip
         return cls(
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
@@ -329,29 +337,31 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
 
 def learn_visibility(
     poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
-) -> tuple[Floats, float, Floats]:
-    """Learn beta (n_terms,), sigma [m] and the calibration (3, n_knots) on stretches that the evidence omits."""
+) -> tuple[Floats, tuple[float, float, float], Floats]:
+    """Learn beta (n_terms,), the spread [m] and the calibration (3, n_knots) on stretches that the evidence omits."""
     beta = np.array(shipped_visibility())
     reliability = np.tile(KNOTS, (len(POINTS), 1))
+    first = CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma
     if len(poses) < CELLS.learning.min_scans:
-        return beta, CELLS.answers.first_sigma, reliability
+        return beta, first, reliability
     aside = is_set_aside(len(poses))
     evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
     report(1, 5)
-    table = tabulate(evidence, beta, CELLS.answers.first_sigma)
+    table = tabulate(evidence, beta, first)
     report(2, 5)
     set_aside = poses[aside], ranges[aside], bearings
     phi, label, weight = training_samples(evidence, *set_aside, table)
     beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
     report(3, 5)
-    table = tabulate(evidence, beta, CELLS.answers.first_sigma)
-    table = table._replace(sigma=best_sigma(*set_aside, table))
+    table = tabulate(evidence, beta, first)
+    spread = fit_spread(*set_aside, table)
+    table = table._replace(sigma=spread[0], across=spread[1], rough=spread[2])
     all_summaries = np.array(
         [summarise_poses(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
     )
     scored = (ranges[aside] > MIN_RANGE) & (ranges[aside] < reach)
     report(4, 5)
-    return beta, table.sigma, calibrate_p_off(all_summaries, ranges[aside], scored)
+    return beta, spread, calibrate_p_off(all_summaries, ranges[aside], scored)
 
 
 def summarise_poses(

@@ -18,24 +18,34 @@ from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
 from sensorgraph.types import Bools, Floats
 
 ANSWERS = CELLS.answers
-TRIED_SIGMAS = np.geomspace(*ANSWERS.tried_sigmas, ANSWERS.n_tried)
+MIN_SPREAD = ANSWERS.min_spread
 DENSITY_AT_0 = 0.3989422804
 """Standard normal density at 0."""
 OUTLIER_DENSITY, KNOTS = ANSWERS.outlier_density, np.array(ANSWERS.knots)
 
 
 @kernel
-def log_likelihoods(
-    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, sigmas: Floats, out: Floats
+def add_squares(
+    poses: Floats,
+    ranges: Floats,
+    bearings: Floats,
+    table: CellTable,
+    weights: Floats,
+    squares: Floats,
+    tangents: Floats,
 ) -> None:
-    """Fill out (n_sigmas,) with the log likelihood of all returns for each spread about the faces.
+    """Add the responsibilities of all candidates for the measured ranges, and their squared residuals [m²].
 
-    p(z) = outlier density + sum_i w_i N(z; r_i, sigma²). Poses (n, n_rays or 1, 3) are those of the laser.
+    With p(z) = outlier density + sum_i w_i N(z; r_i, s_i²), candidate i has the responsibility w_i N(z; r_i, s_i²) / p(z).
+    Class 0 is cells without a line; the others are classes of the cosine of incidence, from normal to grazing.
+    `tangents` collects the squared tangents of incidence. All three are (n_classes,). Poses (n, n_rays or 1, 3) are those
+    of the laser.
     """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    out[:] = 0.0
+    n_classes = len(weights) - 1
+    across = table.across * table.across
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[p, q]
@@ -44,36 +54,55 @@ def log_likelihoods(
             pose = poses[p, min(q, poses.shape[1] - 1)]
             angle = pose[2] + bearings[q]
             n, _ = stop_candidates(
-                pose[0],
-                pose[1],
-                math.cos(angle),
-                math.sin(angle),
-                table,
-                at,
-                ends,
-                r,
-                w,
-                sigma,
-                unseen,
+                pose[0], pose[1], math.cos(angle), math.sin(angle), table, at, ends, r, w, sigma, unseen
             )
-            for k in range(len(sigmas)):
-                density = OUTLIER_DENSITY
-                for i in range(n):
-                    e = (z - r[i]) / sigmas[k]
-                    if abs(e) < TAIL:
-                        density += w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigmas[k]
-                out[k] += math.log(density)
+            total = OUTLIER_DENSITY
+            for i in range(n):
+                e = (z - r[i]) / sigma[i]
+                if abs(e) < TAIL:
+                    total += w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i]
+            for i in range(n):
+                e = (z - r[i]) / sigma[i]
+                if abs(e) < TAIL:
+                    share = w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i] / total
+                    tangent, k = 0.0, 0
+                    if sigma[i] != table.rough:
+                        tangent = (sigma[i] * sigma[i] - table.sigma * table.sigma) / across
+                        k = 1 + min(
+                            int((1.0 - 1.0 / math.sqrt(1.0 + max(tangent, 0.0))) * n_classes), n_classes - 1
+                        )
+                    weights[k] += share
+                    squares[k] += share * (z - r[i]) ** 2
+                    tangents[k] += share * tangent
 
 
-def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: CellTable) -> float:
-    """Return the spread [m] that maximises the likelihood of set-aside returns, with parabolic interpolation."""
-    out = np.empty(len(TRIED_SIGMAS))
-    log_likelihoods(per_ray(poses), ranges, bearings, table, TRIED_SIGMAS, out)
-    k = int(np.clip(np.argmax(out), 1, len(TRIED_SIGMAS) - 2))
-    below, here, above = out[k - 1 : k + 2]
-    bend = below - 2 * here + above
-    shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
-    return float(TRIED_SIGMAS[k] * (TRIED_SIGMAS[1] / TRIED_SIGMAS[0]) ** np.clip(shift, -1, 1))
+def fit_spread(
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable
+) -> tuple[float, float, float]:
+    """Return sigma, across and rough [m], which maximise the likelihood of set-aside returns, by EM.
+
+    M-step: a weighted least-squares line through the mean squared residual of each class of incidence, over the squared
+    tangent. The weights are those of variances, n_k / variance². Each class has a prior of `knot_weight` returns at the
+    initial spread.
+    """
+    prior, first = ANSWERS.knot_weight, ANSWERS.first_sigma
+    spread = np.array([first, 0.5 * first, 1.01 * first])
+    for _ in range(ANSWERS.em_steps):
+        now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
+        weights, squares, tangents = (np.zeros(ANSWERS.n_incidences + 1) for _ in range(3))
+        add_squares(per_ray(poses), ranges, bearings, now, weights, squares, tangents)
+        x = tangents / np.maximum(weights, 1e-9)
+        y = (squares + prior * first**2) / (weights + prior)
+        use = np.flatnonzero(weights[1:] > 0) + 1
+        if len(use) < 2:
+            break
+        scale = np.sqrt(weights[use]) / y[use]
+        from scipy.optimize import nnls  # imported here, since it takes 0.2 s
+
+        rows = np.column_stack([np.ones(len(use)), x[use]]) * scale[:, None]
+        variances = np.maximum(nnls(rows, y[use] * scale)[0], MIN_SPREAD**2)
+        spread = np.array([*np.sqrt(variances), math.sqrt(max(y[0], MIN_SPREAD**2))])
+    return float(spread[0]), float(spread[1]), float(spread[2])
 
 
 def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:

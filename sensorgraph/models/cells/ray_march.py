@@ -3,6 +3,7 @@
 Probability of a stop in cell k: w_k = S_k (1 - exp(-rate_k l_k)), where l_k is the chord [m].
 Probability of reaching it: S_k = exp(-sum_{i<k} rate_i l_i). Rate of stops [1/m]: rate_k = -log(1 - p_k) / cell.
 Range to its face n_k·p = d_k from the laser q in direction u: r_k = (d_k - n_k·q) / (n_k·u).
+Variance of a reading about it: sigma² + across² tan²(angle of incidence), and rough² in a cell without a line.
 """
 
 from __future__ import annotations
@@ -54,7 +55,11 @@ class CellTable(NamedTuple):
     offset: Offsets
     """(n + 1, 16) [mm] offset of the face from the centre of the cell."""
     sigma: float
-    """[m] Standard deviation of a range about its face, including the noise of poses."""
+    """[m] Standard deviation of a range about a line at normal incidence, including the noise of poses."""
+    across: float
+    """[m] Standard deviation of the place of a line, which counts with the tangent of the angle of incidence."""
+    rough: float
+    """[m] Standard deviation of a range in a cell without a line."""
     is_seen: Codes
     """(n + 1,) 1 where a training ray crossed the cell, else 0."""
 
@@ -62,14 +67,14 @@ class CellTable(NamedTuple):
 def tabulate(
     evidence: CellEvidence,
     beta: Floats | None,
-    sigma: float,
+    spread: tuple[float, float, float],
     *,
     margin: int = 2,
     chance: float = MARCH.default_probability,
 ) -> CellTable:
     """Compute the lookup table from (widened) evidence and the coefficients of the visibility polynomial.
 
-    Without beta, every cell stops a ray with the probability `chance`.
+    `spread` holds sigma, across and rough [m]. Without beta, every cell stops a ray with the probability `chance`.
     """
     window = evidence.window
     angle, offset = local_lines(evidence)
@@ -89,7 +94,9 @@ def tabulate(
         rate=np.searchsorted(np.sqrt(RATES[1:-1] * RATES[2:]), rate).astype(np.uint8) + np.uint8(1),
         angle=angle,
         offset=offset,
-        sigma=sigma,
+        sigma=spread[0],
+        across=spread[1],
+        rough=spread[2],
         is_seen=seen,
     )
 
@@ -97,18 +104,29 @@ def tabulate(
 @inner_kernel
 def face_range(
     x: float, y: float, c: float, s: float, i: int, j: int, middle: float, code: int, offset: int, cell: float
-) -> float:
-    """Return the range at which a ray from (x, y) meets the face of cell (i, j); `middle` [m] where it is unknown."""
+) -> tuple[float, float]:
+    """Return the range at which a ray from (x, y) meets the face of cell (i, j), and the cosine of incidence.
+
+    Where the line is unknown, the range is `middle` [m] or that of the hits, and the cosine is 0.
+    """
     px, py = (i + 0.5) * cell - x, (j + 0.5) * cell - y  # from the start to the centre of the cell
     d = offset * OFFSET_STEP
     if code == NO_LINE:
-        return px * c + py * s + d if offset != 0 else middle
+        return (px * c + py * s + d if offset != 0 else middle), 0.0
     nx, ny = COS[code], SIN[code]
     den = nx * c + ny * s
     if abs(den) <= MIN_SINE:
-        return middle
+        return middle, 0.0
     r = (nx * px + ny * py + d) / den
-    return r if abs(r - middle) < 2.0 * cell else middle
+    return (r, abs(den)) if abs(r - middle) < 2.0 * cell else (middle, 0.0)
+
+
+@inner_kernel
+def width_of(cosine: float, sigma: float, across: float, rough: float) -> float:
+    """Return the standard deviation [m] of a reading about a face met at a cosine of incidence; 0: no line."""
+    if cosine <= 0.0:
+        return rough
+    return math.sqrt(sigma * sigma + across * across * (1.0 / (cosine * cosine) - 1.0))
 
 
 @outer_kernel
@@ -144,15 +162,16 @@ def stop_candidates(
         chance = survival * -math.expm1(-rate * chord)
         if chance > MIN_STOP:
             middle = 0.5 * (before + ends[k])
-            at_r = max(
-                face_range(x0, y0, c, s, i, j, middle, table.angle[row, b], table.offset[row, b], table.cell),
-                0.0,
+            at_r, cosine = face_range(
+                x0, y0, c, s, i, j, middle, table.angle[row, b], table.offset[row, b], table.cell
             )
+            at_r = max(at_r, 0.0)
             m = n
             while m > 0 and r[m - 1] > at_r:
                 r[m], w[m], sigma[m], unseen[m] = r[m - 1], w[m - 1], sigma[m - 1], unseen[m - 1]
                 m -= 1
-            r[m], w[m], sigma[m], unseen[m] = at_r, chance, table.sigma, unobserved
+            r[m], w[m], unseen[m] = at_r, chance, unobserved
+            sigma[m] = width_of(cosine, table.sigma, table.across, table.rough)
             n += 1
         survival -= chance
         before = ends[k]
@@ -218,7 +237,7 @@ def fill_candidates(
                 poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
                 r[p, q], w[p, q], sigma[p, q], unseen,
             )  # fmt: skip
-            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.sigma
+            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.rough
             most = max(most, n)
     return most
 
@@ -268,4 +287,7 @@ def stop_candidates_plain(
     r = np.maximum(np.where(known, r, middle), 0.0)
     use = np.flatnonzero((w > MIN_STOP) & (np.arange(len(w)) < last))
     use = use[np.argsort(r[use], kind="stable")]
-    return r[use], w[use], np.full(len(use), table.sigma), unseen[use], float(survival[last - 1])
+    tangent_2 = 1.0 / np.where(known & (code != NO_LINE), den, 1.0) ** 2 - 1.0
+    on_line = np.sqrt(table.sigma**2 + table.across**2 * tangent_2)
+    sigma = np.where(known & (code != NO_LINE), on_line, table.rough)
+    return r[use], w[use], sigma[use], unseen[use], float(survival[last - 1])

@@ -141,10 +141,12 @@ class CellAnswerSettings:
 
     first_sigma: float = 0.027
     """[m] Initial spread about a face."""
-    tried_sigmas: tuple[float, float] = (0.005, 0.08)
-    """[m] Smallest and largest spread that is tried."""
-    n_tried: int = 17
-    """Number of spreads that are tried."""
+    min_spread: float = 0.005
+    """[m] Smallest spread about a face, and of the place of a line."""
+    em_steps: int = 6
+    """Number of EM steps of the spread; later ones change it by less than 2 %."""
+    n_incidences: int = 8
+    """Number of classes of the angle of incidence."""
     outlier_density: float = 1e-3
     """[1/m] Density of outliers: returns that no face explains."""
     knots: tuple[float, ...] = (0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0)
