@@ -115,7 +115,9 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
                 **{
                     **vars(graph.model),
                     "beta": beta,
-                    "table": tabulate(evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma)),
+                    "table": tabulate(
+                        evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma)
+                    ),
                 }
             )
             stranger = Sensorgraph(

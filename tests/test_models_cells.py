@@ -163,7 +163,9 @@ def a_table() -> CellTable:
     rng = np.random.default_rng(5)
     poses = some_poses(rng, 30)
     return tabulate(
-        CellEvidence.of(poses, room(poses), BEARINGS).widened(), np.array(shipped_visibility()), (0.02, 0.0, 0.02)
+        CellEvidence.of(poses, room(poses), BEARINGS).widened(),
+        np.array(shipped_visibility()),
+        (0.02, 0.0, 0.02),
     )
 
 
