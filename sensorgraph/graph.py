@@ -15,7 +15,7 @@ from logs.html_table import html_table
 from logs.motion import to_ray_starts
 from logs.run import PoseFrame, RangeSensor, rare_times
 from logs.transforms import compose
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph_file import FORMAT, SENSOR_FIELDS, VERSION, read_graph, sensor_arrays, write_members
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
 from sensorgraph.models.cells.model import CellModel
@@ -276,6 +276,7 @@ class Sensorgraph:
         return cls(**read_graph(Path(path)))
 
 
+@as_sensorgraph_error
 def load(path: Path | str) -> Sensorgraph:
     """Load a sensorgraph from its file; no code of the file is executed.
 

@@ -113,7 +113,7 @@ def test_the_image_of_a_map_stays_in_its_folder_unless_allowed(
     monkeypatch.setenv(
         "SENSORGRAPH_ALLOW_OUTSIDE", "0"
     )  # set again by the option, and put back by monkeypatch
-    words = ["plan", str(path), "--start", "9,9,9", "-o", str(outside / "plan")]
+    words = ["plan", str(path), "--start", "9,9,0", "-o", str(outside / "plan")]
     assert cli(words) == 2
     assert "outside the folder" in capsys.readouterr().err
     assert cli(["--allow-outside", *words]) == 2

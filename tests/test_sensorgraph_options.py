@@ -15,7 +15,7 @@ from sensorgraph.models import MODELS
 FUNCTIONS = [
     name
     for name in sg.__all__
-    if inspect.isfunction(getattr(sg, name)) and name not in ("load_arena", "load_robot")
+    if inspect.isfunction(getattr(sg, name)) and name not in ("load", "load_arena", "load_robot")
 ]
 
 

@@ -182,15 +182,10 @@ class CellModel:
         for i, pose in enumerate(lasers):
             r, w, sigma, survival = (part[0] for part in list_candidates(self.table, pose[None], bearings))
             mode, quantile = summaries[i, :, MODE], quantiles[i]
-            on = np.where(np.abs(r - mode[:, None]) <= OFF_DISTANCE, w, 0.0)
-            all_on = np.maximum(on.sum(axis=1), 1e-300)
-            here = np.sqrt((on * sigma**2).sum(axis=1) / all_on)  # spread of the readings near the mode
-            here = np.where(here > 0, here, self.table.rough)
+            here = _spread_near(mode, r, w, sigma, self.table.rough)
             by_noise = np.maximum(2.0 * ndtr(-OFF_DISTANCE / here), 1e-300)
             near = here * ndtri(0.5 * by_noise + (1.0 - by_noise) * quantile)
-            far = here * np.where(
-                quantile < 0.5, ndtri(by_noise * quantile), -ndtri(by_noise * (1.0 - quantile))
-            )
+            far = here * np.sign(quantile - 0.5) * -ndtri(by_noise * np.minimum(quantile, 1.0 - quantile))
             # the other readings beyond reach are longer ranges, which are unknown
             beyond = survival * self.nothing
             nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
@@ -307,6 +302,15 @@ class CellModel:
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
             nothing=float(header["nothing"]), counts=header["counts"],
         )  # fmt: skip
+
+
+def _spread_near(mode: Floats, r: Floats, w: Floats, sigma: Floats, otherwise: float) -> Floats:
+    """Return the spread [m] of the readings near the mode (n_rays,), over candidates (n_rays, n_most)."""
+    on = np.where(np.abs(r - mode[:, None]) <= OFF_DISTANCE, w, 0.0)
+    total = on.sum(axis=1)
+    return np.where(
+        total > 0, np.sqrt((on * sigma**2).sum(axis=1) / np.where(total > 0, total, 1.0)), otherwise
+    )
 
 
 def is_key_frame(poses: Floats, run: Ints) -> Bools:
