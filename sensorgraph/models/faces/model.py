@@ -46,10 +46,15 @@ from sensorgraph.models.faces.reduction import (
     blocks_of,
     reduce_blocks,
 )
-from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.sufficient_statistics import scale_of
-from sensorgraph.models.faces.thin_rays import lasers, thin_likelihoods, thin_mixtures, thin_table
+from sensorgraph.models.faces.thin_rays import (
+    draw_thin_rays,
+    lasers,
+    thin_likelihoods,
+    thin_mixtures,
+    thin_table,
+)
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
@@ -264,14 +269,7 @@ class Faces(FacesData):
         """
         if self.cells is not None:
             return self.cells.draw(poses, uniform, normal, rays)
-        out = np.empty(uniform.shape)
-        x, y, cos, sin = lasers(poses, self.mount)
-        bearings, terms = self.sensor.bearings[rays], self.calibration.terms
-        draw_rays(
-            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
-            self.buckets, self.noise.sigma, terms.constant[rays], terms.slope[rays], terms.incidence, uniform, normal, out,
-        )  # fmt: skip
-        return out
+        return draw_thin_rays(self, self.buckets, poses, uniform, normal, rays)
 
     def equation(self, ray: int, *, every: bool = True) -> str:
         """Return the equations of one ray as text, face by face, those first that stop it at the most poses.

@@ -12,6 +12,7 @@ from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.data import FacesData
 from sensorgraph.models.faces.prediction import list_rays, log_likelihood_rays, predict_rays
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, BucketGrid
+from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.visibility import ReturnNoise
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -79,3 +80,17 @@ def noise_of_poses(model: FacesData, sigma_xy: float | None, sigma_yaw: float | 
     xy = math.hypot(fitted.sigma_xy, calibrated.sigma_xy) if sigma_xy is None else sigma_xy
     yaw = math.hypot(fitted.sigma_yaw, calibrated.sigma_yaw) if sigma_yaw is None else sigma_yaw
     return replace(fitted, sigma_xy=xy, sigma_yaw=yaw)
+
+
+def draw_thin_rays(
+    model: FacesData, buckets: BucketGrid, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice
+) -> Floats:
+    """Return one reading (n_poses, n_rays) [m] of rays at poses (n_poses, 3), as `Faces.draw` describes it."""
+    out = np.empty(uniform.shape)
+    x, y, cos, sin = lasers(poses, model.mount)
+    bearings, terms = model.sensor.bearings[rays], model.calibration.terms
+    draw_rays(
+        x, y, cos, sin, np.cos(bearings), np.sin(bearings), model.sensor.range_max, model.faces,
+        buckets, model.noise.sigma, terms.constant[rays], terms.slope[rays], terms.incidence, uniform, normal, out,
+    )  # fmt: skip
+    return out
