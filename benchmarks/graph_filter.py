@@ -1,8 +1,9 @@
 """A graph in a particle filter on a raw log, beside AMCL with Nav2's defaults and with fitted parameters.
 
 The graph is of the first half of the log, the filters run on the second half (`localize_in_map.halves`). All have AMCL's
-motion model and updates, and are told where to start. Truth is the whole log, located together. NEES is the mean of
-e' (P + P_truth)^-1 e / 3, with the covariance P of the particles: 1 if the posterior is as wide as its errors.
+motion model and updates, and are told where to start. Truth is the whole log, located together. NEES is the
+median of e' (P + P_truth)^-1 e, with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom:
+1 if the posterior is as wide as its errors.
 
     python -m benchmarks.graph_filter ../shared/data/raw-carmen/aces.clf.bz2 --work /tmp/in_map
 """
@@ -78,7 +79,7 @@ def filtered(
 
 
 def nees(found: Posterior, data: Halves) -> float:
-    """Return the normalised estimation error squared, divided by its 3 degrees of freedom."""
+    """Return the median of the normalised estimation error squared, 1 if the covariances are right."""
     use = np.isfinite(found.poses[:, 0]) & np.isfinite(data.truth[:, 0]) & data.covered
     error = found.poses[use] - data.truth[use]
     error[:, 2] = wrap(error[:, 2])

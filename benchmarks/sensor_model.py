@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.occupancy_grid import Grid, tuned
 from logs import pair, read
+from logs.motion import ray_poses
 from logs.transforms import wrap
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
@@ -114,7 +115,8 @@ def score(path: Path, most: int) -> Scored:
     test = np.flatnonzero(pairing.paired & held)
     test = test[:: max(1, len(test) // most)]
     poses, ranges = pairing.poses[test], run.ranges[test]
-    found = graph.predict(poses)
+    each = ray_poses(run, pairing, test)  # the other models take the pose at the stamp
+    found = graph.predict(each)
     use = found.answered & (ranges > 0.1) & (ranges < MAX_RANGE) & np.isfinite(found.mode)
     z = ranges[use]
     half = np.broadcast_to(((np.arange(len(test)) * 10 // len(test)) % 2 == 0)[:, None], use.shape)[use]
@@ -122,7 +124,7 @@ def score(path: Path, most: int) -> Scored:
     for level in LEVELS:
         low, high = found.interval(level)
         inside.append(float(((ranges >= low) & (ranges <= high))[use].mean()))
-    own = graph.log_likelihood(ranges, poses, correlated=False, per_ray=True)[use]
+    own = graph.log_likelihood(ranges, each, correlated=False, per_ray=True)[use]
     to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: laser_poses(p, run.sensor.mount))
     grid_args = to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
     threshold = tuned(Grid, *grid_args)["grid, least MAE"]
