@@ -2,7 +2,7 @@
 
 A rotating laser measures a point at bearing b at the time
 
-    t = t_0 + T q / (2 pi)
+    t = t_0 + T q / (2 pi).
 
 Here q is the angle from the cut to b in the direction of rotation, and T is the period of a turn. The clouds of many
 drivers do not start at the same bearing, so points are sorted into turns from cut to cut by the times t_0 + n T.
