@@ -27,6 +27,7 @@ from sensorgraph.sensor_model import (
     Unanswered,
     check_poses,
     check_readings,
+    each_ray,
     likelihood_of,
     sample_of,
     warn_of_sweep,
@@ -174,10 +175,7 @@ class Sensorgraph:
         """Predict the rays `index` at one batch of poses, (n, 3) or (n, n_rays, 3)."""
         if poses.ndim == 2:
             return self.model.predict(poses, index, point)
-        of_rays = [
-            self.model.predict(np.ascontiguousarray(poses[:, j]), index[j : j + 1], point)
-            for j in range(len(index))
-        ]
+        of_rays = [self.model.predict(there, ray, point) for there, ray in each_ray(poses, index)]
         return Prediction.concatenate(of_rays, axis=1)
 
     def __repr__(self) -> str:

@@ -22,6 +22,7 @@ from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Model, Prediction
 from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import MIN_DENSITY, information_share
@@ -40,7 +41,6 @@ POSES_PER_TASK = 64
 """Number of poses whose likelihood one thread computes at a time."""
 MAX_LONG_SHARE = 0.5
 """Share of finite readings beyond range_max above which they are taken to be in another unit."""
-
 MAX_POSE_DISTANCE = 1e8
 """[m] Largest accepted distance of a pose from the origin of map."""
 MAX_HEADING = 100.0
@@ -58,6 +58,12 @@ class Graph(Protocol):
     def memory(self) -> ResidualMemory | None: ...
     def lasers(self, poses: Floats) -> Floats: ...
     def predict(self, poses: Floats, *, rays: Ints) -> Prediction: ...
+
+
+def each_ray(poses: Floats, rays: Ints) -> Iterator[tuple[Floats, Ints]]:
+    """Yield the poses (n_poses, 3) and the index (1,) of each ray, for poses (n_poses, n_rays, 3)."""
+    for j in range(len(rays)):
+        yield np.ascontiguousarray(poses[:, j]), rays[j : j + 1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,10 +85,7 @@ class GraphRays:
             if poses.ndim == 2:
                 yield here, model.mixture(poses, self.rays)
                 continue
-            each = [
-                model.mixture(np.ascontiguousarray(poses[:, j]), self.rays[j : j + 1])
-                for j in range(len(self.rays))
-            ]
+            each = [model.mixture(there, own) for there, own in each_ray(poses, self.rays)]
             yield here, Mixture.padded(each, axis=1)
 
     @property
@@ -140,7 +143,7 @@ def likelihood_of(
 
 
 def _of_rays(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
-    """Return the log-likelihood and the support (n_poses, n_rays) of each ray, computed by two threads."""
+    """Return the log-likelihood and the support (n_poses, n_rays) of each ray, computed on all processors."""
     model = graph.model
     out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)
 
@@ -150,9 +153,8 @@ def _of_rays(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[F
         if poses.ndim == 2:
             out[here], supported[here] = model.log_likelihood(own, poses[here], rays)
             return
-        for j in range(len(rays)):
-            there = np.ascontiguousarray(poses[here, j])
-            found, is_known = model.log_likelihood(own[:, j : j + 1], there, rays[j : j + 1])
+        for j, (there, ray) in enumerate(each_ray(poses[here], rays)):
+            found, is_known = model.log_likelihood(own[:, j : j + 1], there, ray)
             out[here, j], supported[here, j] = found[:, 0], is_known[:, 0]
 
     starts = range(0, len(poses), POSES_PER_TASK)
@@ -174,10 +176,7 @@ def _check_place(graph: Graph, poses: Floats) -> None:
     model = graph.model
     if not isinstance(model, Faces | CellModel):
         return
-    if isinstance(model, Faces):
-        corner, side, known = model.observed.origin, model.observed.cell, model.observed.counts > 0
-    else:
-        corner, side, known = model.table.low, model.table.cell, model.table.is_seen[model.table.rows] > 0
+    corner, side, known = crossed_cells(model)
     index = np.argwhere(known)
     low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
     xy = graph.lasers(poses)[..., :2]
@@ -240,9 +239,8 @@ def draw(graph: Graph, poses: Floats, uniform: Floats, normal: Floats, rays: Int
     if poses.ndim == 2:
         return model.draw(poses, uniform, normal, rays)
     readings = np.empty(poses.shape[:2])
-    for j in range(len(rays)):  # each ray from its own pose
-        own, there = rays[j : j + 1], np.ascontiguousarray(poses[:, j])
-        readings[:, j] = model.draw(there, uniform[:, j : j + 1], normal[:, j : j + 1], own)[:, 0]
+    for j, (there, ray) in enumerate(each_ray(poses, rays)):
+        readings[:, j] = model.draw(there, uniform[:, j : j + 1], normal[:, j : j + 1], ray)[:, 0]
     return readings
 
 

@@ -141,15 +141,22 @@ def count_of(w: Floats) -> int:
     return n
 
 
+@inner_kernel
+def total_of(w: Floats, n: int) -> float:
+    """Return the weight of n candidates."""
+    total = 0.0
+    for m in range(n):
+        total += w[m]
+    return total
+
+
 @kernel
 def _pdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats) -> None:
     """Fill out (n_poses, n_rays) with the density at z (n_poses, n_rays)."""
     for i in range(out.shape[0]):
         for b in range(out.shape[1]):
             n = count_of(weights[i, b])
-            total = 0.0
-            for m in range(n):
-                total += weights[i, b, m]
+            total = total_of(weights[i, b], n)
             value = density_at(z[i, b], means[i, b], weights[i, b], widths[i, b], n)
             out[i, b] = value / total if total > 0.0 else 0.0
 
@@ -160,9 +167,7 @@ def _cdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats)
     for i in range(out.shape[0]):
         for b in range(out.shape[1]):
             n = count_of(weights[i, b])
-            total = 0.0
-            for m in range(n):
-                total += weights[i, b, m]
+            total = total_of(weights[i, b], n)
             below = chance_below(z[i, b], means[i, b], weights[i, b], widths[i, b], 0, n)
             out[i, b] = below / total if total > 0.0 else 0.0
 
@@ -173,9 +178,8 @@ def _quantile(means: Floats, weights: Floats, widths: Floats, q: Floats, out: Fl
     for i in range(out.shape[0]):
         for b in range(out.shape[1]):
             n = count_of(weights[i, b])
-            total, low, high = 0.0, 1e300, -1e300
+            total, low, high = total_of(weights[i, b], n), 1e300, -1e300
             for m in range(n):
-                total += weights[i, b, m]
                 low = min(low, means[i, b, m] - TAIL * widths[i, b, m])
                 high = max(high, means[i, b, m] + TAIL * widths[i, b, m])
             if total <= 0.0:

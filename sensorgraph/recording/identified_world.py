@@ -28,6 +28,7 @@ from sensorgraph.models.narmax.drawing import DrawnRun
 from sensorgraph.models.narmax.model import RayNarmax
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.recording.controllers import controller_named
+from sensorgraph.sensor_model import draw
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.described import rays_text
 from sensorgraph.world.drive import follow, react
@@ -154,14 +155,9 @@ class IdentifiedWorld:
             prediction = self.graph.predict(poses, rays=self.rays)
             lost = uniform[:, self.rays] < prediction.p_no_return
             readings = np.where(lost, np.inf, prediction.mode + prediction.sigma * normal[:, self.rays])
-        elif poses.ndim == 2:
-            readings = model.draw(poses, uniform, normal)[:, self.rays]
-        else:  # each ray from its own pose
-            readings = np.empty(poses.shape[:2])
-            for i, ray in enumerate(self.rays):
-                own = np.array([ray])
-                there = np.ascontiguousarray(poses[:, i])
-                readings[:, i] = model.draw(there, uniform[:, own], normal[:, own], own)[:, 0]
+        else:
+            own = uniform[:, self.rays], normal[:, self.rays]
+            readings = draw(self.graph, poses, *own, self.rays)
         return apply_range_limits(readings, self.sensor)
 
     def _numbers(self, first: int, poses: Floats) -> tuple[Floats, Floats]:

@@ -22,8 +22,8 @@ from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import max_cells_met
 from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
-from sensorgraph.models.distribution import DENSITY_AT_0, TAIL, chance_below
-from sensorgraph.models.likelihood import MIN_DENSITY
+from sensorgraph.models.distribution import count_of
+from sensorgraph.models.likelihood import MIN_DENSITY, log_density_of
 from sensorgraph.models.mixture import MODE, P_OFF, summarise
 from sensorgraph.types import Bools, Floats
 
@@ -57,31 +57,19 @@ def scale_weights(r: Floats, w: Floats, s: Floats, n: int, mode: float, p_off: f
 
 
 @kernel
-def fill_mixtures(
-    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats,
-    r: Floats, w: Floats, sigma: Floats, survival: Floats,
-) -> int:  # fmt: skip
-    """Fill r, w, sigma (n_poses, n_rays, n_max) and survival (n_poses, n_rays); return the largest number of candidates.
+def scale_all_weights(
+    r: Floats, w: Floats, sigma: Floats, survival: Floats, reach: float, reliability: Floats
+) -> None:
+    """Scale the weights of candidates as `list_candidates` returns them, in place.
 
-    `poses` (n_poses, 3) are those of the laser; `reliability` (n_knots,) holds the observed chances of being off the mode.
+    `reliability` (n_knots,) holds the observed chances of being off the mode at `KNOTS`.
     """
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, unseen = np.empty(size), np.empty(size)
-    most = 1
-    for p in range(len(poses)):
-        for q in range(len(bearings)):
-            angle = poses[p, 2] + bearings[q]
-            n, survival[p, q] = stop_candidates(
-                poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
-                r[p, q], w[p, q], sigma[p, q], unseen,
-            )  # fmt: skip
-            summary = summarise(r[p, q], w[p, q], sigma[p, q], n, survival[p, q], table.reach, 0)
+    for p in range(r.shape[0]):
+        for q in range(r.shape[1]):
+            n = count_of(w[p, q])
+            summary = summarise(r[p, q], w[p, q], sigma[p, q], n, survival[p, q], reach, 0)
             p_off = np.interp(summary[P_OFF], KNOTS, reliability)
             scale_weights(r[p, q], w[p, q], sigma[p, q], n, summary[MODE], p_off)
-            r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.rough
-            most = max(most, n)
-    return most
 
 
 @kernel
@@ -100,6 +88,7 @@ def fill_log_likelihoods(
     at = np.empty((size, 2), dtype=np.int64)
     ends, r, w, s, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     nothing, density_beyond = beyond
+    nearest = max(range_min, MIN_RANGE)
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[min(p, len(ranges) - 1), q]
@@ -113,21 +102,9 @@ def fill_log_likelihoods(
                 if r[k] <= summary[MODE]:
                     length = unseen[k]
             supported[p, q] = length <= MAX_UNSEEN_LENGTH
-            if math.isnan(z):
-                out[p, q] = 0.0
-                continue
-            if z == math.inf:
-                value = survival * nothing
-            elif z > table.reach:
+            if table.reach < z < math.inf:
                 value = survival * (1.0 - nothing) * density_beyond
-            else:
-                scale_weights(r, w, s, n, summary[MODE], np.interp(summary[P_OFF], KNOTS, reliability))
-                if z == -math.inf:
-                    value = chance_below(max(range_min, MIN_RANGE), r, w, s, 0, n)
-                else:
-                    value = OUTLIER_DENSITY
-                    for k in range(n):
-                        x = (z - r[k]) / s[k]
-                        if abs(x) < TAIL:
-                            value += w[k] / s[k] * DENSITY_AT_0 * math.exp(-0.5 * x * x)
-            out[p, q] = math.log(max(value, MIN_DENSITY))
+                out[p, q] = math.log(max(value, MIN_DENSITY))
+                continue
+            scale_weights(r, w, s, n, summary[MODE], np.interp(summary[P_OFF], KNOTS, reliability))
+            out[p, q] = log_density_of(z, r, w, s, n, survival * nothing, nearest, OUTLIER_DENSITY)

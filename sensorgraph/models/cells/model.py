@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, TrainingScans
-from sensorgraph.models.cells.distribution import fill_log_likelihoods, fill_mixtures
+from sensorgraph.models.cells.distribution import fill_log_likelihoods, scale_all_weights
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
-from sensorgraph.models.cells.grid import max_cells_met, per_ray
+from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
@@ -133,20 +133,18 @@ class CellModel:
 
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:
         """Return the mixtures of rays (n_rays,) at poses (n_poses, 3), within reach; the arrays are large."""
-        lasers, bearings = laser_poses(poses, self.mount), self.sensor.bearings[rays]
-        shape = len(poses), len(rays), max_cells_met(self.table.reach, self.table.cell)
-        means, weights, widths = (np.empty(shape) for _ in range(3))
-        survival = np.empty(shape[:2])
-        n = fill_mixtures(
-            lasers, bearings, self.table, self.reliability[which_of("mode")], means, weights, widths, survival
+        means, weights, widths, survival = list_candidates(
+            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays]
         )
+        reliability = self.reliability[which_of("mode")]
+        scale_all_weights(means, weights, widths, survival, self.table.reach, reliability)
         none = survival * self.nothing
-        total = np.maximum(weights[..., :n].sum(axis=2) + none, 1e-300)
+        total = np.maximum(weights.sum(axis=2) + none, 1e-300)
         return Mixture(
-            means=means[..., :n],
-            weights=weights[..., :n] / total[..., None],
-            widths=widths[..., :n],
-            sources=np.full((*shape[:2], n), -1),
+            means=means,
+            weights=weights / total[..., None],
+            widths=widths,
+            sources=np.full(means.shape, -1),
             p_no_return=none / total,
         )
 

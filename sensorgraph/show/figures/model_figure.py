@@ -9,6 +9,7 @@ import numpy as np
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES
+from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.show.figures.face_pieces import (
     mean_by_index,
@@ -29,7 +30,7 @@ from sensorgraph.show.figures.style import (
     new_figure,
     reduce_frame,
 )
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Floats
 
 PATCH_SIZE = 0.2
 """[m] Side of the squares over which residuals are averaged where there are no faces."""
@@ -81,7 +82,7 @@ def model_figure(model: Faces | CellModel, residuals: tuple[Floats, Floats, Floa
 
 def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
     """Return the lower left and the upper right corner (2,) [m] of the picture."""
-    corner, side, known = _crossed_cells(model)
+    corner, side, known = crossed_cells(model)
     index = np.argwhere(known)
     if isinstance(model, Faces) and model.faces.n_faces:
         ends = visible_pieces(model).ends.reshape(-1, 2)
@@ -92,14 +93,6 @@ def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
         raise SensorgraphError("the graph has no surface to draw; build it from a run with returns")
     margin = 0.03 * float((high - low).max()) + 0.05
     return low - margin, high + margin
-
-
-def _crossed_cells(model: Faces | CellModel) -> tuple[Floats, float, Bools]:
-    """Return corner [m], side [m] and cells (nx, ny) that training rays have crossed."""
-    if isinstance(model, Faces):
-        return model.observed.origin, model.observed.cell, model.observed.counts > 0
-    table = model.table
-    return table.low, table.cell, table.is_seen[table.rows] > 0
 
 
 def _image(axes: Any, corner: Floats, side: float, values: Any, **style: Any) -> Any:
@@ -114,7 +107,7 @@ def _observed_space(axes: Any, model: Faces | CellModel) -> None:
     from matplotlib.colors import to_rgb
 
     axes.set_facecolor(SOLID)
-    corner, side, known = _crossed_cells(model)
+    corner, side, known = crossed_cells(model)
     paint = np.where(known[..., None], to_rgb(FLOOR), to_rgb(SOLID))
     _image(axes, corner, side, paint, zorder=0)
 
