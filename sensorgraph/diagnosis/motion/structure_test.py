@@ -62,6 +62,17 @@ class AcceptedStructure:
     """Statements of the next best families."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """Columns fitted under one noise."""
+
+    whitener: Whitener
+    residual: Floats
+    """(n_kinds n,)"""
+    evidence: float
+    """[nats]"""
+
+
 Noise = tuple[WhiteningFilter, ...]
 """One filter for each kind of rows, for instance translation and rotation."""
 MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
@@ -87,6 +98,7 @@ class StructureTest:
         """
         self.nuisances = np.zeros((len(y), 0)) if nuisances is None else nuisances
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
+        self._noise_of_rows = self._noise(y)
         self._noises: list[Noise] = []
         white = WhiteningFilter.white(0, 1.0)
         self.whitener = Whitener.plain((white,) * (len(y) // len(valid)), valid)
@@ -118,11 +130,11 @@ class StructureTest:
         matters to a user.
         """
         self.evidence(own, families[0])
-        self.whitener = Whitener.plain(self.whitener.filters, self.valid)
+        whitener = Whitener.plain(self.whitener.filters, self.valid)
         columns = np.concatenate([family.columns for family in families], axis=1)
         sigma = np.concatenate([np.full(family.columns.shape[1], family.sigma) for family in families])
         joint = replace(families[0], columns=columns * sigma, sigma=1.0)
-        with_them, without = (self._fit_columns(own, family)[0] for family in (joint, None))
+        with_them, without = (self._fit_columns(whitener, own, family)[0] for family in (joint, None))
         return np.asarray(without - with_them)
 
     def dispersion(self, span: float, period: float) -> float:
@@ -179,33 +191,33 @@ class StructureTest:
         The result depends on the start, because noise that has absorbed structure hides it. The fit therefore
         starts from the earlier noise fit under which these columns are most likely.
         """
-        noises = [self._noise(self.y), *self._noises]
-        evidence, k = max((self._evidence_under(noise, own, family), k) for k, noise in enumerate(noises))
-        noise = noises[k]
-        self._evidence_under(noise, own, family)
+        noises = [self._noise_of_rows, *self._noises]
+        fits = [self._fit_under(noise, own, family) for noise in noises]
+        best = max(reversed(fits), key=lambda fit: fit.evidence)
+        latest = best
         for _ in range(MAX_ROUNDS):
-            further = self._noise(self.residual)
-            gained = self._evidence_under(further, own, family) - evidence
-            if gained > 0:
-                evidence, noise = evidence + gained, further
-            if gained < MIN_GAIN:
+            before, latest = best, self._fit_under(self._noise(latest.residual), own, family)
+            best = max(best, latest, key=lambda fit: fit.evidence)
+            if latest.evidence - before.evidence < MIN_GAIN:
                 break
-        self._noises = [noise, *self._noises[: MAX_NOISES - 1]]
-        return self._evidence_under(noise, own, family)
+        self.whitener, self.residual = best.whitener, best.residual
+        self._noises = [best.whitener.filters, *self._noises[: MAX_NOISES - 1]]
+        return best.evidence
 
     def _noise(self, residual: Floats) -> Noise:
         parts = enumerate(by_kind(residual, self.n))
         return tuple(self.fit_noise(kind, part, self.valid) for kind, part in parts)
 
-    def _evidence_under(self, noise: Noise, own: Floats, family: StructureFamily | None) -> float:
-        """Fit columns to rows whitened by `noise`; store the whitener and the residual."""
-        self.whitener = Whitener.plain(noise, self.valid)
+    def _fit_under(self, noise: Noise, own: Floats, family: StructureFamily | None) -> _Fit:
+        """Fit columns to rows whitened by `noise`."""
+        whitener = Whitener.plain(noise, self.valid)
         for _ in range(N_REWEIGHTED):
-            self.residual, price = self._fit_columns(own, family)
-            self.whitener = Whitener.robust(noise, self.valid, self.residual, EVIDENCE.huber_limit)
-        self.residual, price = self._fit_columns(own, family)
-        parts = zip(noise, by_kind(self.residual, self.n), strict=True)
-        return sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
+            residual, price = self._fit_columns(whitener, own, family)
+            whitener = Whitener.robust(noise, self.valid, residual, EVIDENCE.huber_limit)
+        residual, price = self._fit_columns(whitener, own, family)
+        parts = zip(noise, by_kind(residual, self.n), strict=True)
+        evidence = sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
+        return _Fit(whitener=whitener, residual=residual, evidence=evidence)
 
     def _parts(self, own: Floats, family: StructureFamily | None) -> list[tuple[Floats, Floats]]:
         """Return columns (n_kinds n, .) and their scales (.), which normalise them to unit norm or unit prior."""
@@ -217,7 +229,9 @@ class StructureTest:
             parts.append((family.columns, np.full(family.columns.shape[1], family.sigma)))
         return parts
 
-    def _fit_columns(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, float]:
+    def _fit_columns(
+        self, whitener: Whitener, own: Floats, family: StructureFamily | None
+    ) -> tuple[Floats, float]:
         """Return the residual (n_kinds n,) and the complexity penalty of the family [nats].
 
             price = theta'theta / 2 + log det(I + information) / 2 + choice_price
@@ -226,7 +240,7 @@ class StructureTest:
         """
         parts, k = self._parts(own, family), own.shape[1]
         scale = np.concatenate([scale for _, scale in parts])
-        G, b = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
+        G, b = whitener.normal_equations([columns for columns, _ in parts], self.y)
         G, b = G * np.outer(scale, scale), b * scale
         prior = np.concatenate([_ridge(G, k), np.ones(len(G) - k)])
         theta = np.linalg.solve(G + np.diag(prior), b)
@@ -243,17 +257,16 @@ class StructureTest:
         parts = self._parts(own, None)
         parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
         scale = np.concatenate([scale for _, scale in parts])
-        G_all, b_all = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
-        G_all, b_all = G_all * np.outer(scale, scale), b_all * scale
+        G, b = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
+        G, b = G * np.outer(scale, scale), b * scale
         k, m, out = own.shape[1], self.nuisances.shape[1], []
-        first = k + m
+        c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
+        H = np.eye(len(G) - k) + _information_beside(G, k)
+        alone, first = _gain(H[:m, :m], c[:m]), m
         for family in families:
-            mine = np.r_[: k + m, first : first + family.columns.shape[1]]
+            mine = np.r_[:m, first : first + family.columns.shape[1]]
             first += family.columns.shape[1]
-            G, b = G_all[np.ix_(mine, mine)], b_all[mine]
-            c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
-            H = np.eye(len(G) - k) + _information_beside(G, k)
-            out.append(_gain(H, c) - _gain(H[:m, :m], c[:m]) - family.choice_price)
+            out.append(_gain(H[np.ix_(mine, mine)], c[mine]) - alone - family.choice_price)
         return out
 
 

@@ -72,13 +72,14 @@ class MotorSimulation:
         self.grid = begin + STEP * np.arange(n_steps)
         self.limit = AccelerationLimit.MOTORS
         self._known: dict[tuple[MotorParameters, AccelerationLimit], Floats] = {}
+        self._latest_held: tuple[float, Floats] | None = None
 
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
         """Return mean rates (2 n,) of the motors in each row, `later` [s] after the commands; 0 where not valid."""
         key = (motors, self.limit)
         travelled = self._known.pop(key, None)
         if travelled is None:
-            travelled = self._travelled(motors, self.commands.values)
+            travelled = self._travelled(motors, self._held_commands(motors.delay))
         self._known[key] = travelled  # most recently used last
         if len(self._known) > MAX_KNOWN:
             del self._known[next(iter(self._known))]
@@ -96,7 +97,7 @@ class MotorSimulation:
         other = copy(self)
         if limit is not None:
             other.limit = limit
-        return self._mean_rates(other._travelled(motors, commands), 0.0)
+        return self._mean_rates(other._travelled(motors, self._held(motors.delay, commands)), 0.0)
 
     def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
         """Return the rates of a base whose acceleration is limited to a share of the robot's limits.
@@ -106,7 +107,7 @@ class MotorSimulation:
         slower = copy(self)
         is_ramped = self.limit is AccelerationLimit.SET_POINT
         slower.slew, slower.limit = share * self.slew, self.limit if is_ramped else AccelerationLimit.MOTORS
-        return self._mean_rates(slower._travelled(motors, self.commands.values), 0.0)
+        return self._mean_rates(slower._travelled(motors, self._held_commands(motors.delay)), 0.0)
 
     def _mean_rates(self, travelled: Floats, later: float) -> Floats:
         start, end = self.rows.start - later, self.rows.end - later
@@ -114,17 +115,31 @@ class MotorSimulation:
         out = np.stack([np.interp(end, ends, c) - np.interp(start, ends, c) for c in travelled.T], axis=1)
         return self.rows.masked((out / (end - start)[:, None]).T.ravel())
 
-    def _travelled(self, motors: MotorParameters, commands: Floats) -> Floats:
-        """Return the accumulated distance and turn of the motors at the end of each step (n_steps, 2)."""
+    def _held_commands(self, delay: float) -> Floats:
+        """Return `_held` for the commands of the run; a fit needs each delay several times in a row."""
+        if self._latest_held is None or self._latest_held[0] != delay:
+            self._latest_held = (delay, self._held(delay, self.commands.values))
+        return self._latest_held[1]
+
+    def _held(self, delay: float, commands: Floats) -> Floats:
+        """Return the commands that hold in each step (n_steps, 2), `delay` [s] after they were given."""
         stamps = self.commands.stamps
-        index = np.searchsorted(stamps, self.grid + STEP - motors.delay, side="right") - 1
+        index = np.searchsorted(stamps, self.grid + STEP - delay, side="right") - 1
         held = np.where((index >= 0)[:, None], commands[np.maximum(index, 0)], 0.0)
         # the step in which a held command changes is shared between old and new
-        when = stamps[np.maximum(index, 0)] + motors.delay
+        when = stamps[np.maximum(index, 0)] + delay
         share = np.clip((when - self.grid) / STEP, 0.0, 1.0)
         before = np.where((index >= 1)[:, None], commands[np.maximum(index - 1, 0)], 0.0)
-        held = held + share[:, None] * (before - held)
-        held[:, 0] = np.clip(held[:, 0], -motors.v_max, motors.v_max)
+        return np.asarray(held + share[:, None] * (before - held))
+
+    def _travelled(self, motors: MotorParameters, held: Floats) -> Floats:
+        """Return the accumulated distance and turn of the motors at the end of each step (n_steps, 2).
+
+        Parameters
+        ----------
+        held : (n_steps, 2) Commands that hold in each step.
+        """
+        held = np.column_stack([np.clip(held[:, 0], -motors.v_max, motors.v_max), held[:, 1]])
         keep = float(np.exp(-STEP / motors.tau)) if motors.tau > AT_ONCE else 0.0
         if self.limit is AccelerationLimit.SET_POINT:
             held = np.stack(
