@@ -75,6 +75,14 @@ def real_logs() -> Path:
     return REAL
 
 
+def further(*examples: object) -> list[object]:
+    """Return more examples of a claim that the quick suite shows by others; tuples are several arguments."""
+    return [
+        pytest.param(*(example if isinstance(example, tuple) else (example,)), marks=pytest.mark.slow)
+        for example in examples
+    ]
+
+
 def polygon_arena(*rings: list[tuple[float, float]]) -> Arena:
     """Make an arena of an outer ring and obstacles, corners in order."""
     walls = [(ring[i], ring[(i + 1) % len(ring)]) for ring in rings for i in range(len(ring))]

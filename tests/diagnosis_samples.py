@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
     return out
 
 
+@cache
 def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
     """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), track [m] between the wheels that slip by themselves, clock, lag, dead, v_max; memory of the camera.
 

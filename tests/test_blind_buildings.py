@@ -23,7 +23,7 @@ ALLOWED = set(sys.stdlib_module_names) | {"numpy", "scipy", "shapely", "numba", 
 WRITER = "benchmarks.blind_world.files"
 """What this world shares with another one by somebody who had not seen our code either."""
 EFFECTS = {**dict.fromkeys(LIBRARY, "singles"), **dict.fromkeys(FOREIGN, "foreign")}
-FAST = ("mount_xy", "actuator_lag", "g_restart", "g_crab", "g_markerswap", "g_slope")
+FAST = ("mount_xy", "g_restart", "g_crab", "g_markerswap", "g_slope")
 """At least one of each channel."""
 
 

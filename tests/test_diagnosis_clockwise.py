@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from scan_samples import hall_arena
 
 from logs.run import Run
@@ -53,8 +54,10 @@ def clockwise(*, skew: float, said: float) -> Run:
     )
 
 
-@pytest.mark.parametrize("said", [SWEEP, 0.0, 0.03], ids=["said", "left at 0", "said wrongly"])
-@pytest.mark.parametrize("skew", [0.0, 0.03])
+@pytest.mark.parametrize(
+    ("skew", "said"),
+    [(0.03, SWEEP), (0.03, 0.0), (0.0, 0.03), *further((0.0, SWEEP), (0.0, 0.0), (0.03, 0.03))],
+)
 def test_a_clockwise_sweep_is_silent_and_its_skew_is_told_in_its_own_order(skew: float, said: float) -> None:
     found = diagnose(clockwise(skew=skew, said=said), hall_arena(), ROBOT, plan_next=False).channels["scan"]
     assert [a.name for a in found.effects] == ["scan_skew"] * (skew > 0) and found.unknown is None

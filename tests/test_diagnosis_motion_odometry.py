@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
@@ -31,11 +32,11 @@ PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
 ]
 
 
+@pytest.mark.parametrize("seed", [1, *further(2)])
 @pytest.mark.parametrize("memory", [0.0, 0.9])
-def test_nothing_planted_nothing_named(memory: float) -> None:
-    for seed in (1, 2):
-        result = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
-        assert result.effects == () and result.unknown is None and result.skipped == ""
+def test_nothing_planted_nothing_named(memory: float, seed: int) -> None:
+    result = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
+    assert result.effects == () and result.unknown is None and result.skipped == ""
 
 
 @pytest.mark.parametrize(("name", "effect", "truth"), PLANTED, ids=[name for name, _, _ in PLANTED])
@@ -49,7 +50,9 @@ def test_planted_effect_is_named_with_its_size(
     assert result.gap is not None and result.gap.after.rmse_m < result.gap.before.rmse_m
 
 
-@pytest.mark.parametrize("track", [0.0, ROBOT.wheels.base], ids=["the body slips", "each wheel slips"])
+@pytest.mark.parametrize(
+    "track", [ROBOT.wheels.base, *further(0.0)], ids=["each wheel slips", "the body slips"]
+)
 def test_slippery_patch_is_found_where_it_is(track: float) -> None:
     run = make_run(4)
     moving = run.poses[600]
@@ -62,7 +65,7 @@ def test_slippery_patch_is_found_where_it_is(track: float) -> None:
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, *further(5)])
 def test_the_same_floor_does_not_slip_twice(seed: int) -> None:
     """Poses that a filter has smoothed, as those of a localization, blur the rim of a patch: no second one mends it."""
     spot, window = make_run(seed).poses[600], 9
@@ -75,7 +78,7 @@ def test_the_same_floor_does_not_slip_twice(seed: int) -> None:
     assert len(slips) == 1 and abs(slips[0]["s"] - 0.3) < 0.03
 
 
-@pytest.mark.parametrize("share", [0.03, pytest.param(0.07, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("share", [0.03, *further(0.07)])
 def test_a_faint_patch_is_no_reason_to_doubt(share: float) -> None:
     spot = make_run(4).poses[600]
     result = diagnose_odometry(make_run(4, slip=(share, spot[0], spot[1], 0.5)), ROBOT)
@@ -163,13 +166,12 @@ def test_counting_of_ticks_is_taken_out_of_the_motion() -> None:
     assert after < 0.5 * before
 
 
-def test_camera_louder_than_said_is_no_structure() -> None:
-    rng = np.random.default_rng(3)
-    for seed in (13, 14):
-        run = make_run(seed, memory=0.9)
-        louder = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.004]
-        result = diagnose_odometry(replace(run, poses=louder), ROBOT)
-        assert result.effects == () and result.unknown is None
+@pytest.mark.parametrize("seed", [13, *further(14)])
+def test_camera_louder_than_said_is_no_structure(seed: int) -> None:
+    run = make_run(seed, memory=0.9)
+    louder = run.poses + np.random.default_rng(3).normal(size=run.poses.shape) * [0.005, 0.005, 0.004]
+    result = diagnose_odometry(replace(run, poses=louder), ROBOT)
+    assert result.effects == () and result.unknown is None
 
 
 def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more() -> None:
@@ -218,7 +220,7 @@ def cruising_run(seed: int, *, duration: float = 400.0, period: float = 0.1) -> 
     )
 
 
-@pytest.mark.parametrize("period", [0.05, 0.1], ids=["20 Hz", "10 Hz"])
+@pytest.mark.parametrize("period", [0.05, *further(0.1)], ids=["20 Hz", "10 Hz"])
 def test_spins_and_straights_at_one_speed_are_no_structure(period: float) -> None:
     """At the cut of a column by speed, or at rest, noise of the wheels must not choose the increments."""
     result = diagnose_odometry(cruising_run(1, period=period), ROBOT)
@@ -306,8 +308,7 @@ def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
     ("effect", "words"),
     [
         ({"play": 0.012}, "after a wheel reverses"),
-        ({"pile": 0.03}, "depends on the heading"),
-        ({"spin": 0.3}, "depends on the acceleration"),
+        *further(({"pile": 0.03}, "depends on the heading"), ({"spin": 0.3}, "depends on the acceleration")),
     ],
     ids=["play in a gear", "pile of a carpet", "wheels that spin"],
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run, reported
 
 from logs.run import Run
@@ -22,7 +23,7 @@ from sensorgraph.diagnosis.motion.motors.nuisances import (
 from sensorgraph.world.robot import Robot
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, *further(4)])
 def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
     outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
     result = diagnose_drive(make_run(seed, outages=outages), ROBOT)
@@ -41,7 +42,7 @@ def cut_out(run: Run, times: tuple[tuple[float, float], ...], slowest: float) ->
     return reported(run, v * out, omega * out)
 
 
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, *further(5)])
 def test_motors_that_cut_out_for_a_moment_are_unknown_though_the_base_never_stands(seed: int) -> None:
     times = tuple((begin, begin + 0.7) for begin in range(7, 78, 9))
     result = diagnose_drive(cut_out(make_run(seed), times, 0.3), ROBOT)

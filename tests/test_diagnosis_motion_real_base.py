@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run, profile
 from scipy.signal import lfilter
 
@@ -90,7 +91,7 @@ def test_what_every_base_does_is_no_reason_to_doubt(base: dict[str, float]) -> N
     assert result.effects == () and result.unknown is None
 
 
-@pytest.mark.parametrize("late", [0.0, 0.06])
+@pytest.mark.parametrize("late", [0.06, *further(0.0)])
 def test_a_base_that_brings_commands_to_its_motors_by_a_ramp_is_not_late_for_that(late: float) -> None:
     """The ramp keeps the limits of robot.yaml, the lag follows it; a dead time beside it is found as it is."""
     limits = replace(ROBOT.limits, a=0.5, alpha=1.5)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run
 
 from logs.run import Run
@@ -66,7 +67,7 @@ def test_a_reference_that_is_mounted_askew_and_off_the_axle_is_set_up() -> None:
     assert result.effects == () and result.unknown is None
 
 
-@pytest.mark.parametrize(("angle", "side"), [(0.085, "left"), (-0.085, "right")])
+@pytest.mark.parametrize(("angle", "side"), [(0.085, "left"), *further((-0.085, "right"))])
 def test_a_body_that_goes_askew_is_told_with_its_angle(angle: float, side: str) -> None:
     run = make_run(22)
     poses = run.poses.copy()
@@ -110,7 +111,7 @@ def handed_over(run: Run, turn: float = 0.015) -> Run:
     return replace(run, poses=np.where(beyond[:, None], other, poses))
 
 
-@pytest.mark.parametrize("seed", [11, 25])
+@pytest.mark.parametrize("seed", [11, *further(25)])
 def test_a_second_camera_beyond_a_line_is_no_slippery_patch(seed: int) -> None:
     result = diagnose_odometry(handed_over(make_run(seed)), ROBOT)
     assert result.effects == () and result.unknown is not None

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run, reported
 
 from logs.run import Run
@@ -134,31 +135,33 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
     ("distort", "said"),
     [
         (turning_at_rest, "continues at rest"),
-        (sliding_at_speed, "depends on speed"),
-        (spinning, "they spin"),
         (out_of_round, "repeats with every turn of a wheel"),
         (turned_by_place, "yaw error of the reference"),
-        (bent_by_place, "reference"),
-        (turned_by_iron, "a compass near iron"),
         (worn_half_way, "changes once"),
-        (losing_air, "loses air"),
-        (loaded_for_a_while, "a temporary change of scale, from"),
         (scrubbing, "in tight turns"),
         (slewed, "clock offset that changes"),
+        *further(
+            (sliding_at_speed, "depends on speed"),
+            (spinning, "they spin"),
+            (bent_by_place, "reference"),
+            (turned_by_iron, "a compass near iron"),
+            (losing_air, "loses air"),
+            (loaded_for_a_while, "a temporary change of scale, from"),
+        ),
     ],
     ids=[
         "turns at rest",
-        "slides at speed",
-        "wheels that spin",
         "out of round",
         "turned by place",
-        "bent by place",
-        "compass",
         "worn half-way",
-        "losing air",
-        "loaded",
         "scrubbing",
         "slewed clock",
+        "slides at speed",
+        "wheels that spin",
+        "bent by place",
+        "compass",
+        "losing air",
+        "loaded",
     ],
 )
 def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
@@ -169,7 +172,7 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
     assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
 
 
-@pytest.mark.parametrize(("seed", "at"), [(11, 52.6), (13, 52.6), (14, 37.3)])
+@pytest.mark.parametrize(("seed", "at"), [(11, 52.6), *further((13, 52.6), (14, 37.3))])
 def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(seed: int, at: float) -> None:
     result = diagnose_odometry(worn_half_way(make_run(seed), at), ROBOT)
     assert result.effects == () and result.unknown is not None

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from conftest import further
 from diagnosis_samples import ROBOT, make_run
 
 from sensorgraph.diagnosis.diagnose import diagnose_motion
 
 
-@pytest.mark.parametrize("shift", [-0.1, 0.1])
+@pytest.mark.parametrize("shift", [-0.1, *further(0.1)])
 def test_a_base_with_a_clock_of_its_own_is_one_doubt_and_no_two_names(shift: float) -> None:
     """Commands and odometry come from its computer: wheels follow commands, and poses do not follow wheels."""
     run = make_run(3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.effect_laws import broken_laws
-from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -246,10 +247,14 @@ def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: P
     raster = RasterMap.of(mapped(tmp_path, BIN))
     (thing,) = {name.split("/")[0] for name in raster.arena.names if name.startswith("thing_")}
 
-    def is_error(place: Arena, amendment: Amendment) -> bool:
+    @cache
+    def fitted(place: Arena) -> Fitted:
         data, _ = prepare_scans(scanned(place), raster.arena, raster.widened(ROBOT))
         data, _ = raster.judged(data)
-        return is_map_error(fit(data, (), start_state(data, SCAN.noise), SCAN.noise), amendment)
+        return fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
+
+    def is_error(place: Arena, amendment: Amendment) -> bool:
+        return is_map_error(fitted(place), amendment)
 
     there, empty = polygon_arena(ROOM, BIN), polygon_arena(ROOM)
     moved, disc, pane = (EFFECTS[name] for name in ("moved_obstacle", "unmapped_obstacle", "glass"))

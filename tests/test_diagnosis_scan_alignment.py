@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely.affinity
-from conftest import polygon_arena
+from conftest import further, polygon_arena
 from scan_samples import data_of, drive, hall_arena
 
 from planners.arena import Arena, wrap
@@ -45,9 +45,10 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
         (3.0, "it is 2.99 times as large as the place:"),
         (100.0, "times as large as the place (centimetres instead of metres?):"),
         (1000.0, "(millimetres instead of metres?):"),
-        (1 / 0.3048, "(feet instead of metres?):"),
-        (0.1, "it is 0.0996 times as large as the place:"),
         (0.0254, "it is 0.0253 times as large as the place:"),
+        *further(
+            (1 / 0.3048, "(feet instead of metres?):"), (0.1, "it is 0.0996 times as large as the place:")
+        ),
     ],
 )
 def test_a_map_of_another_scale_or_unit_is_told_with_its_size(hall: Arena, scale: float, words: str) -> None:

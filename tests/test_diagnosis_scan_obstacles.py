@@ -119,7 +119,9 @@ def test_a_move_is_looked_for_where_most_rays_are_strange() -> None:
 
 def test_what_bulges_from_a_wall_is_no_round_thing_that_stands_there(hall: Arena) -> None:
     inside, before = (
-        diagnose(to_and_fro(hall, (EFFECTS["unmapped_obstacle"](x=3.0, y=y, r=0.3),)), hall, ROBOT)
+        diagnose(
+            to_and_fro(hall, (EFFECTS["unmapped_obstacle"](x=3.0, y=y, r=0.3),)), hall, ROBOT, plan_next=False
+        )
         for y in (5.12, 4.5)
     )
     assert [a.name for a in before.effects] == ["unmapped_obstacle"] and before.unknown is None

@@ -69,10 +69,12 @@ def test_nothing_is_found_where_nothing_was_planted(robot: Robot, hall: Arena) -
     ("robot", "planted"),
     [
         pytest.param(RING, EFFECTS["mount_xy"](dx=0.03, dy=0.02).at("sensor 5"), marks=pytest.mark.slow),
-        (RING, EFFECTS["mount_yaw"](delta=0.1).at("sensor 5")),
+        pytest.param(RING, EFFECTS["mount_yaw"](delta=0.1).at("sensor 5"), marks=pytest.mark.slow),
         pytest.param(RING, EFFECTS["range_scale"](s=0.03).at("sensor 2"), marks=pytest.mark.slow),
         pytest.param(RING, EFFECTS["range_noise"](k=0.03).at("sensor 4"), marks=pytest.mark.slow),
-        (RING, EFFECTS["incidence_dropout"](alpha_max=0.9).at("sensor 4")),
+        pytest.param(
+            RING, EFFECTS["incidence_dropout"](alpha_max=0.9).at("sensor 4"), marks=pytest.mark.slow
+        ),
         (RING, EFFECTS["range_bias"](b=0.03)),
         pytest.param(RING, EFFECTS["range_noise"](k=0.01), marks=pytest.mark.slow),
         (FRONT_AND_REAR, EFFECTS["mount_yaw"](delta=0.02).at("sensor 1")),

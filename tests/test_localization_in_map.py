@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from conftest import further
 from localization_samples import ROOM, loop_poses, room_run
 
 from logs.run import Run
@@ -126,7 +127,7 @@ def test_map_of_another_place_is_said_to_fit_nowhere() -> None:
         locate_in_map(room_run(TRUTH[:20]), hall.reshape(-1, 2, 2), name="hall")
 
 
-@pytest.mark.parametrize("scale", [3.0, 100.0])
+@pytest.mark.parametrize("scale", [3.0, *further(100.0)])
 def test_map_that_is_too_large_is_said_to_fit_nowhere_though_single_scans_fit_many_places(
     scale: float,
 ) -> None:

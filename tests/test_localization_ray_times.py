@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,6 +63,23 @@ def scatter(found: TrackedRun) -> float:
     return float(np.nanmedian(found.track.noise))
 
 
+@cache
+def followed_at_once() -> TrackedRun:
+    """Return the track of a run whose rays were all taken at the stamp."""
+    return followed(run_of(np.zeros(N_RAYS)))
+
+
+@cache
+def run_as_stated() -> Run:
+    """Return a run whose log states its ray times as they are."""
+    return stated(run_of(ALONG), SWEEP)
+
+
+@cache
+def followed_as_stated() -> TrackedRun:
+    return followed(run_as_stated())
+
+
 @pytest.fixture(scope="module")
 def two_sweeps() -> TrackedRun:
     return followed(run_of(interlaced()))
@@ -82,7 +100,7 @@ def test_interlaced_sweeps_are_found_and_named(two_sweeps: TrackedRun) -> None:
 
 
 def test_with_its_times_the_scatter_is_the_noise_and_without_it_is_not(two_sweeps: TrackedRun) -> None:
-    at_once = scatter(followed(run_of(np.zeros(N_RAYS))))
+    at_once = scatter(followed_at_once())
     assert scatter(two_sweeps) < 1.05 * at_once
     blind = two_sweeps.run.sensor.take(slice(None))
     at_stamp = replace(blind, sweep_time=0.0, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
@@ -108,7 +126,7 @@ def test_one_sweep_is_found_with_its_direction(times: Floats, sweep_time: float,
 
 
 def test_rays_of_one_time_are_left_so() -> None:
-    found = followed(run_of(np.zeros(N_RAYS)))
+    found = followed_at_once()
     assert found.notes == () and not found.run.sensor.has_ray_delays
 
 
@@ -122,9 +140,8 @@ ALONG = SWEEP * np.arange(N_RAYS) / N_RAYS
 
 
 def test_true_ray_times_of_a_log_stay() -> None:
-    run = stated(run_of(ALONG), SWEEP)
-    found = followed(run)
-    assert found.run.sensor is run.sensor and found.notes == ()
+    found = followed_as_stated()
+    assert found.run.sensor is run_as_stated().sensor and found.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -143,7 +160,7 @@ def test_ray_times_that_the_run_contradicts_are_mended_and_said(
     assert found.run.sensor.sweep_time == pytest.approx(sweep_time)
     assert words in found.notes[0] and "the log states 100.0 ms" in found.notes[0]
     np.testing.assert_allclose(found.run.sensor.ray_delays, times, atol=2e-3)
-    assert scatter(found) < 1.1 * scatter(followed(stated(run_of(ALONG), SWEEP)))
+    assert scatter(found) < 1.1 * scatter(followed_as_stated())
 
 
 def test_a_stamp_at_the_end_of_the_sweep_shows_against_the_odometry() -> None:
@@ -153,17 +170,17 @@ def test_a_stamp_at_the_end_of_the_sweep_shows_against_the_odometry() -> None:
 
 
 def test_scans_without_wheels_are_deskewed_by_the_velocity_of_the_track() -> None:
-    run = stated(run_of(ALONG), SWEEP)
+    run = run_as_stated()
     alone = replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
     found = followed(alone)
     assert found.notes == () and found.odometry is None
-    assert scatter(found) < 1.1 * scatter(followed(run))
+    assert scatter(found) < 1.1 * scatter(followed_as_stated())
     rigid = replace(alone, sensor=replace(run.sensor, sweep_time=0.0), meta=GIVEN)
     assert scatter(found) < 0.8 * scatter(followed(rigid))
 
 
 def test_a_picture_draws_each_ray_from_where_the_robot_was_at_its_time() -> None:
-    run = stated(run_of(ALONG), SWEEP)
+    run = run_as_stated()
     truth = Localization(
         t=run.stamps,
         poses=path(run.stamps),

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import further
 
 SCRIPT = """
 import json
@@ -136,8 +137,13 @@ print(quarter(8.0))
 """
 
 
-@pytest.mark.parametrize("package", ["planners", "robotmodic_ident"])
-@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(
+    ("number", "package"),
+    [
+        ("SIGINT", "planners"), ("SIGTERM", "robotmodic_ident"),
+        *further(("SIGINT", "robotmodic_ident"), ("SIGTERM", "planners")),
+    ],
+)  # fmt: skip
 def test_a_signal_while_a_kernel_compiles_is_handled_once_it_is_compiled(
     number: str, package: str, tmp_path: Path
 ) -> None:

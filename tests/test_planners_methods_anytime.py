@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from conftest import further
 from planners_samples import door_arena
 
 from planners import Plan, PlanError, plan
@@ -75,7 +76,7 @@ def test_both_rooms_are_seen_before_one_is_finished(whole: Plan) -> None:
     assert until_both(whole) < 45.0 < until_both(planned("fast"))
 
 
-@pytest.mark.parametrize("width", [0.47, 0.5])
+@pytest.mark.parametrize("width", [0.47, *further(0.5)])
 def test_a_door_so_narrow_that_no_straight_way_between_cells_leads_through_is_no_wall(width: float) -> None:
     made = plan(
         door_arena(width), Vehicle(), order="anytime", survey=DiscSurvey(), seed=1, budget=120.0, **GRID
