@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 import logs
 from logs.run import Run
+from logs.transforms import interpolate
 from planners import Plan
 from planners import plan as make_plan
 from planners.arena import Arena
@@ -34,6 +36,10 @@ from sensorgraph.world.wall_distance import WallDistance
 N_CHECK_POSES = 1000
 BASELINE = "polynomial"
 """Model that is compared with the faces: the form of 2004."""
+STAGES = ("plan", "run", "graph", "review", "diagnosis", "comparison")
+"""Stages with a file to look at, in their order."""
+RANDOM_RATE = 1.0
+"""[Hz] Scans of the random drive: the comparison is of the places that it visits, and a first look need not wait."""
 MARGIN = 0.02
 """[m] Distance between checked poses and walls in addition to the robot's radius."""
 
@@ -47,7 +53,7 @@ class DemoDrive:
     drive_time: float
     """[s] Driving time."""
     coverage: Coverage
-    """Coverage by the poses of the scans in the log."""
+    """Coverage by the reference poses in the log, at the rate of the robot's scans."""
     growth: tuple[Floats, Floats]
     """Stamps (n,) [s] and share (n,) of the reachable bins visited by then."""
     graph: Sensorgraph
@@ -56,79 +62,107 @@ class DemoDrive:
 
 
 def demo(
-    folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars
+    folder: Path,
+    arena: Arena,
+    robot: Robot,
+    *,
+    seed: int,
+    full: bool = False,
+    progress: ProgressBars,
+    show: Callable[[str, Path], None],
 ) -> tuple[list[DemoDrive], HiddenEffect]:
     """Run the loop; write plan, runs, graphs, review and diagnosis to `folder`.
 
-    The random drive and the hidden effect run in other processes, because they are independent of the planned run.
+    The hidden effect and the random drive are simulated in another process, because they are independent of the
+    planned run. It starts after the plan, and every graph is built here: two processes that find no compiled
+    kernels would compile the same ones.
+
+    Parameters
+    ----------
+    full : Keep and fit every scan of the random drive, not one per second.
+    show : Called with the name of a stage of `STAGES` and the file to look at, as soon as it is written.
 
     Returns
     -------
     The planned drive, the random drive, and the planned drive with the model of 2004; and the hidden effect.
     """
-    check = check_run(arena, robot, np.random.default_rng([seed, 99]))
-    logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
-    with OtherProcess(hide_and_find, folder / "diagnosis", arena, robot, seed) as hiding:
-        plan = _plan(arena, robot, "coverage", None, seed, progress)
-        duration = plan.trajectory.duration
-        with OtherProcess(_random_drive, folder, arena, robot, seed, duration, check) as driving:
-            run = record(
-                folder / "coverage.mcap", arena, robot, plan.trajectory, seed=seed, progress=progress
-            )
-            planned = _modelled(folder, "coverage", plan, run, arena, check, progress)
-            save(plan, folder / "plan", arena, robot)
-            review(
-                run,
-                path=folder / "review.rrd",
-                graph=planned.graph,
-                plan=folder / "plan",
-                arena=arena,
-                name="coverage.mcap",
-            )
-            plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
-            plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
-            random = driving.result(progress)
-        hidden = hiding.result(progress)
+    plan = _plan(arena, robot, "coverage", None, seed, progress)
+    duration = plan.trajectory.duration
+    with OtherProcess(_side_work, folder, arena, robot, seed, duration, full) as side:
+        save(plan, folder / "plan", arena, robot)
+        show("plan", folder / "plan" / "plan.png")
+        check = check_run(arena, robot, np.random.default_rng([seed, 99]))
+        logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
+        path = folder / "coverage.mcap"
+        run = record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
+        show("run", path)
+        planned = _modelled(folder, "coverage", plan, run, arena, robot, check, progress)
+        show("graph", folder / "coverage.sensorgraph")
+        review(
+            run,
+            path=folder / "review.rrd",
+            graph=planned.graph,
+            plan=folder / "plan",
+            arena=arena,
+            name="coverage.mcap",
+        )
+        show("review", folder / "review.rrd")
+        plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
+        plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
+        hidden, random_plan, random_run = side.result(progress)
+    show("diagnosis", folder / "diagnosis" / "report.html")
+    random = _modelled(folder, "random_bounce", random_plan, random_run, arena, robot, check, progress)
     drives = [planned, random, replace(planned, model=BASELINE, graph=plain, checked=evaluate(plain, check))]
     races = {
         label: (drive.growth[0] / 60, drive.growth[1], drive.coverage)
         for label, drive in zip(("planned", "random"), drives[:2], strict=True)
     }
     race_picture(races, arena, folder / "coverage.png")
+    show("comparison", folder / "coverage.png")
     return drives, hidden
 
 
-def _random_drive(
+def _side_work(
     folder: Path,
     arena: Arena,
     robot: Robot,
     seed: int,
     duration: float,
-    check: Run,
+    full: bool,
     *,
     progress: ProgressBars,
-) -> DemoDrive:
-    """Drive at random for the duration of the plan."""
+) -> tuple[HiddenEffect, Plan, Run]:
+    """Hide an effect and find it; then drive at random for the duration [s] of the plan."""
+    hidden = hide_and_find(folder / "diagnosis", arena, robot, seed, progress=progress)
     plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
-    path = folder / "random_bounce.mcap"
-    run = record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
-    return _modelled(folder, "random_bounce", plan, run, arena, check, progress)
+    if not full:
+        robot = replace(robot, sensor=replace(robot.sensor, rate=min(RANDOM_RATE, robot.sensor.rate)))
+    path = folder / "random_bounce.mcap" if full else None
+    return hidden, plan, record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
 
 
 def _modelled(
-    folder: Path, planner: str, planned: Plan, run: Run, arena: Arena, check: Run, progress: ProgressBars
+    folder: Path,
+    planner: str,
+    planned: Plan,
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    check: Run,
+    progress: ProgressBars,
 ) -> DemoDrive:
     """Build a sensorgraph from the run of a plan, and evaluate it."""
     graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=progress)
     graph.save(folder / f"{planner}.sensorgraph")
-    poses = logs.pair(run).poses
+    stamps = np.arange(float(run.pose_stamps[0]), float(run.pose_stamps[-1]), 1 / robot.sensor.rate)
+    poses = interpolate(stamps, run.pose_stamps, run.poses)
     coverage = counted(planned.coverage, poses)
     return DemoDrive(
         planner=planner,
         model=graph.model.name,
         drive_time=planned.trajectory.duration,
         coverage=coverage,
-        growth=coverage.growth(run.stamps, poses),
+        growth=coverage.growth(stamps, poses),
         graph=graph,
         checked=evaluate(graph, check),
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from sensorgraph.cli.options import DemoArena, DemoOut, DemoReal, DemoSeed, RobotFile
+from sensorgraph.cli.options import DemoArena, DemoFull, DemoOut, DemoReal, DemoSeed, RobotFile
 
 if TYPE_CHECKING:
     from sensorgraph.demo_effect import HiddenEffect
@@ -19,6 +19,7 @@ def demo(
     arena: DemoArena = "square",
     robot: RobotFile = None,
     seed: DemoSeed = 0,
+    full: DemoFull = False,
     real: DemoReal = False,
 ) -> None:
     """Run the whole loop on a shipped arena: plan, record, build, evaluate, review, and find a hidden effect.
@@ -31,14 +32,16 @@ def demo(
 
       sensorgraph demo -o runs/mine --seed 7
 
+      sensorgraph demo --full
+
       sensorgraph demo --real
     """
     import time
 
     from sensorgraph.cli.inputs import check_folder, write_json
     from sensorgraph.cli.progress import progress
+    from sensorgraph.demo import STAGES, to_dict
     from sensorgraph.demo import demo as run_demo
-    from sensorgraph.demo import to_dict
     from sensorgraph.demo_effect import to_dict as hidden_dict
     from sensorgraph.loading import load_arena
     from sensorgraph.version import __version__
@@ -60,12 +63,19 @@ def demo(
         "seed": seed,
     }
     write_json(folder / "config.json", config)
-    drives, hidden = run_demo(folder, walls, machine, seed=seed, progress=progress)
+    typer.echo(f"{' -> '.join(STAGES)}; each line names a file to open")
+
+    def show(stage: str, path: Path) -> None:
+        seconds, number = time.monotonic() - began, STAGES.index(stage) + 1
+        following = f"  next: {STAGES[number]}" if number < len(STAGES) else ""
+        typer.echo(f"[{number}/{len(STAGES)}] {seconds:4.0f} s  {stage:<10}  {path}{following}")
+
+    drives, hidden = run_demo(folder, walls, machine, seed=seed, full=full, progress=progress, show=show)
     results = to_dict(drives)
     write_json(folder / "demo.json", {**results, "hidden_effect": hidden_dict(hidden)})
     if out is None:
         _link_latest(folder)
-    typer.echo("\n".join(comparison_table(results)))
+    typer.echo("\n" + "\n".join(comparison_table(results)))
     typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all files are in {folder}")
     typer.echo(f"review:          rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")

@@ -66,6 +66,9 @@ DemoOut = Annotated[
 DemoArena = Annotated[
     str, typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena: square, office.")
 ]
+DemoFull = Annotated[
+    bool, typer.Option("--full", help="Keep and fit all scans of the random drive, not one per second.")
+]
 DemoReal = Annotated[
     bool, typer.Option("--real", help="Use a shipped real log instead: locate, build, evaluate, review.")
 ]
