@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blind_cases import spread_over_sigma
+from conftest import further
 
 from benchmarks.blind_world import cases, foreign, generate, library, rooms, setups
 from benchmarks.blind_world.cases import Case, Spec, draw, make
@@ -97,7 +98,10 @@ def _without(spec: Spec, attempt: int, monkeypatch: pytest.MonkeyPatch) -> Case:
     return draw(Spec(suite="none", index=0, background="clean"), spec.rng(attempt))
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+QUICK = list(EFFECTS)[::4]
+
+
+@pytest.mark.parametrize("name", [*QUICK, *further(*(name for name in EFFECTS if name not in QUICK))])
 def test_each_effect_changes_the_run(name: str, brief: None, monkeypatch: pytest.MonkeyPatch) -> None:
     spec = Spec(suite=EFFECTS[name], index=0, background="clean", name=name)
     case = make(spec)

@@ -78,11 +78,9 @@ def ramped(asked: Floats, most: float) -> Floats:
 @pytest.mark.parametrize(
     "base",
     [
-        {"tick": 0.0495},
-        {"tick": 0.0333},
         {"tick": 0.02, "jitter": 0.005},
-        {"second": 0.03},
         {"second": 0.03, "tick": 0.0495, "sigma": 0.01},
+        *further({"tick": 0.0495}, {"tick": 0.0333}, {"second": 0.03}),
     ],
     ids=str,
 )

@@ -80,6 +80,7 @@ def test_sectors_of_opposite_biases_are_two(quiet: ScanData) -> None:
     assert list(fewer_effects(two, quiet)) == []
 
 
+@pytest.mark.slow
 def test_a_bias_beside_a_sector_of_the_other_sign_is_named_with_it() -> None:
     """What lies outside the sector is 4 cm off, what lies in it 1 cm: two sectors explained that, and were unknown."""
     run, _, arena, robot, truth = make_case(

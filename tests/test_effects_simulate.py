@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from effects_samples import SENSOR, TURN, arena, motion, strong
 
 from logs.run import RangeSensor
@@ -70,7 +71,7 @@ def test_every_effect_of_the_scan_channel_shows_in_a_run(name: str) -> None:
 
 @pytest.mark.parametrize("p", [0.005, 0.03, 0.15])
 @pytest.mark.parametrize("sensor", [SENSOR, TURN], ids=["part", "full turn"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, *further(2)])
 def test_people_take_their_share_of_rays_and_keep_clear(p: float, sensor: RangeSensor, seed: int) -> None:
     stamps = np.arange(0.0, 300.0, 0.1)
     there = Scene(arena=ROOM, sensor=sensor, stamps=stamps, motion=motion, span=stamps[-1], seed=seed)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import further
 from hypothesis import given
 from hypothesis import strategies as st
 from logs_samples import DATA
@@ -376,7 +377,10 @@ REAL = {  # name -> scans, rays, range_max, rays without return, pose_source (as
 }
 
 
-@pytest.mark.parametrize("name", REAL)
+LARGE = [name for name, (n_scans, n_rays, *_) in REAL.items() if n_scans * n_rays > 150_000]
+
+
+@pytest.mark.parametrize("name", [*(name for name in REAL if name not in LARGE), *further(*LARGE)])
 def test_real_log_is_read_whole(name: str, tmp_path: Path) -> None:
     path = DATA / name
     if not path.is_file():

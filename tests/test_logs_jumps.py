@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import polygon_arena
+from conftest import further, polygon_arena
 
 import logs
 import sensorgraph as sg
@@ -119,14 +119,19 @@ def test_stretches_may_be_left_out_of_a_log(rooms: Arena, all_round: logs.RangeS
     assert refusal(cut) == ""
 
 
-@pytest.mark.parametrize("lost", [slice(300, 600), slice(300, 340), slice(300, 304)])
-@pytest.mark.parametrize("by", [(1.6, 0.0, 0.0), (0.0, 1.6, 0.0), (1.5, 1.5, 0.5)])
+@pytest.mark.parametrize(
+    ("n", "by"),
+    [
+        (300, (1.6, 0.0, 0.0)), (40, (0.0, 1.6, 0.0)), (4, (1.5, 1.5, 0.5)),
+        *further(*((n, by) for n in (300, 40, 4) for by in ((1.6, 0.0, 0.0), (0.0, 1.6, 0.0), (1.5, 1.5, 0.5)))),
+    ],
+)  # fmt: skip
 def test_a_lost_pose_is_refused_for_as_long_as_it_was_lost(
-    rooms: Arena, all_round: logs.RangeSensor, lost: slice, by: tuple[float, float, float]
+    rooms: Arena, all_round: logs.RangeSensor, n: int, by: tuple[float, float, float]
 ) -> None:
     run = drive_through_rooms(rooms, all_round)
     poses = run.poses.copy()
-    poses[lost] += by
+    poses[300 : 300 + n] += by
     said = refusal(replace(run, poses=poses))
     assert "the pose jumps" in said
     assert "of the points lie where scans beyond a jump saw through" in said

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import further
 from scipy import stats
 
 from logs.run import RangeSensor, Run
@@ -73,7 +74,7 @@ def test_what_a_place_keeps_lasts_its_lifetime_whoever_comes_by() -> None:
     assert short.numbers(2, 0.0, place, *fresh)[0][0] != values[0] or values[0] == 0.5
 
 
-@pytest.mark.parametrize(("size", "lifetime"), [(2, 2), (0, 2), (2, 1)])
+@pytest.mark.parametrize(("size", "lifetime"), [(2, 1), *further((2, 2), (0, 2))])
 def test_planted_shares_come_back(size: int, lifetime: int) -> None:
     """The squares, their intervals and what they keep are written out here once more, with random numbers for hashes."""
     places, rng = driven(), np.random.default_rng(5)
