@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from logs.sensor import PoseFrame, RangeSensor
 from logs.transforms import compose, invert, wrap
 from logs.types import Floats, Ints
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 MIN_ODOMETRY = 2
 """Minimum number of odometry poses between two reference poses; with fewer, odometry is not used between them."""
@@ -88,6 +90,8 @@ class Motion:
     @cached_property
     def _curve(self) -> CubicHermiteSpline | None:
         """The cubics; of several poses with one stamp, the last counts. None if all poses have the same stamp."""
+        from scipy.interpolate import CubicHermiteSpline  # slow to import, and not needed for unswept scans
+
         last = np.append(np.diff(self.stamps) > SAME_STAMP, True)
         stamps, poses = self.stamps[last], self.poses[last]
         return CubicHermiteSpline(stamps, poses, _velocities(stamps, poses)) if len(stamps) > 1 else None

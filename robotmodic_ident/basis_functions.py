@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
-from scipy.interpolate import BSpline
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
@@ -48,6 +47,8 @@ def evaluate(letter: str, order: int, part: tuple[int, int], t: Floats) -> Float
     if letter == "W":
         r = 2.0**order * (t + 1.0) / 2.0 - part[0]
         return np.asarray((1.0 - r * r) * np.exp(-0.5 * r * r), dtype=np.float64)
+    from scipy.interpolate import BSpline  # slow to import, and rarely needed
+
     index, count = part
     x = (t + 1.0) / 2.0 * (count - order) - index + order
     element = BSpline.basis_element(np.arange(order + 2.0), extrapolate=False)

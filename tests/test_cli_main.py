@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,29 @@ def test_help_loads_nothing_heavy() -> None:
     code = f"import sys; from sensorgraph.cli import run; run(['--help']); print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().splitlines()[-1] == "set()"
+
+
+def test_the_demo_loads_no_package_that_it_does_not_need() -> None:
+    """Each takes a fifth of a second or more of every command."""
+    code = "import sys, sensorgraph.demo; print({'scipy.interpolate', 'scipy.stats', 'gtsam'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.slow
+def test_compile_leaves_the_kernels_of_all_stages_in_the_cache(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sensorgraph", "compile"]
+    variables = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run(command, env=variables, capture_output=True, check=True)
+    kept = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
+    kernels = {
+        "beam.beam_search",
+        "visibility._e_step",
+        "matching._match_readings",
+        "prediction.predict_rays",
+        "noise_kernels.robust_misfit",
+    }
+    assert kernels <= kept
 
 
 def test_the_package_runs_as_a_module() -> None:

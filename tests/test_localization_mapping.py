@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +11,14 @@ from localization_samples import ROOM, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose, invert
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.locate import locate
 from sensorgraph.localization.loop_closures import LoopCloser
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.matching import Match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
+from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph, _gtsam
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.settings import CLOSURES
@@ -213,6 +215,13 @@ def test_false_closures_are_told_from_true_ones() -> None:
     assert kept.tolist() == [True] * len(true) + [False] * len(false)
     errors, _ = aligned(poses, truth)
     assert np.abs(errors[:, :2]).max() < 0.05
+
+
+def test_without_gtsam_one_line_tells_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    monkeypatch.setattr("sensorgraph.localization.pose_graph._gtsam", _gtsam.__wrapped__)
+    with pytest.raises(SensorgraphError, match="pip install gtsam"):
+        PoseGraph(np.zeros((1, 3)), PoseEdges.of([]))
 
 
 def test_closure_that_puts_walls_where_rays_went_through_is_told() -> None:

@@ -11,7 +11,7 @@ import pytest
 from conftest import further
 
 SCRIPT = """
-import json
+import gc, json
 import numpy as np
 from planners.array_kernels import is_any, make_heap, pop_least
 from planners.kernel import compile_for
@@ -21,6 +21,7 @@ made = [len(k.signatures) for k in (make_heap, pop_least, is_any)]
 hits = [sum(k.stats.cache_hits.values()) for k in (make_heap, pop_least, is_any)]
 make_heap(heap, 3, costs)
 pop_least(heap, 3, costs)
+assert gc.isenabled()
 print(json.dumps([made, hits, [len(k.signatures) for k in (make_heap, pop_least, is_any)]]))
 """
 

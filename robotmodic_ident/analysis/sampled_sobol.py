@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
@@ -62,6 +61,8 @@ def saltelli_points(n: int, n_factors: int, rng: np.random.Generator) -> Floats:
         raise IdentError(
             f"n is {n}, with {n_factors} factors; expected a power of 2 of at least {MIN_ROWS}, and at least 1 factor"
         )
+    from scipy.stats import qmc  # slow to import
+
     both = qmc.Sobol(2 * n_factors, scramble=True, rng=rng).random(n)
     A, B = both[:, :n_factors], both[:, n_factors:]
     points = np.repeat(A[:, None], n_factors + 2, axis=1)

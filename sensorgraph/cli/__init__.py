@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from sensorgraph.cli.build import build
+from sensorgraph.cli.compile import compile_kernels
 from sensorgraph.cli.demo import demo
 from sensorgraph.cli.design import design
 from sensorgraph.cli.diagnose import diagnose
@@ -52,6 +53,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "influence": influence,
     "record": record,
     "export": export,
+    "compile": compile_kernels,
 }
 
 INTERRUPTED = 130

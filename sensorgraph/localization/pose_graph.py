@@ -12,11 +12,12 @@ from false ones (Yang, Antonante, Tzoumas and Carlone 2020).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-import gtsam
 import numpy as np
 
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.settings import GRAPH, GraphSettings
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -74,19 +75,19 @@ class PoseGraph:
         self._doubtful = [row for row, bad in zip(rows, doubtful, strict=True) if bad]
         self.is_kept = np.ones(len(self._doubtful), dtype=np.bool_)
         """(n_doubtful,) Doubtful steps that `solve_robustly` kept."""
-        self._anchor: Any = gtsam.PriorFactorPose2(
-            0, gtsam.Pose2(*poses[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)
+        self._anchor: Any = _gtsam().PriorFactorPose2(
+            0, _gtsam().Pose2(*poses[0]), _gtsam().noiseModel.Isotropic.Sigma(3, 1e-4)
         )
 
     def solve(self, closures: PoseEdges) -> Floats:
         """Return the poses (n, 3) with Cauchy's function on the closures, and keep them as the next start."""
         graph = self._graph()
-        cauchy = gtsam.noiseModel.mEstimator.Cauchy(self.settings.cauchy)
+        cauchy = _gtsam().noiseModel.mEstimator.Cauchy(self.settings.cauchy)
         for row in (*self._doubtful, *_rows(closures)):
             graph.add(_factor(row, cauchy))
-        parameters = gtsam.LevenbergMarquardtParams()
+        parameters = _gtsam().LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(self.settings.tolerance)
-        result = gtsam.LevenbergMarquardtOptimizer(graph, self._values(), parameters).optimize()
+        result = _gtsam().LevenbergMarquardtOptimizer(graph, self._values(), parameters).optimize()
         self.poses = self._read(result)
         return self.poses
 
@@ -98,9 +99,9 @@ class PoseGraph:
         n_known, n_doubtful = graph.size(), len(self._doubtful)
         for row in (*self._doubtful, *_rows(closures)):
             graph.add(_factor(row, None))
-        parameters = gtsam.GncLMParams()
+        parameters = _gtsam().GncLMParams()
         parameters.setKnownInliers(list(range(n_known)))
-        optimizer = gtsam.GncLMOptimizer(graph, self._values(), parameters)
+        optimizer = _gtsam().GncLMOptimizer(graph, self._values(), parameters)
         optimizer.setInlierCostThresholdsAtProbability(self.settings.inlier_probability)
         result = optimizer.optimize()
         self.poses = self._read(result)
@@ -109,20 +110,32 @@ class PoseGraph:
         return self.poses, is_inlier[n_doubtful:]
 
     def _graph(self) -> Any:
-        graph: Any = gtsam.NonlinearFactorGraph()
+        graph: Any = _gtsam().NonlinearFactorGraph()
         graph.add(self._anchor)
         for factor in self._steps:
             graph.add(factor)
         return graph
 
     def _values(self) -> Any:
-        values: Any = gtsam.Values()
+        values: Any = _gtsam().Values()
         for k, pose in enumerate(self.poses):
-            values.insert(k, gtsam.Pose2(*pose))
+            values.insert(k, _gtsam().Pose2(*pose))
         return values
 
     def _read(self, values: Any) -> Floats:
-        return np.asarray(gtsam.utilities.extractPose2(values), dtype=np.float64)
+        return np.asarray(_gtsam().utilities.extractPose2(values), dtype=np.float64)
+
+
+@cache
+def _gtsam() -> Any:
+    """Return the module gtsam (110 MB), which is loaded when the first pose graph is made."""
+    try:
+        import gtsam
+    except ImportError as missing:
+        raise SensorgraphError(
+            "a pose graph needs the package gtsam, which is not installed; run `pip install gtsam`"
+        ) from missing
+    return gtsam
 
 
 def _rows(edges: PoseEdges) -> list[tuple[int, int, Floats, Floats]]:
@@ -139,7 +152,7 @@ def _factor(row: tuple[int, int, Floats, Floats], robust: Any) -> Any:
     first, second, relative, information = row
     cos, sin = np.cos(relative[2]), np.sin(relative[2])
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    noise: Any = gtsam.noiseModel.Gaussian.Information(turn.T @ information @ turn)
+    noise: Any = _gtsam().noiseModel.Gaussian.Information(turn.T @ information @ turn)
     if robust is not None:
-        noise = gtsam.noiseModel.Robust.Create(robust, noise)
-    return gtsam.BetweenFactorPose2(first, second, gtsam.Pose2(*relative), noise)
+        noise = _gtsam().noiseModel.Robust.Create(robust, noise)
+    return _gtsam().BetweenFactorPose2(first, second, _gtsam().Pose2(*relative), noise)

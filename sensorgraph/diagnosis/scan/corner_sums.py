@@ -46,7 +46,8 @@ def corner_sums(
     -------
     (n_scans, 3, 2 count), (k, 2 count), (2 count, 2 count), (2 count,)
     """
-    with_pose, by_wall, square = _by_wall(w, rows, ends, wall, y, normals, corners, count)
+    packed = np.ascontiguousarray(ends)  # the kernel is compiled for this layout
+    with_pose, by_wall, square = _by_wall(w, rows, packed, wall, y, normals, corners, count)
     with_column, with_corner = _by_corner(by_wall, square, normals, corners, count)
     return with_pose, with_column[:-1], with_corner, with_column[-1]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
@@ -52,9 +52,9 @@ def _is_within_statement(data: ScanData, amendment: Amendment) -> bool:
     if not data.stated_map or effect.place is None or effect.diagnostics.corner_shifts is None:
         return False
     n_things = data.arena.n_walls if effect.place == "wall" else len(obstacles(data.arena))
-    chance = chi2.sf(SCAN.nuisance.max_tolerances**2, 1) / max(n_things, 1)
+    chance = chdtrc(1, SCAN.nuisance.max_tolerances**2) / max(n_things, 1)
     moved = np.hypot.reduce([amendment[name] for name in effect.steps])
-    return bool(moved < data.stated_map * np.sqrt(chi2.isf(chance, len(effect.steps))))
+    return bool(moved < data.stated_map * np.sqrt(chdtri(len(effect.steps), chance)))
 
 
 def _bulge(data: ScanData) -> float:

@@ -1,0 +1,42 @@
+"""`sensorgraph compile`."""
+
+from __future__ import annotations
+
+import typer
+
+ROOM = """{"type": "FeatureCollection", "features": [
+{"type": "Feature", "properties": {"name": "room", "kind": "arena"}, "geometry": {"type": "Polygon",
+ "coordinates": [[[0, 0], [2.4, 0], [2.4, 1.6], [0, 1.6], [0, 0]]]}},
+{"type": "Feature", "properties": {"name": "box", "kind": "obstacle"}, "geometry": {"type": "Polygon",
+ "coordinates": [[[1.4, 0.9], [1.8, 0.9], [1.8, 1.2], [1.4, 1.2], [1.4, 0.9]]]}}]}"""
+"""A room so small that little but compiling takes time."""
+
+
+def compile_kernels() -> None:
+    """Compile ahead what plan, record, build, evaluate and diagnose compile on first use, in two processes.
+
+    The kernels are kept in the cache of numba: in the package, in the user's cache, or in NUMBA_CACHE_DIR.
+
+    Examples:
+
+      sensorgraph compile
+    """
+    import time
+    from pathlib import Path
+    from tempfile import TemporaryDirectory
+
+    from planners.maps import geojson
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.demo import demo
+    from sensorgraph.world.robot import load_robot
+
+    began = time.monotonic()
+    with TemporaryDirectory() as folder:
+        demo(
+            Path(folder),
+            geojson.loads(ROOM),
+            load_robot(),
+            seed=0,
+            progress=progress,
+            show=lambda stage, _: typer.echo(f"{time.monotonic() - began:4.0f} s  {stage}: compiled"),
+        )
