@@ -21,6 +21,7 @@ from sensorgraph.localization.global_search import GlobalPlaces, find_places, lo
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.map_check import best_fit, looks
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.scans import scan_points
@@ -330,3 +331,18 @@ def test_another_arena_is_said_before_the_scans_are_followed() -> None:
     assert steps == ["looking for the scans in the map"]
     located = locate_in_map(room_run(TRUTH), WALLS, progress=progress)
     assert set(located.status) == {"ok"} and "following the scans" in steps
+
+
+def test_short_drive_that_fits_counts_as_far_as_the_scans_after_it_continue_there() -> None:
+    run = room_run(TRUTH)
+    run = replace(run, ranges=np.where(run.ranges > 1.5, np.inf, run.ranges))
+    corners = TRUTH[32, :2] + [[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]]
+    box = np.stack(
+        [corners, np.roll(corners, -1, axis=0)], axis=1
+    )  # the run drives through it after the drive
+    right, wrong = known_map(WALLS), known_map(np.concatenate([WALLS, box]))
+    one = replace(MAP_TRACKING, looks=1, look_scans=20)
+    doubted = replace(one, found_fit=1.1)  # no fit is good enough alone
+    assert best_fit(looks(run, one), wrong, one) > one.found_fit
+    assert best_fit(looks(run, doubted), wrong, doubted) < one.near_fit
+    assert best_fit(looks(run, doubted), right, doubted) > one.found_fit

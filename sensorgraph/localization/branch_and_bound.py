@@ -219,6 +219,8 @@ def _best_first(
             total = _bound(levels, cells, level - 1, heading, x, y, lowest) if is_inside else 0
             if total < lowest:
                 continue
+            if level == 1:  # the best pose is at least as good as this one
+                lowest = max(lowest, int(np.ceil(ratio * total)))
             if free >= 0:
                 node, free = free, nodes[free, 0]
             else:

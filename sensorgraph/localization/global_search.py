@@ -158,8 +158,13 @@ def find_places(
     return other if other.fit > found.fit else found
 
 
-def joint_fit(view: LocalView, place: KnownMap, settings: GlobalSearchSettings = GLOBAL_SEARCH) -> float:
-    """Return the best fit of all scans of a view together in the whole map; a quick search of few places."""
+def joint_fit(
+    view: LocalView, place: KnownMap, settings: GlobalSearchSettings = GLOBAL_SEARCH
+) -> tuple[float, Floats]:
+    """Return the best fit of all scans of a view together in the whole map, and its pose (3,).
+
+    It is a quick search of few places. Without a place, the fit is 0 and the pose nan.
+    """
     s = settings
     few = replace(
         s,
@@ -168,8 +173,16 @@ def joint_fit(view: LocalView, place: KnownMap, settings: GlobalSearchSettings =
         max_matches=s.quick_modes,
         max_restarts=s.quick_restarts,
     )
-    found = _judged(_modes(view.points, place, None, few), view, place, s.min_seen_anywhere, few)
-    return found.fit
+    points = view.points[_evenly(len(view.points), s.quick_points)]
+    found = _judged(_modes(points, place, None, few), view, place, s.min_seen_anywhere, few)
+    return (found.fit, found.poses[found.fits.argmax()]) if len(found.poses) else (0.0, np.full(3, np.nan))
+
+
+def fit_at(view: LocalView, place: KnownMap, pose: Floats) -> float:
+    """Return the fit of all scans of a view together near a pose (3,)."""
+    one = match(view.points, view.normals, place.surfaces, pose)
+    judged = place.judge(one.pose[None], view.points, view.starts)
+    return fit_of(one.agreement, judged.hidden[0], judged.unseen[0])
 
 
 def _with_last_fit(

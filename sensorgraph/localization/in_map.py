@@ -10,12 +10,11 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.global_search import fit_of, local_view
+from sensorgraph.localization.global_search import fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_check import best_fit, looks, mirrored
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
-from sensorgraph.localization.matching import match
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
 from sensorgraph.localization.scan_track import ScanTrack
@@ -53,7 +52,7 @@ def locate_in_map(
         raise SensorgraphError("the run has no scan; expected messages on /scan")
     place = known_map(walls, seen, normals)
     with progress("looking for the scans in the map", "drives"):
-        fit = best_fit(looks(run, settings), place, settings.near_fit)
+        fit = best_fit(looks(run, settings), place, settings)
         if fit < settings.near_fit:
             raise SensorgraphError(_no_fit(run, place, fit, name, settings))
     with progress("following the scans", "scans") as tick:
@@ -197,17 +196,15 @@ def _rivals_fit(
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
         for pose in poses:
-            one = match(view.points, view.normals, place.surfaces, pose)
-            judged = place.judge(one.pose[None], view.points, view.starts)
-            fits.append(fit_of(one.agreement, judged.hidden[0], judged.unseen[0]))
+            fits.append(fit_at(view, place, pose))
     return max(fits)
 
 
 def _no_fit(run: Run, place: KnownMap, fit: float, name: str, settings: MapTrackingSettings) -> str:
     """Return the message that the scans fit nowhere, or only when mirrored."""
     least = max(fit + settings.mirror_lead, settings.found_fit)
-    few = replace(settings, looks=settings.mirror_looks)
-    if best_fit((mirrored(view) for view in looks(run, few)), place, least) >= least:
+    few = replace(settings, looks=settings.mirror_looks, near_fit=least)
+    if best_fit((mirrored(look) for look in looks(run, few)), place, few) >= least:
         return (
             f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
             "robot.yaml or in the transform"

@@ -3,44 +3,100 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from logs.run import Run
+from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
-from sensorgraph.localization.global_search import LocalView, joint_fit, local_view
+from sensorgraph.localization.global_search import LocalView, fit_at, joint_fit, local_view
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.odometry import odometry_of
-from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.scan_track import ScanTrack
+from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.types import Bools, Floats
 
 
-def looks(run: Run, settings: MapTrackingSettings = MAP_TRACKING) -> Iterator[LocalView]:
-    """Yield views of short drives, evenly spaced along a run."""
-    s, motion = settings, odometry_of(run)
-    last = max(run.n_scans - s.look_scans, 0)
-    for first in np.unique(np.linspace(0, last, s.looks).astype(np.intp)):
-        part = run.take_scans(slice(int(first), int(first) + s.look_scans))
-        scans = scan_points(part, motion)
-        odometry = None if motion is None else motion.at(part.stamps)
-        found = track(scans, part.stamps, odometry, lambda done, total: None)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Look:
+    """A short drive, and the run that contains it."""
+
+    run: Run
+    first: int
+    """First scan of the drive."""
+    view: LocalView
+    last: int
+    """Scan in whose frame the view is."""
+
+
+def looks(run: Run, settings: MapTrackingSettings = MAP_TRACKING) -> Iterator[Look]:
+    """Yield short drives, evenly spaced along a run."""
+    last = max(run.n_scans - settings.look_scans, 0)
+    for first in np.unique(np.linspace(0, last, settings.looks).astype(np.intp)):
+        scans, found = _tracked(run, int(first), int(first) + settings.look_scans)
         if len(found.key_frames):
-            chosen = found.key_frames[found.piece == np.bincount(found.piece).argmax()]
-            some = np.unique(np.linspace(0, len(chosen) - 1, min(s.rival_scans, len(chosen))).astype(np.intp))
-            yield local_view(scans, chosen[some], found.poses[chosen[some]])
+            view, last_scan = _view(scans, found, found.piece == np.bincount(found.piece).argmax(), settings)
+            yield Look(run=run, first=int(first), view=view, last=int(first) + last_scan)
 
 
-def best_fit(views: Iterable[LocalView], place: KnownMap, enough: float) -> float:
-    """Return the best fit of the views at any place of the map, or the first that is enough; 0 without a view."""
-    best = 0.0
-    for view in views:
-        best = max(best, joint_fit(view, place))
-        if best >= enough:
+def best_fit(looks: Iterable[Look], place: KnownMap, settings: MapTrackingSettings = MAP_TRACKING) -> float:
+    """Return the best fit of the drives at any place of the map, or the first that is enough; 0 without a drive.
+
+    A fit of `near_fit` is enough. One between `near_fit` and `found_fit` counts at most as much as the better fit of
+    the scans before and after the drive, if there are any.
+    """
+    best, s = 0.0, settings
+    for look in looks:
+        fit, pose = joint_fit(look.view, place)
+        if s.near_fit <= fit < s.found_fit:
+            fit = min(fit, max(_fits_beside(look, place, pose, s), default=fit))
+        best = max(best, fit)
+        if best >= s.near_fit:
             break
     return best
 
 
-def mirrored(view: LocalView) -> LocalView:
-    """Return a view as seen in a mirror."""
-    flip = np.array([1.0, -1.0])
-    return LocalView(points=view.points * flip, normals=view.normals * flip, starts=view.starts * flip)
+def mirrored(look: Look) -> Look:
+    """Return a drive as seen in a mirror."""
+    flip, view = np.array([1.0, -1.0]), look.view
+    return replace(
+        look,
+        view=LocalView(points=view.points * flip, normals=view.normals * flip, starts=view.starts * flip),
+    )
+
+
+def _fits_beside(look: Look, place: KnownMap, pose: Floats, settings: MapTrackingSettings) -> list[float]:
+    """Return the fits of the scans before and after a drive, if its view is at a pose (3,) of the map."""
+    n = settings.look_scans
+    start = max(look.first - n, 0)
+    scans, found = _tracked(look.run, start, look.first + 2 * n)
+    at = found.key_frames + start
+    piece = found.piece[max(int(np.searchsorted(at, look.last, side="right")) - 1, 0)]
+    fits = []
+    for beside in (at < look.first, at >= look.first + n):
+        chosen = beside & (found.piece == piece)
+        if chosen.any():
+            view, last = _view(scans, found, chosen, settings)
+            step = compose(invert(found.poses[look.last - start]), found.poses[last])
+            fits.append(fit_at(view, place, compose(pose, step)))
+    return fits
+
+
+def _tracked(run: Run, first: int, stop: int) -> tuple[ScanPoints, ScanTrack]:
+    """Track a part of a run."""
+    part, motion = run.take_scans(slice(first, stop)), odometry_of(run)
+    scans = scan_points(part, motion)
+    odometry = None if motion is None else motion.at(part.stamps)
+    return scans, track(scans, part.stamps, odometry, lambda done, total: None)
+
+
+def _view(
+    scans: ScanPoints, found: ScanTrack, chosen: Bools, settings: MapTrackingSettings
+) -> tuple[LocalView, int]:
+    """Return the view of some key frames, chosen by a mask (n_key,), and the scan in whose frame it is."""
+    frames = found.key_frames[chosen]
+    few = min(settings.rival_scans, len(frames))
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, few).astype(np.intp))]
+    return local_view(scans, frames, found.poses[frames]), int(frames[-1])

@@ -66,6 +66,8 @@ class GlobalSearchSettings:
     """[m] Distance below which two places are the same, if their headings differ by less than `apart_turn`."""
     apart_turn: float = 0.26
     """[rad] Heading difference below which two places are the same."""
+    quick_points: int = 80
+    """Maximum number of points with which a quick search finds places; all points evaluate these."""
     quick_modes: int = 12
     """Maximum number of places that a quick search evaluates and matches."""
     quick_ratio: float = 0.85
@@ -172,7 +174,8 @@ class MapTrackingSettings:
     """[m/m] Ratio that makes searches rarer where a long drive fits nowhere."""
     looks: int = 5
     """Number of short drives that are searched before all scans are tracked. If none fits by `near_fit`, the map is
-    of another place: 60 drives with laser and map of other rooms fit by at most 0.28."""
+    of another place. A fit below `found_fit` counts only as far as the scans before or after continue there: short
+    drives fit parts of another floor by up to 0.56, and the scans beside these by at most 0.23."""
     look_scans: int = 120
     """Number of scans of such a drive."""
     every_nth_everywhere: int = 3
