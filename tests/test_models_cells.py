@@ -17,7 +17,7 @@ from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.models.base import OFF_DISTANCE, TrainingScans
 from sensorgraph.models.cells.evidence import CellEvidence
 from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plain
-from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, list_at_risk
+from sensorgraph.models.cells.learning import SetAside, fit_logistic, is_set_aside, list_at_risk, n_folds_of
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
 from sensorgraph.models.cells.model import CellModel, is_key_frame, shipped_visibility
 from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
@@ -262,7 +262,7 @@ def test_spread_about_faces_is_found() -> None:
     poses = some_poses(rng, 40)
     for planted in (0.015, 0.04):
         measured = room(poses) + rng.normal(0, planted, (40, 91))
-        sigma, across, _ = fit_spread(poses, measured, BEARINGS, table)
+        sigma, across, _ = fit_spread([SetAside(poses, measured, BEARINGS)], [table])
         assert sigma == pytest.approx(planted, rel=0.15)
         assert across < 0.5 * planted
 
@@ -273,7 +273,7 @@ def test_errors_of_poses_count_with_the_tangent_of_incidence() -> None:
     rng = np.random.default_rng(21)
     poses = some_poses(rng, 120)
     off = poses + rng.normal(size=poses.shape) * [0.02, 0.02, 0.0]
-    sigma, across, _ = fit_spread(off, room(poses), BEARINGS, table)
+    sigma, across, _ = fit_spread([SetAside(off, room(poses), BEARINGS)], [table])
     assert sigma == pytest.approx(0.02, rel=0.2)
     assert across == pytest.approx(0.02, rel=0.3)
 
@@ -295,6 +295,14 @@ def test_set_aside_is_a_fifth_in_ten_stretches() -> None:
     aside = is_set_aside(1000)
     assert aside.sum() == 200 and (np.diff(aside.astype(int)) == 1).sum() == 10
     assert not (aside & is_set_aside(1000, fold=1)).any()
+
+
+@pytest.mark.parametrize("n", [5, 12, 33, 60, 240, 1000])
+def test_short_logs_set_aside_each_key_frame_at_most_once(n: int) -> None:
+    masks = [is_set_aside(n, fold) for fold in range(n_folds_of(n))]
+    count = np.sum(masks, axis=0)
+    assert count.max() == 1 and all(mask.any() for mask in masks)
+    assert count.sum() >= min(n, 50)
 
 
 def test_key_frames_are_far_from_each_other_in_place_or_heading() -> None:

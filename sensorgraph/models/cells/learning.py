@@ -8,6 +8,7 @@ penalty. The label is the posterior probability of a stop, and the weight that o
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,10 +29,28 @@ MIN_STEP, MIN_FALL = 1e-3, 1e-5
 """Minimum fraction of a Newton step, and relative decrease of the loss at which the iteration ends."""
 
 
+class SetAside(NamedTuple):
+    """Key frames that are not part of the evidence."""
+
+    poses: Floats
+    """(n, 3) or (n, n_rays, 3) [m, m, rad] Poses of the laser."""
+    ranges: Floats
+    """(n, n_rays) [m]"""
+    bearings: Floats
+    """(n_rays,) [rad]"""
+
+
 def is_set_aside(n: int, fold: int = 0) -> Bools:
     """Return a mask of the scans (n,) that are set aside for learning: ten stretches of 2 % for each fold 0 ... 4."""
-    stretch = np.arange(n) * LEARNING.n_stretches // max(n, 1)
+    stretch = np.arange(n) * min(LEARNING.n_stretches, n) // max(n, 1)
     return np.asarray(stretch % LEARNING.folds == (2 + fold) % LEARNING.folds)
+
+
+def n_folds_of(n: int) -> int:
+    """Return the number of folds of n key frames to set aside in turn: 0 if there are fewer key frames than folds."""
+    if n < LEARNING.folds:
+        return 0
+    return min(LEARNING.folds, math.ceil(LEARNING.min_set_aside * LEARNING.folds / n))
 
 
 @kernel

@@ -23,7 +23,7 @@ from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, Tra
 from sensorgraph.models.cells.distribution import fill_log_likelihoods, scale_all_weights
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
-from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
+from sensorgraph.models.cells.learning import SetAside, fit_logistic, is_set_aside, n_folds_of, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
@@ -105,7 +105,7 @@ class CellModel:
         counts = {
             "scans": len(scans),
             "key_frames": len(poses),
-            "set_aside": int(is_set_aside(len(poses)).sum()) if len(poses) >= CELLS.learning.min_scans else 0,
+            "set_aside": sum(int(is_set_aside(len(poses), k).sum()) for k in range(n_folds_of(len(poses)))),
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
         return cls(
@@ -342,28 +342,34 @@ def learn_visibility(
 ) -> tuple[Floats, tuple[float, float, float], Floats]:
     """Learn beta (n_terms,), the spread [m] and the calibration (3, n_knots) on stretches that the evidence omits."""
     beta = np.array(shipped_visibility())
-    reliability = np.tile(KNOTS, (len(POINTS), 1))
     first = CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma
-    if len(poses) < CELLS.learning.min_scans:
-        return beta, first, reliability
-    aside = is_set_aside(len(poses))
-    evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
+    folds = []
+    for fold in range(n_folds_of(len(poses))):
+        aside = is_set_aside(len(poses), fold)
+        evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
+        folds.append((evidence, SetAside(poses[aside], ranges[aside], bearings)))
+    if not folds:
+        return beta, first, np.tile(KNOTS, (len(POINTS), 1))
     report(1, 5)
-    table = tabulate(evidence, beta, first)
+    samples = [
+        training_samples(evidence, *scans, tabulate(evidence, beta, first)) for evidence, scans in folds
+    ]
     report(2, 5)
-    set_aside = poses[aside], ranges[aside], bearings
-    phi, label, weight = training_samples(evidence, *set_aside, table)
+    phi, label, weight = (np.concatenate(parts) for parts in zip(*samples, strict=True))
     beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
     report(3, 5)
-    table = tabulate(evidence, beta, first)
-    spread = fit_spread(*set_aside, table)
-    table = table._replace(sigma=spread[0], across=spread[1], rough=spread[2])
-    all_summaries = np.array(
-        [summarise_poses(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
-    )
-    scored = (ranges[aside] > MIN_RANGE) & (ranges[aside] < reach)
+    tables = [tabulate(evidence, beta, first) for evidence, _ in folds]
+    spread = fit_spread([scans for _, scans in folds], tables)
     report(4, 5)
-    return beta, spread, calibrate_p_off(all_summaries, ranges[aside], scored)
+    summaries, measured = [], []
+    for (_, scans), table in zip(folds, tables, strict=True):
+        table = table._replace(sigma=spread[0], across=spread[1], rough=spread[2])
+        summaries.append(
+            [summarise_poses(table, scans.poses, bearings, point)[0] for point in ("mode", "median", "mean")]
+        )
+        measured.append(scans.ranges)
+    z = np.concatenate(measured)
+    return beta, spread, calibrate_p_off(np.concatenate(summaries, axis=1), z, (z > MIN_RANGE) & (z < reach))
 
 
 def summarise_poses(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import max_cells_met, per_ray
+from sensorgraph.models.cells.learning import SetAside
 from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.distribution import TAIL
@@ -76,10 +78,10 @@ def add_squares(
                     tangents[k] += share * tangent
 
 
-def fit_spread(
-    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable
-) -> tuple[float, float, float]:
+def fit_spread(set_aside: Sequence[SetAside], tables: Sequence[CellTable]) -> tuple[float, float, float]:
     """Return sigma, across and rough [m], which maximise the likelihood of set-aside returns, by EM.
+
+    Each fold of set-aside scans has a table of the other scans.
 
     M-step: a weighted least-squares line through the mean squared residual of each class of incidence, over the squared
     tangent. The weights are those of variances, n_k / variance². Each class has a prior of `knot_weight` returns at the
@@ -88,9 +90,10 @@ def fit_spread(
     prior, first = ANSWERS.knot_weight, ANSWERS.first_sigma
     spread = np.array([first, 0.5 * first, 1.01 * first])
     for _ in range(ANSWERS.em_steps):
-        now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
         weights, squares, tangents = (np.zeros(ANSWERS.n_incidences + 1) for _ in range(3))
-        add_squares(per_ray(poses), ranges, bearings, now, weights, squares, tangents)
+        for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
+            now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
+            add_squares(per_ray(poses), ranges, bearings, now, weights, squares, tangents)
         x = tangents / np.maximum(weights, 1e-9)
         y = (squares + prior * first**2) / (weights + prior)
         use = np.flatnonzero(weights[1:] > 0) + 1

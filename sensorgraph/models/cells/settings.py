@@ -91,10 +91,10 @@ class VisibilityFeatureSettings:
 class VisibilityLearningSettings:
     """Learning of the visibility coefficients (`learning`, `model.learn_visibility`)."""
 
-    min_scans: int = 50
-    """Number of key frames below which the shipped polynomial is used unchanged."""
+    min_set_aside: int = 50
+    """Number of key frames to set aside; a short log sets aside several folds in turn to reach it."""
     n_stretches: int = 50
-    """Number of stretches that a log is divided into."""
+    """Number of stretches that a log is divided into; a stretch has one key frame or more."""
     folds: int = 5
     """One stretch of this number is set aside."""
     range_spread: float = 0.03
