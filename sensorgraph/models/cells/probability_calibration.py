@@ -13,7 +13,7 @@ from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.learning import SetAside
-from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
+from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.distribution import TAIL
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
@@ -65,7 +65,7 @@ def add_squares(
                     total += w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i]
             for i in range(n):
                 e = (z - r[i]) / sigma[i]
-                if abs(e) < TAIL:
+                if abs(e) < TAIL and w[i] >= MAX_MERGED:  # merged cells have a spread of their own
                     share = w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i] / total
                     tangent, k = 0.0, 0
                     if sigma[i] != table.rough:

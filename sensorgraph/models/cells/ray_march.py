@@ -4,6 +4,8 @@ Probability of a stop in cell k: w_k = S_k (1 - exp(-rate_k l_k)), where l_k is 
 Probability of reaching it: S_k = exp(-sum_{i<k} rate_i l_i). Rate of stops [1/m]: rate_k = -log(1 - p_k) / cell.
 Range to its face n_k·p = d_k from the laser q in direction u: r_k = (d_k - n_k·q) / (n_k·u).
 Variance of a reading about it: sigma² + across² tan²(angle of incidence), and rough² in a cell without a line.
+Neighbouring cells that hardly stop the ray are one candidate: their weight W = sum_k w_k stays below `MAX_MERGED`, their
+range is m = sum_k w_k c_k / W over the middles c_k, and their variance is rough² + sum_k w_k (c_k - m)² / W.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from sensorgraph.models.mixture import summarise
 from sensorgraph.types import Floats
 
 MARCH = CELLS.march
-MIN_SINE, MIN_SURVIVAL, MIN_STOP = MARCH.min_sine, MARCH.min_survival, MARCH.min_stop
+MIN_SINE, MIN_SURVIVAL, MAX_MERGED = MARCH.min_sine, MARCH.min_survival, MARCH.max_merged
 RATES = np.concatenate([[0.0], np.geomspace(*MARCH.rates, MARCH.n_rates)])
 """[1/m] Rate of stops for each code."""
 
@@ -129,6 +131,31 @@ def width_of(cosine: float, sigma: float, across: float, rough: float) -> float:
     return math.sqrt(sigma * sigma + across * across * (1.0 / (cosine * cosine) - 1.0))
 
 
+@inner_kernel
+def insert_candidate(
+    at: float, weight: float, width: float, unknown: float, n: int, r: Floats, w: Floats, sigma: Floats,
+    unseen: Floats,
+) -> int:  # fmt: skip
+    """Insert a candidate into n sorted ones; return their number."""
+    m = n
+    while m > 0 and r[m - 1] > at:
+        r[m], w[m], sigma[m], unseen[m] = r[m - 1], w[m - 1], sigma[m - 1], unseen[m - 1]
+        m -= 1
+    r[m], w[m], sigma[m], unseen[m] = at, weight, width, unknown
+    return n + 1
+
+
+@inner_kernel
+def insert_merged(
+    total: float, first: float, second: float, rough: float, unknown: float, n: int, r: Floats, w: Floats,
+    sigma: Floats, unseen: Floats,
+) -> int:  # fmt: skip
+    """Insert the candidate with the moments sum w, sum w c and sum w c² of several cells; return the number."""
+    mean = first / total
+    width = math.sqrt(rough * rough + max(second / total - mean * mean, 0.0))
+    return insert_candidate(mean, total, width, unknown, n, r, w, sigma, unseen)
+
+
 @outer_kernel
 def stop_candidates(
     x: float, y: float, c: float, s: float, table: CellTable, at: CellIndices, ends: Floats,
@@ -152,6 +179,7 @@ def stop_candidates(
     n_steps = traverse(x0, y0, c, s, table.reach, table.cell, at, ends)
     n = 0
     survival, before, unobserved = 1.0, 0.0, 0.0
+    merged, first, second = 0.0, 0.0, 0.0  # sums of w, w c and w c² of the cells to merge
     for k in range(n_steps):
         i, j = at[k]
         row = -1
@@ -160,25 +188,27 @@ def stop_candidates(
         chord = ends[k] - before
         rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # shorter ranges are not used
         chance = survival * -math.expm1(-rate * chord)
-        if chance > MIN_STOP:
-            middle = 0.5 * (before + ends[k])
+        middle = 0.5 * (before + ends[k])
+        survival -= chance
+        is_small = chance < MAX_MERGED
+        if merged > 0.0 and (not is_small or merged + chance >= MAX_MERGED):
+            n = insert_merged(merged, first, second, table.rough, unobserved, n, r, w, sigma, unseen)
+            merged, first, second = 0.0, 0.0, 0.0
+        if is_small:
+            merged, first, second = merged + chance, first + chance * middle, second + chance * middle * middle
+        else:
             at_r, cosine = face_range(
                 x0, y0, c, s, i, j, middle, table.angle[row, b], table.offset[row, b], table.cell
             )
-            at_r = max(at_r, 0.0)
-            m = n
-            while m > 0 and r[m - 1] > at_r:
-                r[m], w[m], sigma[m], unseen[m] = r[m - 1], w[m - 1], sigma[m - 1], unseen[m - 1]
-                m -= 1
-            r[m], w[m], unseen[m] = at_r, chance, unobserved
-            sigma[m] = width_of(cosine, table.sigma, table.across, table.rough)
-            n += 1
-        survival -= chance
+            width = width_of(cosine, table.sigma, table.across, table.rough)
+            n = insert_candidate(max(at_r, 0.0), chance, width, unobserved, n, r, w, sigma, unseen)
         before = ends[k]
         if table.is_seen[row] == 0:
             unobserved += chord
         if survival < MIN_SURVIVAL:
             break
+    if merged > 0.0:
+        n = insert_merged(merged, first, second, table.rough, unobserved, n, r, w, sigma, unseen)
     return n, survival
 
 
@@ -285,9 +315,27 @@ def stop_candidates_plain(
         code == NO_LINE, d != 0, (np.abs(den) > MIN_SINE) & (np.abs(r - middle) < 2 * table.cell)
     )
     r = np.maximum(np.where(known, r, middle), 0.0)
-    use = np.flatnonzero((w > MIN_STOP) & (np.arange(len(w)) < last))
-    use = use[np.argsort(r[use], kind="stable")]
     tangent_2 = 1.0 / np.where(known & (code != NO_LINE), den, 1.0) ** 2 - 1.0
     on_line = np.sqrt(table.sigma**2 + table.across**2 * tangent_2)
     sigma = np.where(known & (code != NO_LINE), on_line, table.rough)
-    return r[use], w[use], sigma[use], unseen[use], float(survival[last - 1])
+    used = np.arange(len(w)) <= last - 1
+    single = used & (w >= MAX_MERGED)
+    groups, total = np.zeros(len(w), dtype=np.int64), 0.0  # number of the group of each small cell
+    for k in range(1, len(w)):
+        total = total + w[k - 1] if not single[k - 1] else 0.0
+        is_new = single[k - 1] or (not single[k] and total + w[k] >= MAX_MERGED)
+        groups[k] = groups[k - 1] + is_new
+        total = 0.0 if is_new else total
+    found = [(r[k], w[k], sigma[k], unseen[k]) for k in np.flatnonzero(single)]
+    for group in np.unique(groups[used & ~single & (w > 0)]):
+        own = np.flatnonzero((groups == group) & used & ~single)
+        mean = np.average(middle[own], weights=w[own])
+        spread = math.sqrt(table.rough**2 + np.average((middle[own] - mean) ** 2, weights=w[own]))
+        after = own[-1] + 1  # the space up to there was crossed when the group ends
+        crossed = unseen[after] if after < len(w) and used[after] else unseen[own[-1]] + (
+            chord[own[-1]] if table.is_seen[row[own[-1]]] == 0 else 0.0
+        )
+        found.append((mean, w[own].sum(), spread, crossed))
+    found.sort(key=lambda each: each[0])
+    each = np.array(found).reshape(-1, 4)
+    return each[:, 0], each[:, 1], each[:, 2], each[:, 3], float(survival[last - 1])

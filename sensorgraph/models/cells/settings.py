@@ -125,8 +125,8 @@ class CellMarchSettings:
     """Sine of the angle between ray and line below which the line does not determine the range."""
     min_survival: float = 1e-4
     """Survival probability below which a ray is not followed further."""
-    min_stop: float = 1e-6
-    """Probability of a stop below which a cell is not a candidate."""
+    max_merged: float = 1e-3
+    """Probability of a stop below which neighbouring cells are one candidate; in free space, some 0.5 m."""
     default_probability: float = 0.2
     """Probability of a stop within a cell if there is no visibility polynomial."""
     rates: tuple[float, float] = (2e-3, 200.0)
