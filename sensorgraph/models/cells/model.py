@@ -23,7 +23,13 @@ from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, Tra
 from sensorgraph.models.cells.distribution import fill_log_likelihoods, scale_all_weights
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
-from sensorgraph.models.cells.learning import SetAside, fit_logistic, is_set_aside, n_folds_of, training_samples
+from sensorgraph.models.cells.learning import (
+    SetAside,
+    fit_logistic,
+    is_set_aside,
+    n_folds_of,
+    training_samples,
+)
 from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS

@@ -195,7 +195,11 @@ def stop_candidates(
             n = insert_merged(merged, first, second, table.rough, unobserved, n, r, w, sigma, unseen)
             merged, first, second = 0.0, 0.0, 0.0
         if is_small:
-            merged, first, second = merged + chance, first + chance * middle, second + chance * middle * middle
+            merged, first, second = (
+                merged + chance,
+                first + chance * middle,
+                second + chance * middle * middle,
+            )
         else:
             at_r, cosine = face_range(
                 x0, y0, c, s, i, j, middle, table.angle[row, b], table.offset[row, b], table.cell
@@ -332,8 +336,10 @@ def stop_candidates_plain(
         mean = np.average(middle[own], weights=w[own])
         spread = math.sqrt(table.rough**2 + np.average((middle[own] - mean) ** 2, weights=w[own]))
         after = own[-1] + 1  # the space up to there was crossed when the group ends
-        crossed = unseen[after] if after < len(w) and used[after] else unseen[own[-1]] + (
-            chord[own[-1]] if table.is_seen[row[own[-1]]] == 0 else 0.0
+        crossed = (
+            unseen[after]
+            if after < len(w) and used[after]
+            else unseen[own[-1]] + (chord[own[-1]] if table.is_seen[row[own[-1]]] == 0 else 0.0)
         )
         found.append((mean, w[own].sum(), spread, crossed))
     found.sort(key=lambda each: each[0])
