@@ -11,7 +11,7 @@ from localization_samples import loop_poses, room_run, seen
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.odometry_check import with_checked_odometry
+from sensorgraph.localization.odometry_check import CHECK, _direction, with_checked_odometry
 
 TRUTH = loop_poses(90, laps=1.0)
 RUN = room_run(TRUTH, way_scale=0.97, heading_bias=0.02)
@@ -57,6 +57,21 @@ def test_a_laser_of_unknown_mount_gets_the_yaw_that_the_wheels_show() -> None:
         assert wrap(run.sensor.mount[2] - yaw) == pytest.approx(0.0, abs=1e-9 if yaw > 0 else 0.02)
         assert len(notes) == 1 and "is turned by" in notes[0] and "±" in notes[0]
         np.testing.assert_array_equal(run.odometry, RUN.odometry)
+
+
+def test_direction_is_found_beside_an_unknown_place_of_the_laser() -> None:
+    """Hand-eye equation in the plane: both the laser's yaw and its place change what it sees of a motion that turns."""
+    rng = np.random.default_rng(4)
+    driven = np.column_stack([rng.uniform(0.06, 0.2, 40), np.zeros(40), rng.uniform(-0.5, 0.5, 40)])
+    for yaw, place in ((0.5, (0.3, 0.1)), (-0.2, (-0.2, 0.0)), (3.0, (0.15, -0.3))):
+        mount = np.array([*place, yaw])
+        steps = compose(compose(invert(mount), driven), mount) + rng.normal(0, 0.002, (40, 3))
+        jumped = driven.copy()
+        jumped[7] += [2.0, -1.0, 0.7]
+        for odometry in (driven, jumped):
+            found = _direction(steps, odometry, CHECK)
+            assert found is not None
+            assert wrap(found[0] + yaw) == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_stated_mount_that_the_wheels_contradict_is_refused() -> None:

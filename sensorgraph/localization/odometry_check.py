@@ -56,14 +56,20 @@ class OdometryCheckSettings:
     min_moving: int = 5
     """Minimum number of such steps for a step-by-step comparison."""
     max_direction: float = 0.5
-    """[rad] Maximum angle between the motion by the scans and by the odometry."""
-    min_concentration: float = 0.8
-    """Minimum length of the mean of the steps' directions, as unit vectors."""
+    """[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
+    max_unexplained: float = 0.6
+    """Maximum error of a step, relative to its length, for a comparison of directions."""
+    min_error: float = 0.02
+    """Error of a step, relative to its length, below which it counts fully."""
+    lever: float = 0.3
+    """[m] Standard deviation of the distance of a laser of unknown mount from the robot's centre."""
     right_angle: float = 0.1
     """[rad] A mount with an unknown yaw within this of a multiple of 90° has exactly that yaw."""
 
 
 CHECK = OdometryCheckSettings()
+N_REWEIGHTED = 15
+"""Number of reweighted fits of a direction; it settles within ten."""
 MAX_RADIANS = 7.0
 """[rad] A heading beyond this is in degrees, or was never wrapped."""
 DISTANCE_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}
@@ -100,7 +106,8 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
     ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], s)
     direction = None if ways is None else _direction(*ways, s)
-    if direction is not None and abs(direction[0]) > s.max_direction:
+    limit = s.max_direction if _has_stated_mount(run) else s.right_angle
+    if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
         run = _with_yaw(run, *direction, notes, s)
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
@@ -118,18 +125,32 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
 def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
     """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
 
-    None if too few steps move, or if the steps do not agree on an angle.
+    A laser at l with the yaw ψ moves by a = e^(-iψ) (b + (e^(iθ) - 1) l) where its robot moves by b and turns by θ, in
+    complex numbers: linear in e^(-iψ) and in e^(-iψ) l, whose prior is `lever`. Errors are relative to the step.
+    None if too few steps move, or if one motion does not explain the other.
     """
-    is_moving = (np.hypot(*seen[:, :2].T) > settings.moving_distance) & (np.hypot(*driven[:, :2].T) > 0)
-    if is_moving.sum() < settings.min_moving:
+    s = settings
+    a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
+    use = (np.abs(a) > s.moving_distance) & (np.abs(b) > 0)
+    if use.any():
+        ratio = np.log(np.abs(b[use]) / np.abs(a[use]))
+        use[use] = np.abs(ratio - np.median(ratio)) < np.log(s.max_ratio)  # no jumps of the odometry
+    if use.sum() < s.min_moving:
         return None
-    a, b = (steps[is_moving, 0] + 1j * steps[is_moving, 1] for steps in (seen, driven))
-    turned = a / np.abs(a) * np.conj(b) / np.abs(b)
-    mean = turned.mean()
-    if abs(mean) < settings.min_concentration:
+    length = np.abs(a[use])
+    rows = np.column_stack([b[use], np.exp(1j * driven[use, 2]) - 1.0]) / length[:, None]
+    prior, wanted = np.array([[0.0, s.min_error / s.lever]]), a[use] / length
+    size = np.full(len(rows), s.min_error)
+    for _ in range(N_REWEIGHTED):  # least absolute deviations
+        scale = np.sqrt(s.min_error / np.maximum(size, s.min_error))
+        design = np.vstack([rows * scale[:, None], prior])
+        found = np.linalg.lstsq(design, np.append(wanted * scale, 0.0))[0]
+        size = np.abs(wanted - rows @ found)
+    sigma = max(float(np.median(size)) / 1.177, s.min_error)  # per component, by Rayleigh's distribution
+    if sigma > s.max_unexplained:
         return None
-    spread = np.angle(turned / mean)
-    return float(np.angle(mean)), float(spread.std() / np.sqrt(len(spread)))
+    variance = sigma**2 * np.linalg.pinv(design.conj().T @ design).real[0, 0]
+    return float(np.angle(found[0])), float(np.sqrt(variance) / max(abs(found[0]), 1e-9))
 
 
 def _opposite_text(direction: tuple[float, float] | None) -> str:
@@ -145,6 +166,10 @@ def _opposite_text(direction: tuple[float, float] | None) -> str:
     )
 
 
+def _has_stated_mount(run: Run) -> bool:
+    return run.meta.get("mount") != "unknown" or run.sensor.is_composite
+
+
 def _with_yaw(
     run: Run, angle: float, stderr: float, notes: list[str], settings: OdometryCheckSettings
 ) -> Run:
@@ -155,7 +180,7 @@ def _with_yaw(
     angle, stderr : [rad] From the motion of the odometry to that of the scans.
     """
     found = f"{np.degrees(-angle):.0f}° ± {max(np.degrees(stderr), 0.5):.1f}°"
-    if run.meta.get("mount") != "unknown" or run.sensor.is_composite:
+    if _has_stated_mount(run):
         raise SensorgraphError(
             f"the scans move in another direction than the odometry: the laser is turned by {found} relative to its "
             "specified mount, or the odometry counts its distance backwards; correct the transform or the odometry, or "
@@ -185,7 +210,11 @@ def _compared(
     part = run.take_scans(stretch)
     found = track(scan_points(part), part.stamps, None, lambda done, total: None)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
-    if min(found.matched.mean(), is_seen.mean()) < s.min_matched or (np.diff(found.piece) != 0).any():
+    if (
+        len(is_seen) == 0
+        or min(found.matched.mean(), is_seen.mean()) < s.min_matched
+        or (np.diff(found.piece) != 0).any()
+    ):
         return None
     unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
     return _steps(unwrapped[:: s.every]), _steps(odometry[stretch][:: s.every])
