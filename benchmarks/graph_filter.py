@@ -50,8 +50,8 @@ KERNEL = 0.3
 """Width of the kernel of new particles, in standard deviations of the particles."""
 FREEDOM = 4
 """Degrees of freedom of Student's distribution of the motion noise."""
-N_GLOBAL, N_STARTS = 4000, 10
-"""Number of particles of a global start, and of starts."""
+N_GLOBAL, N_AFTER, N_STARTS = 4000, 400, 5
+"""Number of particles of a global start, of its later updates, and of starts."""
 CONVERGED = 0.5
 """[m] Largest error of a filter that has converged."""
 
@@ -194,7 +194,7 @@ def converged(
             scan = first + k
             particles = noise.moved(particles, compose(invert(odometry[last]), odometry[scan]), rng)
             particles = updated(particles, partial(likelihood, scan), rng, is_local=False)
-            last = scan
+            particles, last = particles[:: max(1, len(particles) // N_AFTER)], scan
             if np.hypot(*(np.median(particles[:, :2], axis=0) - truth[scan, :2])) < CONVERGED:
                 found = min(found, count + 1)
             else:
@@ -221,7 +221,7 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
     left, right = figure.subplots(1, 2)
     arena = arena_of(graph)
     for wall in arena.walls:
-        left.plot(*np.asarray(wall.coords).T, color="0.6", lw=0.6)
+        left.plot(*np.asarray(wall).T, color="0.6", lw=0.6)
     left.plot(*data.truth[use, :2].T, color="0.2", lw=0.8, label="located with all scans")
     left.plot(*found.poses[use, :2].T, ".", ms=3, label="filter")
     left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
