@@ -222,7 +222,10 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
     arena = arena_of(graph)
     for wall in arena.walls:
         left.plot(*np.asarray(wall).T, color="0.6", lw=0.6)
-    left.plot(*data.truth[use, :2].T, color="0.2", lw=0.8, label="located with all scans")
+    way = np.where(
+        data.covered[:, None], data.truth[:, :2], np.nan
+    )  # a gap where the first half has not been
+    left.plot(*way.T, color="0.2", lw=0.8, label="located with all scans")
     left.plot(*found.poses[use, :2].T, ".", ms=3, label="filter")
     left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     left.legend()
