@@ -19,6 +19,7 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
+from sensorgraph.localization.missing_odometry import with_missing_ends
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
@@ -63,17 +64,20 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     the velocity, and the scans are tracked again.
     """
     odometry_motion = odometry_of(run)
+    filled: tuple[str, ...] = ()
+    if odometry_motion is not None:
+        odometry_motion, filled = with_missing_ends(run, odometry_motion)
     odometry = None if odometry_motion is None else odometry_at_scans(run, odometry_motion)
     scans = scan_points(run, odometry_motion)
     tracked = track(scans, run.stamps, odometry, progress)
     if len(tracked.key_frames) == 0 or run.sensor.is_composite:
-        return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked)
+        return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run.stamps, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
     found = None if is_given else identify_ray_times(run, motion, odometry, tracked, settings)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = filled
     if found is not None:
-        run, notes = replace(run, sensor=found.sensor), (found.line,)
+        run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
     if found is not None or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
         tracked = track(scans, run.stamps, odometry, progress)

@@ -1,0 +1,56 @@
+"""Odometry that begins late or ends early: the scans continue it, as the truth moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localization_samples import loop_poses, room_run
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.locate import locate
+from sensorgraph.localization.missing_odometry import with_missing_ends
+from sensorgraph.localization.odometry import odometry_of
+
+TRUTH = loop_poses(90, laps=1.0)
+RUN = room_run(TRUTH)
+
+
+def cut(first: float, last: float) -> Run:
+    """The run with the odometry between two stamps alone."""
+    keep = (RUN.odom_stamps >= first) & (RUN.odom_stamps <= last)
+    return replace(
+        RUN, odom_stamps=RUN.odom_stamps[keep], odometry=RUN.odometry[keep], odom_twists=RUN.odom_twists[keep]
+    )
+
+
+@pytest.mark.parametrize(("first", "last", "n_notes"), [(6.0, 99.0, 1), (0.0, 12.0, 1), (5.0, 13.0, 2)])
+def test_scans_continue_the_odometry(first: float, last: float, n_notes: int) -> None:
+    run = cut(first, last)
+    motion = odometry_of(run)
+    assert motion is not None
+    filled, notes = with_missing_ends(run, motion)
+    assert len(notes) == n_notes and all("has no odometry" in note for note in notes)
+    steps = compose(invert(filled.at(RUN.stamps[:-1])), filled.at(RUN.stamps[1:]))
+    wanted = compose(invert(TRUTH[:-1]), TRUTH[1:])
+    assert np.abs(steps[:, :2] - wanted[:, :2]).max() < 0.05
+    assert np.abs(wrap(steps[:, 2] - wanted[:, 2])).max() < np.radians(2.0)
+    inside = (RUN.stamps >= run.odom_stamps[0]) & (RUN.stamps <= run.odom_stamps[-1])
+    np.testing.assert_allclose(filled.at(RUN.stamps[inside]), motion.at(RUN.stamps[inside]), atol=1e-6)
+
+
+def test_whole_odometry_is_unchanged() -> None:
+    motion = odometry_of(RUN)
+    assert motion is not None
+    filled, notes = with_missing_ends(RUN, motion)
+    assert filled is motion and notes == ()
+
+
+def test_located_poses_are_right_where_the_odometry_is_missing() -> None:
+    found = locate(cut(5.0, 13.0))
+    away = compose(invert(compose(TRUTH[40], invert(found.poses[40]))), TRUTH)
+    assert np.hypot(*(away - found.poses)[:, :2].T).max() < 0.05
+    assert np.abs(wrap(away[:, 2] - found.poses[:, 2])).max() < np.radians(1.5)
+    assert any("has no odometry before" in note for note in found.notes)
