@@ -7,11 +7,10 @@ updates, and are told where to start. Truth is the whole log, located together. 
 with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom: 1 if the posterior is as wide as
 its errors.
 
-The posterior of one scan is some 0.6 cm and 0.1° wide, and few of 200 particles fall into it. So the filter of the graph
+The posterior of one scan is so narrow that few of 200 particles fall into it. So the filter of the graph
 raises the exponent of the likelihood from 0 to 1 in steps that keep half of the particles effective (annealed importance
 sampling, Neal 2001). It draws new particles after each step, with the kernel of Liu and West (2001), which keeps mean and
 covariance. Its motion noise is fitted to the first half (`MotionNoise`), since AMCL's allows no sideways motion in a turn.
-
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -29,15 +28,21 @@ from scipy.optimize import nnls
 
 import sensorgraph as sg
 from benchmarks.localize_in_map import Halves, halves, said
-from benchmarks.particle_filter import followed
+from benchmarks.particle_filter import driven, followed
 from logs import pair
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
-from sensorgraph.exporting.amcl_filter import LASER_MODELS, START_SPREAD, CellDistances, updates
+from sensorgraph.exporting.amcl_filter import (
+    LASER_MODELS,
+    START_SPREAD,
+    CellDistances,
+    drawn,
+    mean_pose,
+    updates,
+)
 from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.show.figures.style import new_figure, save_figure
 from sensorgraph.world.identified_arena import arena_of
 
@@ -66,9 +71,7 @@ class MotionNoise:
     @classmethod
     def fit(cls, run: Run) -> MotionNoise:
         """Fit the variances to the steps of a located run by weighted least squares; the largest 2 % are cut."""
-        motion = odometry_of(run)
-        assert motion is not None
-        odometry, poses = odometry_at_scans(run, motion), pair(run).poses
+        odometry, poses = driven(run), pair(run).poses
         first = int(np.flatnonzero(np.isfinite(poses[:, 0]))[0])
         at = np.array([first + k for k in updates(odometry[first:])])
         steps = compose(invert(odometry[at[:-1]]), odometry[at[1:]])
@@ -109,8 +112,7 @@ class Posterior:
 
 def moments(particles: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean pose, the deviations (n, 3) from it and the covariance."""
-    phi = particles[:, 2]
-    mean = np.array([*(weights @ particles[:, :2]), np.arctan2(weights @ np.sin(phi), weights @ np.cos(phi))])
+    mean = mean_pose(particles, weights)
     off = particles - mean
     off[:, 2] = wrap(off[:, 2])
     return mean, off, (weights[:, None] * off).T @ off
@@ -141,9 +143,9 @@ def updated(
                 low = middle
         done += step
         weights = tempered(found, step)
-        at = np.searchsorted(np.cumsum(weights), (np.arange(n) + rng.uniform()) / n).clip(0, n - 1)
-        mean, off, covariance = moments(particles, weights)
+        at = drawn(weights, rng)
         if is_local:
+            mean, off, covariance = moments(particles, weights)
             noise = rng.multivariate_normal(np.zeros(3), covariance + 1e-12 * np.eye(3), size=n)
             particles = mean + np.sqrt(1.0 - KERNEL**2) * off[at] + KERNEL * noise
         else:
@@ -155,10 +157,7 @@ def filtered(
     likelihood: Likelihood, noise: MotionNoise, data: Halves, n: int, rng: np.random.Generator
 ) -> Posterior:
     """Follow the second half from where it starts."""
-    run, truth = data.second, data.truth
-    motion = odometry_of(run)
-    assert motion is not None
-    odometry = odometry_at_scans(run, motion)
+    truth, odometry = data.truth, driven(data.second)
     last = first = int(np.flatnonzero(np.isfinite(truth[:, 0]))[0])
     particles = truth[first] + rng.normal(size=(n, 3)) * START_SPREAD
     poses, covariances = np.full_like(truth, np.nan), np.full((len(truth), 3, 3), np.nan)
@@ -175,13 +174,10 @@ def filtered(
 
 
 def converged(
-    graph: Sensorgraph, likelihood: Likelihood, noise: MotionNoise, data: Halves, rng: np.random.Generator
+    likelihood: Likelihood, noise: MotionNoise, data: Halves, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Return the share of global starts that find the robot within 10 updates, and the mean number of updates."""
-    truth, run = data.truth, data.second
-    motion = odometry_of(run)
-    assert motion is not None
-    odometry = odometry_at_scans(run, motion)
+    truth, odometry = data.truth, driven(data.second)
     usable = np.flatnonzero(data.covered & np.isfinite(truth[:, 0]))
     low, high = truth[usable, :2].min(axis=0) - 2.0, truth[usable, :2].max(axis=0) + 2.0
     needed = []
@@ -224,7 +220,7 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
         left.plot(*np.asarray(wall).T, color="0.6", lw=0.6)
     way = np.where(
         data.covered[:, None], data.truth[:, :2], np.nan
-    )  # a gap where the first half has not been
+    )  # the first half has not been in the gaps
     left.plot(*way.T, color="0.2", lw=0.8, label="located with all scans")
     left.plot(*found.poses[use, :2].T, ".", ms=3, label="filter")
     left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
@@ -281,7 +277,7 @@ def main() -> None:
     print_amcl(data, numbers, field, compared.name if compared else LASER_MODELS[0], given.seeds)
     path = given.work / f"{given.log.name}.first_memory.sensorgraph"
     if not path.exists():
-        sg.build(replace(data.first), calibrate=False, memory=True).save(path)
+        sg.build(data.first, calibrate=False, memory=True).save(path)
     graph = sg.Sensorgraph.load(path)
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
     noise = MotionNoise.fit(data.first)
@@ -302,9 +298,10 @@ def main() -> None:
     if given.picture:
         picture(found, data, graph, given.picture)
     if given.global_start:
-        share, count = converged(graph, likelihood, noise, data, np.random.default_rng(0))
+        share, count = converged(likelihood, noise, data, np.random.default_rng(0))
         print(
-            f"graph, {N_GLOBAL} particles without a start: {100 * share:.0f} % found, after {count:.1f} updates"
+            f"graph, {N_GLOBAL} particles without a start, then {N_AFTER}: "
+            f"{100 * share:.0f} % found, after {count:.1f} updates"
         )
 
 

@@ -14,6 +14,13 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 Floats = NDArray[np.float64]
 
 
+def driven(run: Run) -> Floats:
+    """Return the odometry (n_scans, 3) at the scans of a run that has one."""
+    motion = odometry_of(run)
+    assert motion is not None
+    return odometry_at_scans(run, motion)
+
+
 def followed(
     run: Run,
     truth: Floats,
@@ -30,12 +37,10 @@ def followed(
     truth : (n_scans, 3) base_link in map
     parameters : by their names in Nav2
     """
-    motion = odometry_of(run)
-    assert motion is not None
     first = int(np.flatnonzero(np.isfinite(truth[:, 0]))[0])
     out = np.full_like(truth, np.nan)
     out[first:] = filtered(
-        odometry_at_scans(run, motion)[first:], run.ranges[first:], run.sensor, truth[first], field, parameters,
+        driven(run)[first:], run.ranges[first:], run.sensor, truth[first], field, parameters,
         rng=rng, laser_model=laser_model,
     )  # fmt: skip
     return out

@@ -7,7 +7,6 @@ stale.
 
 from __future__ import annotations
 
-import gc
 import logging
 import os
 import pickle
@@ -176,18 +175,8 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
 
 
 def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
-    """Compile a kernel and the kernels that it calls; Ctrl-C is deferred, because it would crash LLVM.
-
-    Numba makes hundreds of thousands of objects that stay in use; searching them for garbage would take a fifth of the
-    compile time.
-    """
-    is_collecting = gc.isenabled()
-    gc.disable()
-    try:
-        return uninterrupted(partial(compile_, kinds))
-    finally:
-        if is_collecting:
-            gc.enable()
+    """Compile a kernel and the kernels that it calls; Ctrl-C is deferred, because it would crash LLVM."""
+    return uninterrupted(partial(compile_, kinds))
 
 
 @cache

@@ -6,7 +6,6 @@ Cached code is invalidated when any file with kernels changes; numba itself chec
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -58,18 +57,8 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
 
 
 def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
-    """Compile a kernel and the kernels it calls without interruption, because Ctrl-C would crash LLVM.
-
-    Numba makes hundreds of thousands of objects that stay in use; searching them for garbage would take a fifth of the
-    compile time.
-    """
-    is_collecting = gc.isenabled()
-    gc.disable()
-    try:
-        return uninterrupted(partial(compile_, kinds))
-    finally:
-        if is_collecting:
-            gc.enable()
+    """Compile a kernel and the kernels it calls without interruption, because Ctrl-C would crash LLVM."""
+    return uninterrupted(partial(compile_, kinds))
 
 
 @cache

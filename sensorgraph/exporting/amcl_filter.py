@@ -20,7 +20,7 @@ from scipy.ndimage import distance_transform_edt
 from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import compose, invert
 from planners.arena import wrap
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 LASER_MODELS = ("likelihood_field", "likelihood_field_prob")
 """The first is Nav2's default."""
@@ -111,9 +111,8 @@ def filtered(
             else np.exp(contributions - contributions.max())
         )
         weights /= weights.sum()
-        out[k] = _mean(particles, weights)
-        at = np.searchsorted(np.cumsum(weights), (np.arange(n_particles) + rng.uniform()) / n_particles)
-        particles = particles[np.clip(at, 0, n_particles - 1)]
+        out[k] = mean_pose(particles, weights)
+        particles = particles[drawn(weights, rng)]
     return out
 
 
@@ -135,6 +134,12 @@ def _moved(
     return np.column_stack([x, y, particles[:, 2] + first + second])
 
 
+def drawn(weights: Floats, rng: np.random.Generator) -> Ints:
+    """Return the indices (n,) of new particles, drawn by systematic resampling with weights (n,) that sum to 1."""
+    n = len(weights)
+    return np.clip(np.searchsorted(np.cumsum(weights), (np.arange(n) + rng.uniform()) / n), 0, n - 1)
+
+
 def _contributions(particles: Floats, ends: Floats, field: CellDistances, table: Floats) -> Floats:
     """Return the contribution of each return for each particle (n_particles, n_returns)."""
     cos, sin = np.cos(particles[:, 2:]) / field.cell, np.sin(particles[:, 2:]) / field.cell
@@ -146,6 +151,7 @@ def _contributions(particles: Floats, ends: Floats, field: CellDistances, table:
     return np.asarray(table[np.where(inside, row * nx + column, ny * nx)])
 
 
-def _mean(particles: Floats, weights: Floats) -> Floats:
+def mean_pose(particles: Floats, weights: Floats) -> Floats:
+    """Return the mean pose (3,) of particles (n, 3) with weights (n,) that sum to 1."""
     turn = np.arctan2(weights @ np.sin(particles[:, 2]), weights @ np.cos(particles[:, 2]))
     return np.array([*(weights @ particles[:, :2]), turn])

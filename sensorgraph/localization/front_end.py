@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.motion import Motion
+from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.line_map import line_map, thinned
 from sensorgraph.localization.matching import Match, match
@@ -22,7 +24,7 @@ from sensorgraph.localization.scan_track import (
     points_in,
     turn_matrices,
 )
-from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END, MATCH, FrontEndSettings
 from sensorgraph.localization.tracker_state import TrackerState
 from sensorgraph.localization.wheels import WheelEstimate
@@ -365,3 +367,11 @@ def track(
     odometry : (n_scans, 3) [m, m, rad] Odometry at the scans; None: the scans alone.
     """
     return Tracker(scans, stamps, odometry, settings).run(progress)
+
+
+def track_part(run: Run, part: slice, motion: Motion | None = None) -> tuple[ScanPoints, ScanTrack]:
+    """Track some scans of a run with its odometry, or alone; return their points and their track."""
+    some = run.take_scans(part)
+    scans = scan_points(some, motion)
+    odometry = None if motion is None else motion.at(some.stamps)
+    return scans, track(scans, some.stamps, odometry, lambda done, total: None)

@@ -118,7 +118,7 @@ def local_view(
     parts: tuple[list[Floats], list[Floats], list[Floats]] = ([], [], [])
     for scan, (x, y, phi) in zip(chosen, compose(invert(poses[-1]), poses), strict=True):
         own = np.arange(scans.first[scan], scans.first[scan + 1])
-        own = own[_evenly(len(own), most)]
+        own = own[evenly(len(own), most)]
         turn = np.array([[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]])
         parts[0].append(scans.points[own] @ turn + (x, y))
         parts[1].append(scans.normals[own] @ turn)
@@ -127,7 +127,7 @@ def local_view(
     return LocalView(points=points, normals=normals, starts=starts, last=last)
 
 
-def _evenly(n: int, most: int) -> Ints:
+def evenly(n: int, most: int) -> Ints:
     """Return at most `most` of the numbers 0 to n - 1, evenly spaced."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
@@ -173,7 +173,7 @@ def joint_fit(
         max_matches=s.quick_modes,
         max_restarts=s.quick_restarts,
     )
-    points = view.points[_evenly(len(view.points), s.quick_points)]
+    points = view.points[evenly(len(view.points), s.quick_points)]
     found = _judged(_modes(points, place, None, few), view, place, s.min_seen_anywhere, few)
     return (found.fit, found.poses[found.fits.argmax()]) if len(found.poses) else (0.0, np.full(3, np.nan))
 

@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.front_end import track
-from sensorgraph.localization.global_search import LocalView, fit_at, joint_fit, local_view
+from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.global_search import LocalView, evenly, fit_at, joint_fit, local_view
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.types import Bools, Floats
 
 
@@ -24,6 +25,8 @@ class Look:
     """A short drive, and the run that contains it."""
 
     run: Run
+    motion: Motion | None
+    """The odometry of the run."""
     first: int
     """First scan of the drive."""
     view: LocalView
@@ -33,12 +36,12 @@ class Look:
 
 def looks(run: Run, settings: MapTrackingSettings = MAP_TRACKING) -> Iterator[Look]:
     """Yield short drives, evenly spaced along a run."""
-    last = max(run.n_scans - settings.look_scans, 0)
-    for first in np.unique(np.linspace(0, last, settings.looks).astype(np.intp)):
-        scans, found = _tracked(run, int(first), int(first) + settings.look_scans)
+    n, motion = settings.look_scans, odometry_of(run)
+    for first in evenly(max(run.n_scans - n, 0) + 1, settings.looks).tolist():
+        scans, found = track_part(run, slice(first, first + n), motion)
         if len(found.key_frames):
             view, last_scan = _view(scans, found, found.piece == np.bincount(found.piece).argmax(), settings)
-            yield Look(run=run, first=int(first), view=view, last=int(first) + last_scan)
+            yield Look(run=run, motion=motion, first=first, view=view, last=first + last_scan)
 
 
 def best_fit(looks: Iterable[Look], place: KnownMap, settings: MapTrackingSettings = MAP_TRACKING) -> float:
@@ -71,7 +74,7 @@ def _fits_beside(look: Look, place: KnownMap, pose: Floats, settings: MapTrackin
     """Return the fits of the scans before and after a drive, if its view is at a pose (3,) of the map."""
     n = settings.look_scans
     start = max(look.first - n, 0)
-    scans, found = _tracked(look.run, start, look.first + 2 * n)
+    scans, found = track_part(look.run, slice(start, look.first + 2 * n), look.motion)
     at = found.key_frames + start
     piece = found.piece[max(int(np.searchsorted(at, look.last, side="right")) - 1, 0)]
     fits = []
@@ -84,19 +87,10 @@ def _fits_beside(look: Look, place: KnownMap, pose: Floats, settings: MapTrackin
     return fits
 
 
-def _tracked(run: Run, first: int, stop: int) -> tuple[ScanPoints, ScanTrack]:
-    """Track a part of a run."""
-    part, motion = run.take_scans(slice(first, stop)), odometry_of(run)
-    scans = scan_points(part, motion)
-    odometry = None if motion is None else motion.at(part.stamps)
-    return scans, track(scans, part.stamps, odometry, lambda done, total: None)
-
-
 def _view(
     scans: ScanPoints, found: ScanTrack, chosen: Bools, settings: MapTrackingSettings
 ) -> tuple[LocalView, int]:
     """Return the view of some key frames, chosen by a mask (n_key,), and the scan in whose frame it is."""
     frames = found.key_frames[chosen]
-    few = min(settings.rival_scans, len(frames))
-    frames = frames[np.unique(np.linspace(0, len(frames) - 1, few).astype(np.intp))]
+    frames = frames[evenly(len(frames), settings.rival_scans)]
     return local_view(scans, frames, found.poses[frames]), int(frames[-1])

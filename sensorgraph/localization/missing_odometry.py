@@ -7,41 +7,41 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.front_end import track
-from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.front_end import track_part
 
 MIN_MISSING = 1.0
 """[s] Shortest time without odometry that is filled; over shorter ones its last velocity is continued."""
+MIN_SCANS = 3
+"""Minimum number of scans in this time."""
 
 
 def with_missing_ends(run: Run, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
     """Return the odometry with the motion of the scans alone before its first and after its last pose, and notes.
 
-    Poses of a run whose scans cannot be followed there are left out, so that the robot stands in them as before.
+    An end where the scans cannot be followed stays as it is.
     """
-    notes: list[str] = []
     first, last = motion.stamps[0], motion.stamps[-1]
-    for is_early in (True, False):
-        missing = np.flatnonzero(run.stamps < first if is_early else run.stamps > last)
-        if len(missing) < 3 or np.ptp(run.stamps[missing]) < MIN_MISSING:
+    inside = np.flatnonzero((run.stamps >= first) & (run.stamps <= last))
+    if len(inside) == 0:
+        return motion, ()
+    since = run.stamps[0]
+    ends = (  # the scans, which of them the odometry has, and where
+        (slice(0, inside[0] + 1), -1, f"before {first - since:.1f} s"),
+        (slice(inside[-1], run.n_scans), 0, f"after {last - since:.1f} s"),
+    )
+    notes: list[str] = []
+    for part, edge, when in ends:
+        stamps = np.delete(run.stamps[part], edge)
+        if len(stamps) < MIN_SCANS or np.ptp(stamps) < MIN_MISSING:
             continue
-        edge = missing[-1] + 1 if is_early else missing[0] - 1  # the scan that both have
-        if not 0 <= edge < run.n_scans:
+        _, found = track_part(run, part)
+        if not found.matched.all() or found.piece[0] != found.piece[-1]:
             continue
-        part = slice(missing[0], edge + 1) if is_early else slice(edge, missing[-1] + 1)
-        scans = run.take_scans(part)
-        found = track(scan_points(scans), scans.stamps, None, lambda done, total: None)
-        if len(found.poses) < 3 or not found.matched.all() or found.piece[0] != found.piece[-1]:
-            continue
-        k = -1 if is_early else 0
-        poses = compose(motion.at(run.stamps[edge]), compose(invert(found.poses[k]), found.poses))
-        stamps = scans.stamps
-        poses, stamps = (poses[:-1], stamps[:-1]) if is_early else (poses[1:], stamps[1:])
-        parts = [(stamps, poses), (motion.stamps, motion.poses)]
-        all_stamps, all_poses = zip(*(parts if is_early else parts[::-1]), strict=True)
-        joined = np.concatenate(all_poses)
+        known = motion.at(run.stamps[part][edge])
+        poses = compose(known, compose(invert(found.poses[edge]), np.delete(found.poses, edge, axis=0)))
+        at = len(motion.stamps) if edge == 0 else 0
+        joined = np.insert(motion.poses, at, poses, axis=0)
         joined[:, 2] = np.unwrap(joined[:, 2])
-        motion = Motion(stamps=np.concatenate(all_stamps), poses=joined)
-        when = f"before {first - run.stamps[0]:.1f} s" if is_early else f"after {last - run.stamps[0]:.1f} s"
+        motion = Motion(stamps=np.insert(motion.stamps, at, stamps), poses=joined)
         notes.append(f"the log has no odometry {when}: the scans alone determine the motion there")
     return motion, tuple(notes)

@@ -1,7 +1,7 @@
 """Check that scans and odometry describe the same drive: units of the odometry, ray order and yaw of the laser.
 
 The segments with the most turning and with the longest distance are tracked by the scans alone, and compared
-with the odometry. The signs of turn and forward motion distinguish four cases:
+with the odometry. The signs of turn and forward motion distinguish four cases.
 
 | turn | forward | cause |
 |---|---|---|
@@ -21,9 +21,8 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.front_end import track
+from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.scans import scan_points
 from sensorgraph.types import Floats
 
 
@@ -125,8 +124,11 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
 def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
     """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
 
-    A laser at l with the yaw ψ moves by a = e^(-iψ) (b + (e^(iθ) - 1) l) where its robot moves by b and turns by θ, in
-    complex numbers: linear in e^(-iψ) and in e^(-iψ) l, whose prior is `lever`. Errors are relative to the step.
+    The robot moves by b and turns by θ; its laser, at l with the yaw ψ, moves by a, all in complex numbers:
+
+        a = e^(-iψ) (b + (e^(iθ) - 1) l)
+
+    This is linear in e^(-iψ) and in e^(-iψ) l. The latter has the prior `lever`. Errors are relative to the step.
     None if too few steps move, or if one motion does not explain the other.
     """
     s = settings
@@ -207,8 +209,7 @@ def _compared(
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
     stretch = slice(first, first + s.n_scans)
-    part = run.take_scans(stretch)
-    found = track(scan_points(part), part.stamps, None, lambda done, total: None)
+    _, found = track_part(run, stretch)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
     if (
         len(is_seen) == 0

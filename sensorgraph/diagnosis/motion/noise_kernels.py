@@ -63,9 +63,7 @@ def _prediction_error_taps(autocovariance: Floats) -> Floats:
         for i in range(order):
             ahead += taps[i] * autocovariance[order - i]
         reflection = -ahead / variance
-        for i in range(
-            order
-        ):  # an array expression would compile numba's error message of unequal shapes: 4 s
+        for i in range(order):  # before[:order] = ... would compile an error message for 4 s
             before[i] = taps[i]
         for i in range(1, order + 1):
             taps[i] = before[i] * (i < order) + reflection * before[order - i]

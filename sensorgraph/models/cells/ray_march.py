@@ -4,8 +4,8 @@ Probability of a stop in cell k: w_k = S_k (1 - exp(-rate_k l_k)), where l_k is 
 Probability of reaching it: S_k = exp(-sum_{i<k} rate_i l_i). Rate of stops [1/m]: rate_k = -log(1 - p_k) / cell.
 Range to its face n_k·p = d_k from the laser q in direction u: r_k = (d_k - n_k·q) / (n_k·u).
 Variance of a reading about it: sigma² + across² tan²(angle of incidence), and rough² in a cell without a line.
-Neighbouring cells that hardly stop the ray are one candidate: their weight W = sum_k w_k stays below `MAX_MERGED`, their
-range is m = sum_k w_k c_k / W over the middles c_k, and their variance is rough² + sum_k w_k (c_k - m)² / W.
+Neighbouring cells that hardly stop the ray are one candidate, whose weight W = sum_k w_k stays below `MAX_MERGED`. Its
+range is m = sum_k w_k c_k / W over the middles c_k; its variance is rough² + sum_k w_k (c_k - m)² / W.
 """
 
 from __future__ import annotations
@@ -306,9 +306,8 @@ def stop_candidates_plain(
     survival = np.cumprod(1.0 - stop)
     last = int(np.argmax(survival < MIN_SURVIVAL)) + 1 if (survival < MIN_SURVIVAL).any() else len(stop)
     w = stop * np.concatenate([[1.0], survival[:-1]])
-    unseen = np.cumsum(np.where(table.is_seen[row] == 0, chord, 0.0)) - np.where(
-        table.is_seen[row] == 0, chord, 0.0
-    )
+    unseen_chord = np.where(table.is_seen[row] == 0, chord, 0.0)
+    crossed = np.cumsum(unseen_chord)  # [m] unseen up to the end of each cell
     code, d = table.angle[row, b], table.offset[row, b] * OFFSET_STEP
     to_middle = (at + 0.5) * table.cell - [x0, y0]
     n = np.column_stack([np.append(COS, c)[code], np.append(SIN, s)[code]])  # NO_LINE is the last code
@@ -322,26 +321,20 @@ def stop_candidates_plain(
     tangent_2 = 1.0 / np.where(known & (code != NO_LINE), den, 1.0) ** 2 - 1.0
     on_line = np.sqrt(table.sigma**2 + table.across**2 * tangent_2)
     sigma = np.where(known & (code != NO_LINE), on_line, table.rough)
-    used = np.arange(len(w)) <= last - 1
-    single = used & (w >= MAX_MERGED)
-    groups, total = np.zeros(len(w), dtype=np.int64), 0.0  # number of the group of each small cell
-    for k in range(1, len(w)):
-        total = total + w[k - 1] if not single[k - 1] else 0.0
-        is_new = single[k - 1] or (not single[k] and total + w[k] >= MAX_MERGED)
-        groups[k] = groups[k - 1] + is_new
-        total = 0.0 if is_new else total
-    found = [(r[k], w[k], sigma[k], unseen[k]) for k in np.flatnonzero(single)]
-    for group in np.unique(groups[used & ~single & (w > 0)]):
-        own = np.flatnonzero((groups == group) & used & ~single)
-        mean = np.average(middle[own], weights=w[own])
-        spread = math.sqrt(table.rough**2 + np.average((middle[own] - mean) ** 2, weights=w[own]))
-        after = own[-1] + 1  # the space up to there was crossed when the group ends
-        crossed = (
-            unseen[after]
-            if after < len(w) and used[after]
-            else unseen[own[-1]] + (chord[own[-1]] if table.is_seen[row[own[-1]]] == 0 else 0.0)
-        )
-        found.append((mean, w[own].sum(), spread, crossed))
-    found.sort(key=lambda each: each[0])
-    each = np.array(found).reshape(-1, 4)
+    groups: list[list[int]] = []  # each candidate's cells
+    for k in range(last):
+        if groups and w[groups[-1]].sum() + w[k] < MAX_MERGED:
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    found = []
+    for own in groups:
+        total = w[own].sum()
+        if total >= MAX_MERGED:
+            found.append((r[own[0]], total, sigma[own[0]], crossed[own[0]] - unseen_chord[own[0]]))
+        elif total > 0.0:
+            mean = np.average(middle[own], weights=w[own])
+            spread = math.sqrt(table.rough**2 + np.average((middle[own] - mean) ** 2, weights=w[own]))
+            found.append((mean, total, spread, crossed[own[-1]]))
+    each = np.array(sorted(found, key=lambda one: one[0])).reshape(-1, 4)
     return each[:, 0], each[:, 1], each[:, 2], each[:, 3], float(survival[last - 1])
