@@ -58,6 +58,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 INTERRUPTED = 130
 TERMINATED_LINE = "terminated"
+THREADS_OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""One thread each, unless they are set: on systems of a few hundred unknowns, threads wait more than they compute."""
 
 app = typer.Typer(
     name="sensorgraph",
@@ -181,6 +183,8 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `sensorgraph show ... | head` ends quietly
     install(TERMINATED_LINE)
+    for name in THREADS_OF_BLAS:
+        os.environ.setdefault(name, "1")  # read by numpy when it is imported, which the commands do
     code = run()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):  # closed by the caller, or a full disk
