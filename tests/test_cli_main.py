@@ -34,6 +34,20 @@ def test_the_demo_loads_no_package_that_it_does_not_need() -> None:
     assert done.stdout.strip() == "set()"
 
 
+def test_a_command_uses_one_blas_thread_unless_told_otherwise(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys\n"
+        "from sensorgraph import cli\n"
+        "cli.run = lambda: print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules) or 0\n"
+        "cli.main()\n"
+    )
+    for told, expected in (({}, "1 False"), ({"OPENBLAS_NUM_THREADS": "2"}, "2 False")):
+        rest = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        done = subprocess.run([sys.executable, script], env=rest | told, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == expected
+
+
 @pytest.mark.slow
 def test_compile_leaves_the_kernels_of_all_stages_in_the_cache(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sensorgraph", "compile"]

@@ -29,7 +29,10 @@ have fewer short readings, including people and outliers below 0.2 %.
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Replace each ray by the nearest returning ray in its cone."""
+    """Replace each ray by the nearest returning ray in its cone.
+
+    Cones of a sweeping laser share rays: one of 30° then takes its outermost rays a twelfth of the sweep too early or late.
+    """
     gamma, alpha = a["gamma"], a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
     beams = scene.beams
     n = len(scene.bearings)
@@ -41,7 +44,7 @@ def transform(scene: Scene, a: Amendment) -> None:
     around = even and is_full_turn(scene.bearings) and 2 * n_side < n * finer
     fits = around or (even and step * (n - 1) + 2 * n_side * small < 2 * np.pi - 0.5 * small)
     parts = [beams] if gamma == 0 else [scene.shoot(-gamma), scene.shoot(gamma)]
-    if gamma > 0 and fits and np.ptp(scene.delay) == 0:
+    if gamma > 0 and fits and scene.sensor.interlaced_sweeps == 1:
         in_fan = np.arange(-n_side, (n - 1) * finer + n_side + 1)
         rays = np.arange(n * finer) if around else in_fan
         whole = scene.shoot(bearings=scene.bearings[0] + small * rays)

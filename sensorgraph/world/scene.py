@@ -109,7 +109,8 @@ class Scene:
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray or cone, rotated by `offset` [rad], at walls, discs and movers, and apply the surfaces.
 
-        `bearings` are those of a single laser at the mount; None: the sensor's.
+        `bearings` are those of a single laser at the mount, each at the time of the sensor's rays beside it; None: the
+        sensor's.
         """
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
@@ -152,8 +153,9 @@ class Scene:
     def _rays(self, offset: float | Floats, bearings: Floats) -> RayPaths:
         """Return origins and directions of rays with these bearings (n,)."""
         bearings = self.levelled(bearings + offset)
-        delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
-        spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
+        delay, spread = self.delay, self.sensor.is_composite
+        if len(bearings) != self.sensor.n_rays:
+            delay, spread = np.interp(bearings, self.bearings, self.delay), False
         if np.ptp(delay) == 0.0 and not spread:
             lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
             ux, uy = directions(lasers[:, 2], bearings)
