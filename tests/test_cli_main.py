@@ -44,7 +44,9 @@ def test_a_command_uses_one_blas_thread_unless_told_otherwise(tmp_path: Path) ->
     )
     for told, expected in (({}, "1 False"), ({"OPENBLAS_NUM_THREADS": "2"}, "2 False")):
         rest = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
-        done = subprocess.run([sys.executable, script], env=rest | told, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, script], env=rest | told, capture_output=True, text=True, check=True
+        )
         assert done.stdout.strip() == expected
 
 

@@ -109,15 +109,12 @@ class Scene:
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray or cone, rotated by `offset` [rad], at walls, discs and movers, and apply the surfaces.
 
-        `bearings` are those of a single laser at the mount, each at the time of the sensor's rays beside it; None: the
-        sensor's.
+        `bearings` are of a single laser, each at the time of the sensor's rays beside it; None: the sensor's.
         """
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
         is_cone = self.sensor.cones.any()
-        if self.casts is None or (
-            is_cone and self.surfaces
-        ):  # surfaces act on each ray of a cone, not only on the nearest
+        if self.casts is None or (is_cone and self.surfaces):  # surfaces act on each ray of a cone
             return self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
         surfaces, self.surfaces = self.surfaces, []
         key = self._key_of_rays(offset) + b"".join(p.tobytes() for p in (self.walls, self.discs, self.movers))
