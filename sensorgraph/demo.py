@@ -1,8 +1,9 @@
-"""Run the whole loop on an arena: plan, record, build, evaluate, review; compare planned and random driving."""
+"""Run the whole loop on an arena: plan, record, build, evaluate, review, diagnose; compare with random driving."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
 from sensorgraph.show.figures.drives import race_picture
 from sensorgraph.show.review.review import review
-from sensorgraph.types import Floats, ProgressBars
+from sensorgraph.types import Floats, Progress, ProgressBars
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import apply_range_limits
@@ -36,10 +37,10 @@ from sensorgraph.world.wall_distance import WallDistance
 N_CHECK_POSES = 1000
 BASELINE = "polynomial"
 """Model that is compared with the faces: the form of 2004."""
-STAGES = ("plan", "run", "graph", "review", "diagnosis", "comparison")
+STAGES = ("plan", "run", "graph", "review", "diagnosis")
 """Stages with a file to look at, in their order."""
-RANDOM_RATE = 1.0
-"""[Hz] Scans of the random drive: the comparison is of the places that it visits, and a first look need not wait."""
+COMPARISON = "comparison"
+"""Last stage of the full demo."""
 MARGIN = 0.02
 """[m] Distance between checked poses and walls in addition to the robot's radius."""
 
@@ -79,24 +80,37 @@ def demo(
 
     Parameters
     ----------
-    full : Keep and fit every scan of the random drive, not one per second.
+    full : Compare with a random drive of the same length, and with the model of 2004.
     show : Called with the name of a stage of `STAGES` and the file to look at, as soon as it is written.
 
     Returns
     -------
-    The planned drive, the random drive, and the planned drive with the model of 2004; and the hidden effect.
+    The planned drive and, if `full`, the random drive, and the planned drive with the model of 2004; and the hidden
+    effect.
     """
     plan = _plan(arena, robot, "coverage", None, seed, progress)
-    duration = plan.trajectory.duration
-    with OtherProcess(_side_work, folder, arena, robot, seed, duration, full) as side:
+    duration = plan.trajectory.duration if full else None
+    with OtherProcess(_side_work, folder, arena, robot, seed, duration) as side:
+        report, shown = folder / "diagnosis" / "report.html", set[Path]()
+        report.unlink(missing_ok=True)  # of an earlier demo in this folder
+
+        @contextmanager
+        def bars(title: str, unit: str) -> Iterator[Progress]:
+            """Show the diagnosis between two bars, as soon as the other process has written it."""
+            with progress(title, unit) as tick:
+                yield tick
+            if report.exists() and not shown:
+                shown.add(report)
+                show("diagnosis", report)
+
         save(plan, folder / "plan", arena, robot)
         show("plan", folder / "plan" / "plan.png")
         check = check_run(arena, robot, np.random.default_rng([seed, 99]))
         logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
         path = folder / "coverage.mcap"
-        run = record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
+        run = record(path, arena, robot, plan.trajectory, seed=seed, progress=bars)
         show("run", path)
-        planned = _modelled(folder, "coverage", plan, run, arena, robot, check, progress)
+        planned = _modelled(folder, "coverage", plan, run, arena, robot, check, bars)
         show("graph", folder / "coverage.sensorgraph")
         review(
             run,
@@ -107,38 +121,37 @@ def demo(
             name="coverage.mcap",
         )
         show("review", folder / "review.rrd")
-        plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
-        plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
-        hidden, random_plan, random_run = side.result(progress)
-    show("diagnosis", folder / "diagnosis" / "report.html")
-    random = _modelled(folder, "random_bounce", random_plan, random_run, arena, robot, check, progress)
-    drives = [planned, random, replace(planned, model=BASELINE, graph=plain, checked=evaluate(plain, check))]
+        hidden, other = side.result(progress)
+    if not shown:
+        show("diagnosis", report)
+    if other is None:
+        return [planned], hidden
+    random = _modelled(folder, "random_bounce", *other, arena, robot, check, progress)
+    plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
+    plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
     races = {
         label: (drive.growth[0] / 60, drive.growth[1], drive.coverage)
-        for label, drive in zip(("planned", "random"), drives[:2], strict=True)
+        for label, drive in (("planned", planned), ("random", random))
     }
     race_picture(races, arena, folder / "coverage.png")
-    show("comparison", folder / "coverage.png")
-    return drives, hidden
+    show(COMPARISON, folder / "coverage.png")
+    return [
+        planned,
+        random,
+        replace(planned, model=BASELINE, graph=plain, checked=evaluate(plain, check)),
+    ], hidden
 
 
 def _side_work(
-    folder: Path,
-    arena: Arena,
-    robot: Robot,
-    seed: int,
-    duration: float,
-    full: bool,
-    *,
-    progress: ProgressBars,
-) -> tuple[HiddenEffect, Plan, Run]:
-    """Hide an effect and find it; then drive at random for the duration [s] of the plan."""
+    folder: Path, arena: Arena, robot: Robot, seed: int, duration: float | None, *, progress: ProgressBars
+) -> tuple[HiddenEffect, tuple[Plan, Run] | None]:
+    """Hide an effect and find it; then drive at random for a duration [s], or not at all."""
     hidden = hide_and_find(folder / "diagnosis", arena, robot, seed, progress=progress)
+    if duration is None:
+        return hidden, None
     plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
-    if not full:
-        robot = replace(robot, sensor=replace(robot.sensor, rate=min(RANDOM_RATE, robot.sensor.rate)))
-    path = folder / "random_bounce.mcap" if full else None
-    return hidden, plan, record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
+    path = folder / "random_bounce.mcap"
+    return hidden, (plan, record(path, arena, robot, plan.trajectory, seed=seed, progress=progress))
 
 
 def _modelled(

@@ -25,18 +25,22 @@ def compile_kernels() -> None:
     from pathlib import Path
     from tempfile import TemporaryDirectory
 
+    import logs
     from planners.maps import geojson
+    from sensorgraph.building.build import build
     from sensorgraph.cli.progress import progress
-    from sensorgraph.demo import demo
+    from sensorgraph.demo import BASELINE, demo
     from sensorgraph.world.robot import load_robot
 
     began = time.monotonic()
+    room = geojson.loads(ROOM)
     with TemporaryDirectory() as folder:
         demo(
             Path(folder),
-            geojson.loads(ROOM),
+            room,
             load_robot(),
             seed=0,
             progress=progress,
             show=lambda stage, _: typer.echo(f"{time.monotonic() - began:4.0f} s  {stage}: compiled"),
         )
+        build([logs.read(Path(folder) / "coverage.mcap")], arena=room, model=BASELINE, progress=progress)

@@ -40,7 +40,7 @@ def demo(
 
     from sensorgraph.cli.inputs import check_folder, write_json
     from sensorgraph.cli.progress import progress
-    from sensorgraph.demo import STAGES, to_dict
+    from sensorgraph.demo import COMPARISON, STAGES, to_dict
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo_effect import to_dict as hidden_dict
     from sensorgraph.loading import load_arena
@@ -63,12 +63,16 @@ def demo(
         "seed": seed,
     }
     write_json(folder / "config.json", config)
-    typer.echo(f"{' -> '.join(STAGES)}; each line names a file to open")
+    stages = (*STAGES, COMPARISON) if full else STAGES
+    typer.echo(f"{' -> '.join(stages)}; each line names a file to open")
+
+    to_come = list(stages)
 
     def show(stage: str, path: Path) -> None:
-        seconds, number = time.monotonic() - began, STAGES.index(stage) + 1
-        following = f"  next: {STAGES[number]}" if number < len(STAGES) else ""
-        typer.echo(f"[{number}/{len(STAGES)}] {seconds:4.0f} s  {stage:<10}  {path}{following}")
+        to_come.remove(stage)
+        number = len(stages) - len(to_come)
+        following = f"  next: {to_come[0]}" if to_come else ""
+        typer.echo(f"[{number}/{len(stages)}] {time.monotonic() - began:4.0f} s  {stage:<10}  {path}{following}")
 
     drives, hidden = run_demo(folder, walls, machine, seed=seed, full=full, progress=progress, show=show)
     results = to_dict(drives)
@@ -78,10 +82,14 @@ def demo(
     typer.echo("\n" + "\n".join(comparison_table(results)))
     typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all files are in {folder}")
-    typer.echo(f"review:          rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
+    typer.echo(f"review:          rerun {folder / 'review.rrd'}")
     typer.echo(f"diagnosis:       {folder / 'diagnosis' / 'report.html'}")
     typer.echo(f"one equation:    sensorgraph show {folder / 'coverage.sensorgraph'} --ray 67")
     typer.echo(f"the log:         sensorgraph inspect {folder / 'coverage.mcap'}")
+    if not full:
+        typer.echo(
+            "comparison:      sensorgraph demo --full drives at random, too, and fits the model of 2004"
+        )
 
 
 def _demo_real(folder: Path, *, is_latest: bool) -> None:

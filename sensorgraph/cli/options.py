@@ -67,7 +67,8 @@ DemoArena = Annotated[
     str, typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena: square, office.")
 ]
 DemoFull = Annotated[
-    bool, typer.Option("--full", help="Keep and fit all scans of the random drive, not one per second.")
+    bool,
+    typer.Option("--full", help="Compare with a random drive of the same length and with the model of 2004."),
 ]
 DemoReal = Annotated[
     bool, typer.Option("--real", help="Use a shipped real log instead: locate, build, evaluate, review.")
