@@ -1,4 +1,4 @@
-"""Odometry that begins late or ends early: the scans continue it, as the truth moves."""
+"""Odometry that begins late, ends early or has gaps: the scans fill them, as the truth moves."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from localization_samples import loop_poses, room_run
 
+from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import locate
-from sensorgraph.localization.missing_odometry import with_missing_ends
+from sensorgraph.localization.missing_odometry import with_missing_stretches
 from sensorgraph.localization.odometry import odometry_of
+from sensorgraph.types import Bools
 
 TRUTH = loop_poses(90, laps=1.0)
 RUN = room_run(TRUTH)
@@ -31,7 +33,7 @@ def test_scans_continue_the_odometry(first: float, last: float, n_notes: int) ->
     run = cut(first, last)
     motion = odometry_of(run)
     assert motion is not None
-    filled, notes = with_missing_ends(run, motion)
+    filled, notes = with_missing_stretches(run, motion)
     assert len(notes) == n_notes and all("has no odometry" in note for note in notes)
     steps = compose(invert(filled.at(RUN.stamps[:-1])), filled.at(RUN.stamps[1:]))
     wanted = compose(invert(TRUTH[:-1]), TRUTH[1:])
@@ -41,10 +43,49 @@ def test_scans_continue_the_odometry(first: float, last: float, n_notes: int) ->
     np.testing.assert_allclose(filled.at(RUN.stamps[inside]), motion.at(RUN.stamps[inside]), atol=1e-6)
 
 
+UNEVEN = loop_poses(900, laps=1.0)[
+    (10 * np.arange(90) + 30 * np.sin(np.arange(90) / 3)).clip(0, 899).astype(int)
+]
+"""The same loop at a speed that changes."""
+UNEVEN_RUN = room_run(UNEVEN)
+
+
+def thinned(keep: Bools) -> Run:
+    """The uneven run with some poses of the odometry."""
+    run = UNEVEN_RUN
+    return replace(
+        run, odom_stamps=run.odom_stamps[keep], odometry=run.odometry[keep], odom_twists=run.odom_twists[keep]
+    )
+
+
+@pytest.mark.parametrize(
+    ("keep", "said"),
+    [
+        ((UNEVEN_RUN.odom_stamps < 6.0) | (UNEVEN_RUN.odom_stamps > 9.0), "from 6."),
+        (np.arange(len(UNEVEN_RUN.odom_stamps)) % 12 == 0, "stretches of up to"),
+    ],
+    ids=["gap", "rare"],
+)
+def test_scans_fill_gaps_within_the_odometry(keep: Bools, said: str) -> None:
+    run = thinned(keep)
+    motion = odometry_of(run)
+    assert motion is not None
+    filled, notes = with_missing_stretches(run, motion)
+    assert len(notes) == 1 and said in notes[0]
+    wanted = compose(invert(UNEVEN[:-1]), UNEVEN[1:])
+
+    def error(motion: Motion) -> float:
+        steps = compose(invert(motion.at(run.stamps[:-1])), motion.at(run.stamps[1:]))
+        return float(np.abs(wrap(steps[:, 2] - wanted[:, 2])).max())
+
+    assert error(filled) < error(motion) / 5
+    np.testing.assert_allclose(filled.at(run.odom_stamps), motion.at(run.odom_stamps), atol=1e-6)
+
+
 def test_whole_odometry_is_unchanged() -> None:
     motion = odometry_of(RUN)
     assert motion is not None
-    filled, notes = with_missing_ends(RUN, motion)
+    filled, notes = with_missing_stretches(RUN, motion)
     assert filled is motion and notes == ()
 
 

@@ -72,7 +72,9 @@ def demo(
         to_come.remove(stage)
         number = len(stages) - len(to_come)
         following = f"  next: {to_come[0]}" if to_come else ""
-        typer.echo(f"[{number}/{len(stages)}] {time.monotonic() - began:4.0f} s  {stage:<10}  {path}{following}")
+        typer.echo(
+            f"[{number}/{len(stages)}] {time.monotonic() - began:4.0f} s  {stage:<10}  {path}{following}"
+        )
 
     drives, hidden = run_demo(folder, walls, machine, seed=seed, full=full, progress=progress, show=show)
     results = to_dict(drives)

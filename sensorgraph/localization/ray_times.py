@@ -19,7 +19,7 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
-from sensorgraph.localization.missing_odometry import with_missing_ends
+from sensorgraph.localization.missing_odometry import with_missing_stretches
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
@@ -32,7 +32,7 @@ from sensorgraph.localization.refinement import (
 from sensorgraph.localization.scan_lag import scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
-from sensorgraph.localization.settings import REFINEMENT
+from sensorgraph.localization.settings import FRONT_END, REFINEMENT
 from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
@@ -66,7 +66,7 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     odometry_motion = odometry_of(run)
     filled: tuple[str, ...] = ()
     if odometry_motion is not None:
-        odometry_motion, filled = with_missing_ends(run, odometry_motion)
+        odometry_motion, filled = with_missing_stretches(run, odometry_motion)
     odometry = None if odometry_motion is None else odometry_at_scans(run, odometry_motion)
     scans = scan_points(run, odometry_motion)
     tracked = track(scans, run.stamps, odometry, progress)
@@ -74,7 +74,10 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
         return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run.stamps, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
-    found = None if is_given else identify_ray_times(run, motion, odometry, tracked, settings)
+    found = None
+    if not is_given:
+        dense = _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
+        found = identify_ray_times(run, motion, odometry, dense, settings)
     notes: tuple[str, ...] = filled
     if found is not None:
         run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
@@ -93,6 +96,21 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
             run, scans = shifted, scan_points(shifted, motion)
             tracked = track(scans, run.stamps, odometry, progress)
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
+
+
+def _with_more_key_frames(
+    tracked: ScanTrack, scans: ScanPoints, stamps: Floats, odometry: Floats | None, settings: RayTimeSettings
+) -> ScanTrack:
+    """Track a short log again with key frames so close together that they suffice for the pieces."""
+    share = len(tracked.key_frames) / (settings.min_pieces * settings.frames)
+    if share >= 1:
+        return tracked
+    closer = replace(
+        FRONT_END,
+        key_frame_distance=share * FRONT_END.key_frame_distance,
+        key_frame_turn=share * FRONT_END.key_frame_turn,
+    )
+    return track(scans, stamps, odometry, lambda done, total: None, closer)
 
 
 def motion_of_track(stamps: Floats, tracked: ScanTrack) -> Motion:
@@ -206,7 +224,8 @@ def identify_ray_times(
         delays = values[0] * ray / len(ray) + np.append(0.0, values[1:])[ray % CLASSES]
         change, covariance = pieces.estimate(delays, motion)
         values = values + change
-        if step == 0 and _distance(_values(run.sensor), values, covariance, settings) < settings.min_gain:
+        covariance += np.eye(CLASSES) * (values[0] / len(ray)) ** 2  # to the time of a ray
+        if step == 0 and _distance(_values(run.sensor), values, covariance, settings) < settings.agrees:
             return None
         if change @ np.linalg.solve(covariance, change) < settings.settled:
             break

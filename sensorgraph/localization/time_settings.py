@@ -37,6 +37,9 @@ class RayTimeSettings:
     min_gain: float = 25.0
     """Minimum advantage of a laser over no sweep and over any other laser, as twice the log likelihood: five
     standard errors."""
+    agrees: float = 9.5
+    """Squared Mahalanobis distance up to which the times of the log are kept after the first step: 95 % of
+    chi-squared with four degrees of freedom."""
     max_distance: float = 18.5
     """Maximum squared Mahalanobis distance between estimate and laser: 99.9 % of chi-squared with four
     degrees of freedom."""
