@@ -12,7 +12,7 @@ from localization_samples import ROOM, seen
 
 from logs.run import RangeSensor, Run
 from sensorgraph.localization.locate import locate, located_run, summary
-from sensorgraph.localization.ray_times import TrackedRun, track_run
+from sensorgraph.localization.ray_times import TrackedRun, hypotheses, track_run
 from sensorgraph.localization.result import Localization
 from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
@@ -205,3 +205,21 @@ def test_located_run_carries_the_times_and_poses_lie_where_they_were() -> None:
     truth[:, 2] -= truth[0, 2] - found.poses[0, 2]
     off = (found.poses[:, 2] - truth[:, 2] + np.pi) % (2 * np.pi) - np.pi
     assert np.std(off) < np.radians(0.1)
+
+
+def test_a_drive_of_half_a_minute_shows_its_ray_times() -> None:
+    """Its key frames are taken closer together, so that there are enough for the pieces."""
+    sweep = 0.15
+    run = run_of(-sweep * np.arange(N_RAYS) / N_RAYS).take_scans(slice(0, 110))
+    run = replace(run, sensor=replace(run.sensor, sweep_time=sweep))
+    kept = followed(run)
+    assert kept.run.sensor.sweep_time == pytest.approx(-sweep, rel=0.05)
+    assert "clockwise" in kept.notes[0] and "the log states 150.0 ms" in kept.notes[0]
+
+
+def test_a_laser_that_sees_a_full_turn_and_a_ray_more_has_candidates() -> None:
+    sensor = RangeSensor(
+        bearings=np.linspace(-np.pi, np.pi, 1440) * (1 + 1e-9), range_max=20.0, sigma=0.01, rate=10.0
+    )
+    for _, one in hypotheses(sensor):
+        assert abs(one.sweep_time) <= 0.1 + 1e-12

@@ -166,7 +166,7 @@ class RayTimes:
 def hypotheses(sensor: RangeSensor) -> list[tuple[str, RangeSensor]]:
     """Return the name of each candidate laser, and the sensor with its ray times."""
     n = sensor.n_rays
-    share = (n / (n - 1) if n > 1 else 1.0) * float(np.ptp(sensor.bearings)) / (2 * np.pi)
+    share = min((n / (n - 1) if n > 1 else 1.0) * float(np.ptp(sensor.bearings)) / (2 * np.pi), 1.0)
     plain = replace(sensor, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
     out = []
     for name, turn in (*MIRRORS.items(), ("a laser that turns once per scan", 1.0 / sensor.rate)):
