@@ -67,6 +67,7 @@ def assert_prints(printed: str, shown: str) -> None:
         assert first == pytest.approx(expected, rel=0.1, abs=0.02), (found, text)
 
 
+@pytest.mark.slow
 def test_the_quickstart_prints_what_its_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -224,6 +224,12 @@ def test_stamps_that_are_zero_take_the_log_time_and_disorder_is_sorted(tmp_path:
         assert words in run.meta["notes"]
 
 
+def test_scans_that_begin_elsewhere_each_time_have_no_known_ray_times(tmp_path: Path) -> None:
+    bag = [scan(0.1 * k, [1.0, 2.0, 3.0, 4.0], angle_min=-0.5 + 0.1 * k, increment=0.25) for k in range(5)]
+    said = "/scan: scans begin at 5 bearings, so that the times of their rays are not known"
+    assert said in read(tmp_path, bag).meta["notes"]
+
+
 def test_scans_of_another_geometry_are_resampled_and_counted(tmp_path: Path) -> None:
     bag = [scan(0.1 * i, [1, 2, 3]) for i in range(5)] + [
         scan(0.6, [1, 2, 3, 4]),

@@ -381,7 +381,8 @@ def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered
     poses = some_poses(rng, 40)
     ranges = np.full((40, 91), 25.0)  # cells reach 10 m
     ranges[:, 45] = room(poses)[:, 45]
-    cells = CellModel.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=50.0)))
+    sensor = RangeSensor(bearings=BEARINGS, range_max=50.0)
+    cells = CellModel.fit(scans_of(poses, ranges, sensor), cell=0.25)
     assert cells.nothing == 0.0
     said = cells.predict(np.array([[-20.0, 2.0, np.pi]]), np.arange(91), "mode")
     assert (said.p_no_return == 0.0).all() and not said.answered.any()

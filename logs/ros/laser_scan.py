@@ -221,6 +221,12 @@ def _sensor_scans(
         stamp_notes.append(
             f"{topic.name}: {resampled_text([shape.n_rays for shape in counts], list(counts.values()))}"
         )
+    same_count = sum(n for shape, n in counts.items() if shape.n_rays == most.n_rays)
+    if 2 * counts[most] < same_count:
+        stamp_notes.append(
+            f"{topic.name}: scans begin at {len(counts)} bearings, so that the times of their rays are not known: poses "
+            "are wrong by up to the robot's turn during a scan"
+        )
     time_increment, scan_time = limits[3:5].tolist()
     return LaserScans(
         at, ranges[in_file[order]], bearings, time_increment, scan_time, range_min, range_max, main.frame,
