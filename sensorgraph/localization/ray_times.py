@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
@@ -74,10 +75,8 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
         return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run.stamps, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
-    found = None
-    if not is_given:
-        dense = _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
-        found = identify_ray_times(run, motion, odometry, dense, settings)
+    dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
+    found = None if is_given else identify_ray_times(run, motion, odometry, dense, settings)
     notes: tuple[str, ...] = filled
     if found is not None:
         run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
@@ -229,7 +228,15 @@ def identify_ray_times(
             return None
         if change @ np.linalg.solve(covariance, change) < settings.settled:
             break
-    return _judge(run.sensor, values, covariance, settings)
+    errors = np.sqrt(np.diag(covariance))
+    wide = covariance * _small_sample(int(pieces.piece[-1]) + 1, settings)
+    return _judge(run.sensor, values, errors, wide, settings)
+
+
+def _small_sample(n_pieces: int, settings: RayTimeSettings) -> float:
+    """Return the factor of a covariance from few pieces: Student's t, not the normal distribution, at the decision."""
+    z = np.sqrt(settings.min_gain)
+    return float(stdtrit(n_pieces - 1, ndtr(-z)) / z) ** 2
 
 
 def _distance(expected: Floats, values: Floats, covariance: Floats, settings: RayTimeSettings) -> float:
@@ -240,7 +247,7 @@ def _distance(expected: Floats, values: Floats, covariance: Floats, settings: Ra
 
 
 def _judge(
-    sensor: RangeSensor, values: Floats, covariance: Floats, settings: RayTimeSettings
+    sensor: RangeSensor, values: Floats, errors: Floats, covariance: Floats, settings: RayTimeSettings
 ) -> RayTimes | None:
     """Return the candidate that the estimate confirms, if it is the only one; None to keep the ray times of the log.
 
@@ -266,7 +273,6 @@ def _judge(
         name, found = "unlike in the log", replace(plain, sweep_time=float(values[0]))
     at_stamp = found.ray_delays.min() if is_stated else found.ray_delays.mean()
     found = replace(found, first_ray_delay=found.first_ray_delay - float(at_stamp))
-    errors = np.sqrt(np.diag(covariance))
     return RayTimes(name=name, sensor=found, stated=sensor, values=values, standard_errors=errors)
 
 
