@@ -90,9 +90,9 @@ def demo(
     """
     plan = _plan(arena, robot, "coverage", None, seed, progress)
     duration = plan.trajectory.duration if full else None
+    report, shown = folder / "diagnosis" / "report.html", set[Path]()
+    report.unlink(missing_ok=True)  # of an earlier demo in this folder
     with OtherProcess(_side_work, folder, arena, robot, seed, duration) as side:
-        report, shown = folder / "diagnosis" / "report.html", set[Path]()
-        report.unlink(missing_ok=True)  # of an earlier demo in this folder
 
         @contextmanager
         def bars(title: str, unit: str) -> Iterator[Progress]:

@@ -20,12 +20,16 @@ TRUTH = loop_poses(90, laps=1.0)
 RUN = room_run(TRUTH)
 
 
+def thinned(run: Run, keep: Bools) -> Run:
+    """A run with some poses of its odometry."""
+    return replace(
+        run, odom_stamps=run.odom_stamps[keep], odometry=run.odometry[keep], odom_twists=run.odom_twists[keep]
+    )
+
+
 def cut(first: float, last: float) -> Run:
     """The run with the odometry between two stamps alone."""
-    keep = (RUN.odom_stamps >= first) & (RUN.odom_stamps <= last)
-    return replace(
-        RUN, odom_stamps=RUN.odom_stamps[keep], odometry=RUN.odometry[keep], odom_twists=RUN.odom_twists[keep]
-    )
+    return thinned(RUN, (RUN.odom_stamps >= first) & (RUN.odom_stamps <= last))
 
 
 @pytest.mark.parametrize(("first", "last", "n_notes"), [(6.0, 99.0, 1), (0.0, 12.0, 1), (5.0, 13.0, 2)])
@@ -50,14 +54,6 @@ UNEVEN = loop_poses(900, laps=1.0)[
 UNEVEN_RUN = room_run(UNEVEN)
 
 
-def thinned(keep: Bools) -> Run:
-    """The uneven run with some poses of the odometry."""
-    run = UNEVEN_RUN
-    return replace(
-        run, odom_stamps=run.odom_stamps[keep], odometry=run.odometry[keep], odom_twists=run.odom_twists[keep]
-    )
-
-
 @pytest.mark.parametrize(
     ("keep", "said"),
     [
@@ -67,7 +63,7 @@ def thinned(keep: Bools) -> Run:
     ids=["gap", "rare"],
 )
 def test_scans_fill_gaps_within_the_odometry(keep: Bools, said: str) -> None:
-    run = thinned(keep)
+    run = thinned(UNEVEN_RUN, keep)
     motion = odometry_of(run)
     assert motion is not None
     filled, notes = with_missing_stretches(run, motion)

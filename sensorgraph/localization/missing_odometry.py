@@ -15,7 +15,7 @@ MIN_MISSING = 0.3
 MIN_SCANS = 3
 """Minimum number of scans in it."""
 MAX_NAMED = 2
-"""Maximum number of stretches of which the place is said."""
+"""Maximum number of stretches whose place is stated."""
 
 
 def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str, ...]]:

@@ -109,7 +109,7 @@ class Scene:
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray or cone, rotated by `offset` [rad], at walls, discs and movers, and apply the surfaces.
 
-        `bearings` are of a single laser, each at the time of the sensor's rays beside it; None: the sensor's.
+        `bearings` are of a single laser, each at the time of the sensor's neighbouring rays; None: the sensor's.
         """
         if bearings is not None:
             return self._shoot_rays(offset, bearings)
