@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.hidden_effects.world import make_room
+from benchmarks.hidden_effects.worlds.own.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory

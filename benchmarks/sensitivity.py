@@ -37,7 +37,9 @@ from numba.core.dispatcher import Dispatcher
 
 import sensorgraph.diagnosis.motion
 import sensorgraph.diagnosis.scan
-from benchmarks.hidden_effects.cases import CaseSpec, make_case
+from benchmarks.hidden_effects.case import Spec
+from benchmarks.hidden_effects.entrants.product import run_of
+from benchmarks.hidden_effects.worlds.own.cases import make
 from logs import Run
 from planners.maps import geojson
 from sensorgraph.diagnosis.motion import settings as motion
@@ -91,21 +93,21 @@ class Hidden:
 
     def make(self, channel: str) -> tuple[Run, str, str]:
         """Return run, arena and robot file, with what a channel needs."""
-        spec = CaseSpec(
+        spec = Spec(
             suite=self.suite,
-            stream="dev",
             index=self.index,
             background=self.background,
-            effect=self.effect or None,
+            effect=self.effect,
             strength=self.strength if self.suite == "singles" else None,
         )
-        run, _, arena, robot, _ = make_case(spec)
+        case = make(spec)
+        run = run_of(case)
         kept = run.stamps < run.stamps[0] + self.duration
         run = replace(run, stamps=run.stamps[kept], ranges=run.ranges[kept])
         if channel == "scan":  # what the motion channels take would be measured in vain
             unused = ("odom_stamps", "odometry", "odom_twists", "cmd_stamps", "commands")
             run = replace(run, **{name: getattr(run, name)[:0] for name in unused})
-        return run, arena, robot
+        return run, str(case.map["arena.geojson"]), case.robot
 
 
 SCAN_CASES = (

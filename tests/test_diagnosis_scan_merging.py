@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scan_samples import data_of, hall_arena
 
-from benchmarks.hidden_effects.cases import CaseSpec, make_case
+from benchmarks.hidden_effects.case import Spec
+from benchmarks.hidden_effects.entrants.product import run_of
+from benchmarks.hidden_effects.worlds.own.cases import make
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.merging import fewer_effects
@@ -83,11 +85,10 @@ def test_sectors_of_opposite_biases_are_two(quiet: ScanData) -> None:
 @pytest.mark.slow
 def test_a_bias_beside_a_sector_of_the_other_sign_is_named_with_it() -> None:
     """What lies outside the sector is 4 cm off, what lies in it 1 cm: two sectors explained that, and were unknown."""
-    run, _, arena, robot, truth = make_case(
-        CaseSpec(suite="pairs", stream="report", index=1023, background="dirty")
-    )
-    assert {e["name"] for e in truth["effects"]} == {"range_bias", "sector_bias"}
-    finding = diagnose(run, geojson.loads(arena), parse_robot(robot), plan_next=False)
+    case = make(Spec(suite="pairs", kinds="report", index=1023, background="dirty"))
+    assert {e["name"] for e in case.truth["effects"]} == {"range_bias", "sector_bias"}
+    arena = geojson.loads(case.map["arena.geojson"])
+    finding = diagnose(run_of(case), arena, parse_robot(case.robot), plan_next=False)
     assert {a.name for a in finding.effects} == {"range_bias", "sector_bias"}
     assert finding.unknown is None
     assert finding.explained is not None

@@ -2,57 +2,26 @@
 
 from __future__ import annotations
 
-import ast
 from pathlib import Path
 
 import pytest
-import yaml
 from conftest import further
 
-from benchmarks.hidden_effects.baselines import least_squares, room_of
-from benchmarks.hidden_effects.cases import CaseSpec, make_case
+from benchmarks.hidden_effects.case import Spec, save
+from benchmarks.hidden_effects.entrants import least_squares
+from benchmarks.hidden_effects.entrants.product import run_of
+from benchmarks.hidden_effects.worlds.own.cases import make
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.world.robot import parse_robot
 
-GENERATOR = Path(__file__).parent.parent / "benchmarks" / "hidden_effects"
-JUDGES = {"baselines", "results", "run", "score", "score_table"}
-"""Modules beside the generator: they start the diagnosis and score what it wrote."""
-
-
-def test_the_generator_imports_nothing_of_ours_but_the_file_format() -> None:
-    """What hides an effect shares no code with what looks for it: runs are written with `logs`, and that is all."""
-    ours = {"planners", "robotmodic_ident", "sensorgraph"}
-    used: dict[str, set[str]] = {}
-    for path in GENERATOR.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom):
-                assert node.level == 0
-                is_package = node.module == "benchmarks.hidden_effects"
-                names = [f"{node.module}.{a.name}" for a in node.names] if is_package else [node.module or ""]
-            used.setdefault(path.stem, set()).update(names)
-    generator = {"generate"}
-    while True:  # all that it imports within benchmarks, and what that imports
-        own = {name for module in generator for name in used.get(module, ()) if name.startswith("benchmarks")}
-        assert own <= {f"benchmarks.hidden_effects.{module}" for module in used}
-        more = generator | {name.rpartition(".")[2] for name in own}
-        if more == generator:
-            break
-        generator = more
-    assert len(generator) >= 10 and not generator & JUDGES
-    for module in generator:
-        tops = {name.split(".")[0] for name in used[module]}
-        assert not tops & ours, f"{module} imports {tops & ours}"
-        from_logs = {name for name in used[module] if name.split(".")[0] == "logs"}
-        assert from_logs <= {"logs"}, f"{module} imports {from_logs}"
-
 
 def found(**spec: object) -> tuple[Finding, dict[str, object]]:
     """Diagnose one case; return the finding and the truth."""
-    run, _, arena, robot, truth = make_case(CaseSpec(stream="dev", **spec))  # type: ignore[arg-type]
-    return diagnose(run, geojson.loads(arena), parse_robot(robot), plan_next=False), truth
+    case = make(Spec(**spec))  # type: ignore[arg-type]
+    arena = geojson.loads(case.map["arena.geojson"])
+    return diagnose(run_of(case), arena, parse_robot(case.robot), plan_next=False), case.truth
 
 
 @pytest.mark.parametrize("background", ["dirty", *further("clean")])
@@ -64,18 +33,18 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
 
 def test_ticks_of_a_slow_loop_that_beat_with_the_commands_are_no_changing_delay() -> None:
     """A base at 10 Hz, commands at 20 Hz: delays of stretches differ by 36 ms, which 96 nats had made unknown."""
-    run, _, _, robot, _ = make_case(CaseSpec(suite="none", stream="report", index=10276, background="dirty"))
-    for channel in diagnose_motion(run, parse_robot(robot), (), 0):
+    case = make(Spec(suite="none", kinds="report", index=10276, background="dirty"))
+    for channel in diagnose_motion(run_of(case), parse_robot(case.robot), (), 0):
         assert channel.effects == () and channel.unknown is None
 
 
-def test_a_baseline_names_what_is_continuous_and_knows_no_unknown() -> None:
+def test_a_baseline_names_what_is_continuous_and_knows_no_unknown(tmp_path: Path) -> None:
     """Least squares finds a mount turned by a degree; a lens that bends the view it calls by names of the library."""
     for name, is_known in (("mount_yaw", True), ("bearing_scale", False)):
         suite = "singles" if is_known else "foreign"
-        spec = CaseSpec(suite=suite, stream="dev", index=5, background="clean", effect=name, strength=0.9)
-        run, _, arena, robot, _ = make_case(spec)
-        report = least_squares(run, room_of(arena), yaml.safe_load(robot))
+        spec = Spec(suite=suite, index=5, background="clean", effect=name, strength=0.9)
+        save(make(spec), tmp_path, int(is_known))
+        report = least_squares.answer(tmp_path / "cases" / f"{int(is_known):04d}")
         assert report["unknown"] is None and report["effects"]
         assert not is_known or report["effects"][0]["name"] == name
 

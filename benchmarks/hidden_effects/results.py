@@ -39,14 +39,8 @@ class Case:
     label: str
     truth: dict[str, Any]
     report: dict[str, Any] | None
-    timing: dict[str, Any] | None
-    command_s: float | None
-    """[s] CPU time of the whole command, pictures and recordings included."""
-
-    @property
-    def cpu_s(self) -> float | None:
-        """CPU time of the diagnosis alone [s]."""
-        return None if self.timing is None else float(sum(self.timing["cpu_s"].values()))
+    cpu_s: float | None
+    """[s] of the answer."""
 
     @property
     def suite(self) -> str:
@@ -118,27 +112,26 @@ class Case:
         return ratio is not None and ratio < 1.0
 
 
-def load(folders: Iterable[Path], answers: str = "results") -> list[Case]:
-    """Read truth and answers; cases whose answer was never asked for are left out.
+def entrants(folders: Iterable[Path]) -> list[str]:
+    """Return the names of all who have answered, the first first in the alphabet."""
+    return sorted({path.name for folder in folders for path in folder.glob("answers/*")})
 
-    Parameters
-    ----------
-    answers : name of the folder beside `truth` that holds them
-    """
+
+def load(folders: Iterable[Path], entrant: str) -> list[Case]:
+    """Read truth and answers; cases that an entrant was never asked about are left out."""
     cases = []
     for folder in folders:
         for path in sorted(folder.glob("truth/*.json")):
-            result = folder / answers / path.stem
+            result = folder / "answers" / entrant / path.stem
             if not result.exists():
                 continue
-            report, timing, run = result / "report.json", result / "timing.json", result / "run.json"
+            report, run = result / "report.json", result / "run.json"
             cases.append(
                 Case(
                     label=f"{folder.name}/{path.stem}",
                     truth=json.loads(path.read_text()),
                     report=json.loads(report.read_text()) if report.exists() else None,
-                    timing=json.loads(timing.read_text()) if timing.exists() else None,
-                    command_s=json.loads(run.read_text()).get("cpu_s") if run.exists() else None,
+                    cpu_s=json.loads(run.read_text()).get("cpu_s") if run.exists() else None,
                 )
             )
     return cases

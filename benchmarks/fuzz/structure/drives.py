@@ -102,10 +102,10 @@ class _Straight:
 
 def record(name: str) -> Drive:
     """Drive in MuJoCo and measure."""
-    from benchmarks.foreign_worlds.hidden import Secrets
-    from benchmarks.foreign_worlds.mujoco_drive import Base, drive
-    from benchmarks.foreign_worlds.mujoco_laser import World
-    from benchmarks.foreign_worlds.rooms import OUTER, Pilot, Room, draw_room
+    from benchmarks.hidden_effects.worlds.simulators.hidden import Secrets
+    from benchmarks.hidden_effects.worlds.simulators.mujoco_drive import Base, drive
+    from benchmarks.hidden_effects.worlds.simulators.mujoco_laser import World
+    from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Pilot, Room, draw_room
 
     rng = np.random.default_rng([20261126, NAMES.index(name)])
     room = draw_room(rng)

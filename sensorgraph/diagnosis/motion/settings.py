@@ -10,8 +10,8 @@ There are three frozen dataclasses:
 
 Unless a field says otherwise, its value was set on the development cases of the hidden-effects benchmark:
 
-    python -m benchmarks.hidden_effects.generate --suite SUITE --seeds dev --n N -o DIR
-    python -m benchmarks.hidden_effects.run DIR
+    python -m benchmarks.hidden_effects generate --world own --suite SUITE --n N -o DIR
+    python -m benchmarks.hidden_effects answer DIR
 
 SUITE is one of singles, none, pairs, triples and foreign.
 """

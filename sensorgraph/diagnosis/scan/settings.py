@@ -6,8 +6,8 @@ one table.
 Unless a group states otherwise, its numbers were tuned on the development cases of the hidden-effects
 benchmark:
 
-    python -m benchmarks.hidden_effects.generate --suite SUITE --seeds dev --n N -o DIR
-    python -m benchmarks.hidden_effects.run DIR
+    python -m benchmarks.hidden_effects generate --world own --suite SUITE --n N -o DIR
+    python -m benchmarks.hidden_effects answer DIR
 
 SUITE is singles, none, pairs, triples or foreign. Numbers of the site baseline were tuned on parts of public
 logs with `python -m benchmarks.planted_effects`.

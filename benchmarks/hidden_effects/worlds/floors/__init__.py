@@ -1,0 +1,1 @@
+"""The world of real floors, by an author who had read two reference pages and no code of the product."""
