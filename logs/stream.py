@@ -27,6 +27,7 @@ from logs.notes import notes_of
 from logs.ros import interpret, own_record
 from logs.ros.cdr import Messages
 from logs.ros.laser_scan import ShapeCensus, shape_of
+from logs.ros.ray_stream import begin_elsewhere
 from logs.ros.recording import (
     ENCODINGS,
     KEPT_TYPES,
@@ -160,7 +161,7 @@ class McapStream:
     ) -> McapStream | None:
         """Validate every record, count the scans, and assign roles to topics from the first messages.
 
-        None: the scans are not those of a laser in LaserScan messages, so that the log is read as a whole.
+        None: the scans are not LaserScan messages, or do not all begin at one bearing, so that the log is read as a whole.
         """
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
@@ -209,8 +210,8 @@ class McapStream:
         })  # fmt: skip
         is_own = own_record.is_own(recording, topics)
         recording.again = partial(messages, path)
-        sources = [] if is_own else choose_scans(recording, path.name, topics)
-        if any(recording.topics[each.topic].type != SCAN_TYPE for each in sources):
+        names = [] if is_own else [each.topic for each in choose_scans(recording, path.name, topics)]
+        if any(recording.topics[name].type != SCAN_TYPE or begin_elsewhere(census[name]) for name in names):
             return None
         head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):

@@ -1,4 +1,4 @@
-"""Convert the messages of other laser types to LaserScan, so that everything after it knows one type."""
+"""Convert the messages of all lasers to LaserScan messages of one beginning, so that what follows knows one type."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import replace
 from logs.errors import LogError
 from logs.ros.multi_echo import first_echoes
 from logs.ros.point_cloud import scans_of_clouds
-from logs.ros.recording import CLOUD_TYPE, MULTI_ECHO_TYPE, Recording, ScanSource
+from logs.ros.ray_stream import full_turns
+from logs.ros.recording import CLOUD_TYPE, MULTI_ECHO_TYPE, SCAN_TYPE, Recording, ScanSource
 
 
 def as_laser_scans(
@@ -40,5 +41,8 @@ def as_laser_scans(
         elif kind == CLOUD_TYPE:
             found, more = scans_of_clouds(recording, name, heights)
             topics |= found
+            notes += more
+        if topics[name].type == SCAN_TYPE:
+            topics[name], more = full_turns(topics[name])
             notes += more
     return replace(recording, topics=topics, notes=notes)

@@ -71,6 +71,8 @@ class Draft:
     """Scan -> [s] true time of its first ray."""
     first_rays: dict[int, int] = field(default_factory=dict)
     """Scan -> [deg] direction of its first ray in base_link, if it differs from that of the laser."""
+    is_stream: bool = False
+    """Whether the reader may cut the rays into other scans; each stamp is then the true time of a first ray."""
     container: str = "bag"
     """Key of `writers.CONTAINERS`."""
     options: list[str] = field(default_factory=list)

@@ -170,7 +170,7 @@ def _compare(
     out: Outcome, draft: Draft, run: Run, found: Localization, ok: NDArrayBool, *, locate_said: str
 ) -> None:
     """Hold the poses with status ok against the truth, after alignment."""
-    if run.sensor.is_composite:  # its stamps are those of several lasers
+    if run.sensor.is_composite or draft.is_stream:  # its stamps are not those of single messages
         used, when = ok, run.stamps[ok] + (run.epoch_ns / 1e9 - EPOCH)
     else:
         scan = scans_of(draft, run)

@@ -156,6 +156,7 @@ def turning_start(start: Start) -> Draft:
     """The laser takes scans of a little more or less than a turn, so that each begins elsewhere."""
     n = start.pick((350, 340))
     draft = start.draft(replace(TURN[0], first=0, n=n), reference=0.0)
+    draft.is_stream = True
     drive, laser = draft.drive, draft.laser
     scans = draft.scans
     for k, item in enumerate(scans):
