@@ -16,7 +16,7 @@ from benchmarks.hidden_effects.case import Spec
 from benchmarks.hidden_effects.library import LIBRARY
 from benchmarks.hidden_effects.worlds.floors.cases import make, turns
 from benchmarks.hidden_effects.worlds.floors.effects import FOREIGN
-from benchmarks.hidden_effects.worlds.floors.floors import FOLDER
+from benchmarks.hidden_effects.worlds.floors.rooms import FOLDER
 
 EFFECTS = {**dict.fromkeys(LIBRARY, "singles"), **dict.fromkeys(FOREIGN, "foreign")}
 FAST = ("mount_xy", "g_restart", "g_crab", "g_markerswap", "g_slope")

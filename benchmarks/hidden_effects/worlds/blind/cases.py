@@ -15,10 +15,10 @@ from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden
 from benchmarks.hidden_effects.worlds.blind.logged import Convention, Odometry, count, observe
 from benchmarks.hidden_effects.worlds.blind.marks import Mark, channel_of
-from benchmarks.hidden_effects.worlds.blind.people import Leg, walkers
 from benchmarks.hidden_effects.worlds.blind.placing import PLACES, Scenery
 from benchmarks.hidden_effects.worlds.blind.robots import TOLERANCES
 from benchmarks.hidden_effects.worlds.blind.scans import Scans, scan
+from benchmarks.hidden_effects.worlds.blind.scene import Leg, walkers
 from benchmarks.hidden_effects.worlds.blind.setups import (
     Setup,
     changed_base,

@@ -10,10 +10,9 @@ from benchmarks.hidden_effects.log import Booleans, Floats, Ints
 from benchmarks.hidden_effects.worlds.blind.base import OMEGA, PHI, X, Y
 from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Secrets
-from benchmarks.hidden_effects.worlds.blind.people import Leg
 from benchmarks.hidden_effects.worlds.blind.readings import BIASES, LOSSES, SCAN_FAULTS, Readings
 from benchmarks.hidden_effects.worlds.blind.robots import Robot
-from benchmarks.hidden_effects.worlds.blind.scene import Hits, Rays, Scene, incidence
+from benchmarks.hidden_effects.worlds.blind.scene import Hits, Leg, Rays, Scene, incidence
 
 FIRST_STAMP = 0.3
 """[s] of the first scan; the last begins twice this before the end of the drive."""

@@ -1,7 +1,9 @@
-"""A case: a set-up, what is hidden, the log and the truth."""
+"""A case: a set-up, what is hidden, the mark that it leaves, the log and the truth."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,16 +13,88 @@ import shapely
 from benchmarks.hidden_effects.case import Case, Redraw, Spec, geojson, truth_of
 from benchmarks.hidden_effects.library import DETERMINISTIC, LIBRARY, materiality_ratio
 from benchmarks.hidden_effects.log import Floats, Log
-from benchmarks.hidden_effects.worlds.floors import marks
 from benchmarks.hidden_effects.worlds.floors.base import drive
 from benchmarks.hidden_effects.worlds.floors.effect import EFFECTS, Effect
 from benchmarks.hidden_effects.worlds.floors.effects import FOREIGN, note_of
-from benchmarks.hidden_effects.worlds.floors.floors import FOLDER, floor_files
-from benchmarks.hidden_effects.worlds.floors.logged import count, observe
-from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room
-from benchmarks.hidden_effects.worlds.floors.scans import Scans, scan
-from benchmarks.hidden_effects.worlds.floors.scene import OMEGA, PHI, Odometry, Scene, V, X, Y
+from benchmarks.hidden_effects.worlds.floors.logged import Scans, count, observe, scan
+from benchmarks.hidden_effects.worlds.floors.rooms import FOLDER, OUTLINE, Room, floor_files
+from benchmarks.hidden_effects.worlds.floors.scene import (
+    OMEGA,
+    PHI,
+    RIM_LEFT,
+    RIM_RIGHT,
+    Odometry,
+    Scene,
+    V,
+    X,
+    Y,
+    pose_at,
+)
 from benchmarks.hidden_effects.worlds.floors.setups import SEED, distances, draw_scene
+
+WINDOW = 2.0
+"""[s] over which odometry is compared with the truth."""
+MOST_WINDOWS = 1500
+
+
+def changed_rays(scene: Scene, plain: Scans, scans: Scans) -> tuple[float, float]:
+    """Return the share of the rays changed by more than 3 sigma, and the rms change in sigma, each 10 at most."""
+    sigma = scene.robot.sigma
+    one, other = plain.ranges[scans.kept], scans.ranges[scans.kept]
+    is_both = np.isfinite(one) & np.isfinite(other)
+    off = np.where(is_both, np.where(is_both, one, 0.0) - np.where(is_both, other, 0.0), 0.0)
+    is_lost = np.isfinite(one) != np.isfinite(other)
+    share = float(((np.abs(off) > 3 * sigma) | is_lost).mean())
+    return share, float(np.sqrt(np.mean(np.clip(off / sigma, -10, 10) ** 2)))
+
+
+def odometry_error(scene: Scene, run: Floats, odometry: Odometry) -> float:
+    """Return the rms error of the motion in windows of 2 s, in sigma of clean poses and wheels."""
+    robot = scene.robot
+    t = odometry.stamps[:: max(1, len(odometry.stamps) // MOST_WINDOWS)]
+    t = t[(t > 0.5) & (t < scene.duration - 3)]
+
+    def told(at: Floats) -> Floats:
+        return np.column_stack([np.interp(at, odometry.stamps, odometry.poses[:, k]) for k in range(3)])
+
+    def true(at: Floats) -> Floats:
+        return np.column_stack(pose_at(run, at))
+
+    error = _moved(told, t) - _moved(true, t)
+    n = WINDOW * robot.odometry_rate
+    wheel = robot.wheel_sigma / math.sqrt(2) / robot.odometry_rate * math.sqrt(n)
+    turn = robot.wheel_sigma * math.sqrt(2) / robot.wheel_base / robot.odometry_rate * math.sqrt(n)
+    sigma = math.hypot(math.sqrt(2) * robot.sigma_xy, wheel)
+    sigma_turn = math.hypot(math.sqrt(2) * robot.sigma_yaw, turn)
+    return float(np.sqrt(np.mean((error / (sigma, sigma, sigma_turn)) ** 2)))
+
+
+def _moved(poses: Callable[[Floats], Floats], t: Floats) -> Floats:
+    """Return the motion (n, 3) [m, m, rad] in the windows that begin at some times [s], in the frame of their first pose."""
+    first, last = poses(t), poses(t + WINDOW)
+    off = last - first
+    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+    return np.column_stack([c * off[:, 0] + s * off[:, 1], -s * off[:, 0] + c * off[:, 1], off[:, 2]])
+
+
+def drive_error(scene: Scene, run: Floats, commands: Floats) -> float:
+    """Return how much larger than their noise errors of the speeds are, had the commands been given to a plain base."""
+    robot = scene.robot
+    plain, _ = drive(scene, None, commands)
+    rims, plain_rims = (one[::10, RIM_LEFT : RIM_RIGHT + 1] for one in (run, plain))
+    speed = rims.mean(1) - plain_rims.mean(1)
+    turn = (np.diff(rims)[:, 0] - np.diff(plain_rims)[:, 0]) / robot.wheel_base
+    off = np.column_stack([speed, turn])
+    return float(np.sqrt(1 + np.mean((off / (robot.sigma_v, robot.sigma_omega)) ** 2)))
+
+
+def pose_error(scene: Scene, poses: Floats, plain: Floats) -> float:
+    """Return the rms change of the poses, in sigma."""
+    robot = scene.robot
+    off = poses - plain
+    off[:, 2] = (off[:, 2] + math.pi) % (2 * math.pi) - math.pi
+    return float(np.sqrt(np.mean((off / (robot.sigma_xy, robot.sigma_xy, robot.sigma_yaw)) ** 2)))
+
 
 SUITES = ("none", "singles", "foreign")
 STREAM = "w3"
@@ -187,16 +261,16 @@ def _least_clearance(room: Room, run: Floats) -> float:
 def _mark(scene: Scene, runs: Runs) -> Mark:
     channel = runs.effect.channel
     if channel == "scan":
-        share, size = marks.changed_rays(scene, runs.plain_scans, runs.scans)
+        share, size = changed_rays(scene, runs.plain_scans, runs.scans)
         return Mark(channel=channel, changed_share=share, size=size)
     if channel == "odometry":
-        size = marks.odometry_error(scene, runs.run, runs.odometry)
-        plain = marks.odometry_error(scene, scene.run, runs.plain_odometry)
+        size = odometry_error(scene, runs.run, runs.odometry)
+        plain = odometry_error(scene, scene.run, runs.plain_odometry)
         return Mark(channel=channel, size=size, growth=size / max(plain, 0.5))
     if channel == "drive":
-        size = marks.drive_error(scene, runs.run, runs.commands)
+        size = drive_error(scene, runs.run, runs.commands)
         return Mark(channel=channel, size=size, growth=size)
-    return Mark(channel=channel, size=marks.pose_error(scene, runs.poses, runs.plain_poses))
+    return Mark(channel=channel, size=pose_error(scene, runs.poses, runs.plain_poses))
 
 
 def _is_strong(suite: str, runs: Runs, mark: Mark, attempt: int) -> bool:
@@ -229,7 +303,7 @@ def _made(scene: Scene, runs: Runs, attempt: int) -> dict[str, Any]:
     with np.errstate(invalid="ignore"):  # what is lost less what is infinite
         noise = runs.plain_scans.ranges - runs.plain_scans.rays.ranges
     over_sigma = noise[np.isfinite(noise)] / scene.robot.sigma
-    odometry = marks.odometry_error(scene, scene.run, runs.plain_odometry)
+    odometry = odometry_error(scene, scene.run, runs.plain_odometry)
     return {
         "room": scene.plan.name,
         "robot": scene.robot.name,

@@ -11,11 +11,9 @@ from shapely.geometry import LineString, Point, Polygon
 from benchmarks.hidden_effects.case import Redraw
 from benchmarks.hidden_effects.log import Booleans, Floats
 from benchmarks.hidden_effects.worlds.floors.effect import Effect, even, rounded
-from benchmarks.hidden_effects.worlds.floors.floors import rectangle
 from benchmarks.hidden_effects.worlds.floors.placing import OnWall, Rebuilt, free_spot, is_passed
-from benchmarks.hidden_effects.worlds.floors.raycast import meet_discs, meet_walls
-from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, PIER, Room
-from benchmarks.hidden_effects.worlds.floors.scene import PHI, Rays, Scene, X
+from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, PIER, Room, rectangle
+from benchmarks.hidden_effects.worlds.floors.scene import PHI, Rays, Scene, X, meet_discs, meet_walls
 
 REFRACTION = 1.5
 """Index of glass."""

@@ -10,8 +10,7 @@ import numpy as np
 from benchmarks.hidden_effects.log import Booleans, Floats
 from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, law, rounded, sector, signed, size
 from benchmarks.hidden_effects.worlds.floors.placing import dip
-from benchmarks.hidden_effects.worlds.floors.raycast import meet_walls
-from benchmarks.hidden_effects.worlds.floors.scene import Rays, Scene
+from benchmarks.hidden_effects.worlds.floors.scene import Rays, Scene, meet_walls
 
 N_BEAM = 13
 N_CONE = 41

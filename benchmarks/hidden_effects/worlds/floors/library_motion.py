@@ -18,9 +18,18 @@ from benchmarks.hidden_effects.worlds.floors.placing import (
     pick_obstacle,
     pick_wall,
 )
-from benchmarks.hidden_effects.worlds.floors.raycast import meet_discs, meet_moving_discs, meet_walls
 from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room
-from benchmarks.hidden_effects.worlds.floors.scene import PHI, BaseState, Rays, Scene, V, X
+from benchmarks.hidden_effects.worlds.floors.scene import (
+    PHI,
+    BaseState,
+    Rays,
+    Scene,
+    V,
+    X,
+    meet_discs,
+    meet_moving_discs,
+    meet_walls,
+)
 
 law(
     "wheel_radius",

@@ -14,9 +14,8 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.hidden_effects.case import Redraw
 from benchmarks.hidden_effects.log import Booleans, Floats
 from benchmarks.hidden_effects.worlds.floors.effect import Effect
-from benchmarks.hidden_effects.worlds.floors.raycast import meet_walls
 from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room
-from benchmarks.hidden_effects.worlds.floors.scene import PHI, Rays, Scene, X
+from benchmarks.hidden_effects.worlds.floors.scene import PHI, Rays, Scene, X, meet_walls
 
 SHORTEST_WALL = 0.7
 """[m] that gets an effect."""

@@ -10,12 +10,10 @@ import shapely
 
 from benchmarks.hidden_effects.case import Redraw
 from benchmarks.hidden_effects.log import Floats
-from benchmarks.hidden_effects.worlds.floors.background import draw_background
 from benchmarks.hidden_effects.worlds.floors.base import STYLES, drive
-from benchmarks.hidden_effects.worlds.floors.floors import cut_room
-from benchmarks.hidden_effects.worlds.floors.robots import ROBOTS, Robot
-from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room
-from benchmarks.hidden_effects.worlds.floors.scans import aim
+from benchmarks.hidden_effects.worlds.floors.logged import aim
+from benchmarks.hidden_effects.worlds.floors.robots import ROBOTS, Robot, draw_background
+from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room, cut_room
 from benchmarks.hidden_effects.worlds.floors.scene import PHI, STEP, Scene, Setup, V, X, Y
 from benchmarks.hidden_effects.worlds.floors.ways import survey
 

@@ -1,10 +1,11 @@
-"""How big a hidden effect is and where it sits, at a strength from 0 (below materiality) to 1."""
+"""How large a hidden effect is and where it is, at a strength from 0 (below materiality) to 1; and people."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -12,10 +13,75 @@ import shapely
 from benchmarks.hidden_effects import library
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.drive import TrueDrive, largest_part
-from benchmarks.hidden_effects.worlds.own.people import walkers
 from benchmarks.hidden_effects.worlds.own.robot import RobotSpec
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect
 from benchmarks.hidden_effects.worlds.own.world import ARENA, Room, TrueHits
+
+Walker = tuple[Floats, Floats, float]
+"""Times (k,) [s], centres (k, 2) [m] and radius [m] of a disc that moves."""
+
+
+def walkers(
+    free: shapely.Geometry, duration: float, strength: float, rng: np.random.Generator
+) -> list[Walker]:
+    """Let persons walk between random places in the free space for part of the run.
+
+    Parameters
+    ----------
+    duration : [s] of the run
+    strength : 0...1, how many they are and how long they stay
+    """
+    found: list[Walker] = []
+    for _ in range(1 + int(2.99 * strength * rng.random())):
+        stay = duration * min(1.0, 0.04 * 20**strength * rng.uniform(0.7, 1.4))
+        enter = rng.uniform(0, max(duration - stay, 1e-3))
+        stamps, centres = _walk(free, enter, enter + stay, rng)
+        gone = np.array([[1e4, 1e4]])
+        fine = np.arange(enter, enter + stay, 0.05)
+        at = np.stack([np.interp(fine, stamps, column) for column in centres.T], axis=1)
+        ends = np.array([enter - 1e-3]), np.array([fine[-1] + 1e-3])
+        times = np.concatenate([ends[0], fine, ends[1]])
+        if rng.random() < 0.5:
+            found.append((times, np.concatenate([gone, at, gone]), float(rng.uniform(0.15, 0.25))))
+            continue
+        along = np.gradient(at, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+        aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        swing = 0.18 * np.sin(2 * np.pi * 0.9 * fine)[:, None]
+        radius = float(rng.uniform(0.05, 0.08))
+        for side in (-1, 1):
+            leg = at + side * (0.11 * aside + swing * along)
+            found.append((times, np.concatenate([gone, leg, gone]), radius))
+    return found
+
+
+def _walk(
+    free: shapely.Geometry, start: float, stop: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    x0, y0, x1, y1 = free.bounds
+    shapely.prepare(free)
+
+    def spot() -> Floats:
+        while True:
+            points = rng.uniform((x0, y0), (x1, y1), size=(8, 2))
+            inside = points[shapely.contains_xy(free, points[:, 0], points[:, 1])]
+            if len(inside):
+                return np.asarray(inside[0])
+
+    t, here = start, spot()
+    stamps, centres = [t], [here]
+    while t < stop:
+        there = spot()
+        for _ in range(20):
+            if free.contains(shapely.LineString([here, there])):
+                break
+            there = spot()
+        t += max(0.3, float(np.linalg.norm(there - here))) / rng.uniform(0.3, 1.2)
+        stamps.append(t)
+        centres.append(there)
+        here = there
+    return np.array(stamps), np.array(centres)
+
 
 DEG = math.pi / 180
 MATERIALITY = {name: bound for name, (bound, _) in library.MATERIALITY.items() if name != "pose_clock_offset"}
@@ -84,108 +150,96 @@ def ratio_of(effect: HiddenEffect, context: Context) -> float | None:
     return size / MATERIALITY[effect.name]
 
 
-Draw = Callable[[Context, float, np.random.Generator], HiddenEffect]
+Found = dict[str, Any]
+"""Fields of a `HiddenEffect` but its name."""
+Draw = Callable[[Context, float, np.random.Generator], Found]
 
 
 def draw(name: str, strength: float, context: Context, rng: np.random.Generator) -> HiddenEffect:
     """Draw one library effect at a strength in 0...1."""
-    return DRAWS[name](context, strength, rng)
-
-
-def _signed(name: str, key: str, *, negative: float = 0.5) -> Draw:
-    def one(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+    if name in SIZED:
+        key, negative = SIZED[name]
         sign = -1.0 if rng.random() < negative else 1.0
-        return HiddenEffect(name=name, parameters={key: sign * size_of(name, u)})
+        return HiddenEffect(name=name, parameters={key: sign * size_of(name, strength)})
+    return HiddenEffect(name=name, **DRAWS[name](context, strength, rng))
 
-    return one
+
+SIZED = {
+    "range_bias": ("b", 0.5), "range_scale": ("s", 0.5), "range_noise": ("k", 0.0), "mount_yaw": ("delta", 0.5),
+    "latency": ("tau", 0.0), "scan_skew": ("T", 0.0), "mixed_pixels": ("gamma", 0.0), "map_scale": ("s", 0.5),
+    "random_outliers": ("p", 0.0), "wheel_radius": ("s", 0.5), "wheel_radius_diff": ("s", 0.5), "wheel_base": ("s", 0.5),
+    "actuator_lag": ("tau", 0.0), "dead_time": ("L", 0.0),
+}  # fmt: skip
+"""Effects of one parameter, and how often it is negative."""
 
 
-def _direction(name: str, context: Context, u: float, rng: np.random.Generator) -> dict[str, float | None]:
+def _shift(name: str, u: float, rng: np.random.Generator) -> dict[str, float]:
     size, angle = size_of(name, u), rng.uniform(-np.pi, np.pi)
     return {"dx": size * math.cos(angle), "dy": size * math.sin(angle)}
 
 
-def _sector(context: Context, width: float, rng: np.random.Generator) -> tuple[float, float]:
+def _sector(context: Context, width: float, rng: np.random.Generator) -> dict[str, float]:
     lowest, highest = context.robot.bearings[0], context.robot.bearings[-1]
-    first = rng.uniform(lowest, max(lowest + 1e-6, highest - width))
-    return float(first), float(first + width)
+    first = float(rng.uniform(lowest, max(lowest + 1e-6, highest - width)))
+    return {"theta1": first, "theta2": first + width}
 
 
-def _sector_bias(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    theta1, theta2 = _sector(context, rng.uniform(15, 50) * DEG, rng)
-    b = float(rng.choice([-1, 1])) * size_of("sector_bias", u)
-    return HiddenEffect(name="sector_bias", parameters={"theta1": theta1, "theta2": theta2, "b": b})
+def _sector_bias(context: Context, u: float, rng: np.random.Generator) -> Found:
+    sector = _sector(context, rng.uniform(15, 50) * DEG, rng)
+    return {"parameters": sector | {"b": float(rng.choice([-1, 1])) * size_of("sector_bias", u)}}
 
 
-def _self_occlusion(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _self_occlusion(context: Context, u: float, rng: np.random.Generator) -> Found:
     step = float(np.diff(context.robot.bearings[:2])[0])
-    theta1, theta2 = _sector(context, max(1.2 * step, (1 + 14 * u) * DEG), rng)
-    r0 = float(rng.uniform(context.robot.range_min + 0.03, 0.35))
-    return HiddenEffect(name="self_occlusion", parameters={"r0": r0, "theta1": theta1, "theta2": theta2})
+    sector = _sector(context, max(1.2 * step, (1 + 14 * u) * DEG), rng)
+    return {"parameters": {"r0": float(rng.uniform(context.robot.range_min + 0.03, 0.35)), **sector}}
 
 
-def _wall_part(
-    context: Context, u: float, rng: np.random.Generator
-) -> tuple[str, float, float, tuple[float, float]]:
-    """Draw a part of a well seen wall: its name, both ends [m] from the first vertex, its middle."""
+def _wall_part(context: Context, u: float, rng: np.random.Generator) -> Found:
+    """Draw a part of a well seen wall, from a to b [m] of its first vertex."""
     wall = context.pick_wall(rng)
     p, q = context.room.edge(wall)
     length = float(np.linalg.norm(q - p))
-    seen = context.hits.along[
-        np.isin(context.hits.wall, [i for i, w in enumerate(context.wall_names) if w == wall])
-    ]
+    named = [i for i, name in enumerate(context.wall_names) if name == wall]
+    seen = context.hits.along[np.isin(context.hits.wall, named)]
     half = min(length / 2, 0.5 * rng.uniform(0.4 + 0.4 * u, 0.8 + 1.4 * u))
     middle = float(np.clip(rng.choice(seen) if len(seen) else length / 2, half, length - half))
     at = p + middle * (q - p) / length
-    return wall, middle - half, middle + half, (float(at[0]), float(at[1]))
+    xy = (float(at[0]), float(at[1]))
+    return {"parameters": {"a": middle - half, "b": middle + half}, "place": wall, "xy": xy}
 
 
-def _glass(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    wall, a, b, xy = _wall_part(context, u, rng)
+def _glass(context: Context, u: float, rng: np.random.Generator) -> Found:
+    part = _wall_part(context, u, rng)
     depth = None if rng.random() < 0.3 else float(rng.uniform(0.3, 3.0))
-    alpha = float(rng.uniform(4, 30 - 15 * u)) * DEG
-    return HiddenEffect(
-        name="glass", parameters={"a": a, "b": b, "alpha_ret": alpha, "depth": depth}, place=wall, xy=xy
-    )
+    part["parameters"] |= {"alpha_ret": float(rng.uniform(4, 30 - 15 * u)) * DEG, "depth": depth}
+    return part
 
 
-def _mirror(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    wall, a, b, xy = _wall_part(context, u, rng)
-    return HiddenEffect(name="mirror", parameters={"a": a, "b": b}, place=wall, xy=xy)
+def _black(context: Context, u: float, rng: np.random.Generator) -> Found:
+    part = _wall_part(context, u, rng)
+    part["parameters"]["r0"] = float(rng.uniform(0.5, 1.0 + 2.0 * (1 - u)))
+    return part
 
 
-def _black(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    wall, a, b, xy = _wall_part(context, u, rng)
-    r0 = float(rng.uniform(0.5, 1.0 + 2.0 * (1 - u)))
-    return HiddenEffect(name="black_surface", parameters={"a": a, "b": b, "r0": r0}, place=wall, xy=xy)
-
-
-def _incidence(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _incidence(context: Context, u: float, rng: np.random.Generator) -> Found:
     loss = 0.008 * 30**u * rng.uniform(0.8, 1.25)
-    return HiddenEffect(
-        name="incidence_dropout", parameters={"alpha_max": context.quantile(context.hits.incidence, 1 - loss)}
-    )
+    return {"parameters": {"alpha_max": context.quantile(context.hits.incidence, 1 - loss)}}
 
 
-def _max_range(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _max_range(context: Context, u: float, rng: np.random.Generator) -> Found:
     loss = 0.008 * 50**u * rng.uniform(0.8, 1.2)
     inside = min(context.quantile(context.hits.ranges, 1 - loss), 0.98 * context.robot.range_max)
-    return HiddenEffect(name="max_range", parameters={"R": inside})
+    return {"parameters": {"R": inside}}
 
 
-def _min_range(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _min_range(context: Context, u: float, rng: np.random.Generator) -> Found:
     loss = 0.008 * 20**u * rng.uniform(0.8, 1.2)
     r_min = max(context.quantile(context.hits.ranges, loss), context.robot.range_min + 0.05)
-    return HiddenEffect(
-        name="min_range", parameters={"r_min": r_min}, extra={"reads": float(rng.choice([-np.inf, np.inf]))}
-    )
+    return {"parameters": {"r_min": r_min}, "extra": {"reads": float(rng.choice([-np.inf, np.inf]))}}
 
 
-def _quantisation(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    return HiddenEffect(name="quantisation", parameters={"q": round(0.004 * 25**u, 3)})
-
-
-def _unmapped(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _unmapped(context: Context, u: float, rng: np.random.Generator) -> Found:
     r = size_of("unmapped_obstacle", u)
     way = shapely.LineString(context.driven.poses[::20, :2])
     free = context.room.free.buffer(-r - 0.05)
@@ -202,60 +256,53 @@ def _unmapped(context: Context, u: float, rng: np.random.Generator) -> HiddenEff
         if away > far:
             best, far = point, away
     x, y = float(best[0]), float(best[1])
-    return HiddenEffect(name="unmapped_obstacle", parameters={"x": x, "y": y, "r": r}, xy=(x, y))
+    return {"parameters": {"x": x, "y": y, "r": r}, "xy": (x, y)}
 
 
-def _moved_obstacle(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _obstacle(context: Context, rng: np.random.Generator) -> Found:
     name = context.pick_obstacle(rng)
-    xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
-    shift = _direction("moved_obstacle", context, u, rng)
-    return HiddenEffect(name="moved_obstacle", parameters=shift, place=name, xy=(xy[0], xy[1]))
+    x, y = map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0])
+    return {"parameters": {}, "place": name, "xy": (x, y)}
 
 
-def _missing_obstacle(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    name = context.pick_obstacle(rng)
-    xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
-    return HiddenEffect(name="missing_obstacle", parameters={}, place=name, xy=(xy[0], xy[1]))
+def _moved_obstacle(context: Context, u: float, rng: np.random.Generator) -> Found:
+    return _obstacle(context, rng) | {"parameters": _shift("moved_obstacle", u, rng)}
 
 
-def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> Found:
     wall = context.pick_wall(rng)
     a, b = context.room.edge(wall)
     d = float(rng.choice([-1, 1])) * size_of("moved_wall", u)
-    return HiddenEffect(name="moved_wall", parameters={"d": d}, place=wall, xy=tuple(map(float, (a + b) / 2)))
+    return {"parameters": {"d": d}, "place": wall, "xy": tuple(map(float, (a + b) / 2))}
 
 
-def _people(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _people(context: Context, u: float, rng: np.random.Generator) -> Found:
     """Persons as bodies or pairs of legs that walk between random places for part of the run."""
     free = largest_part(context.room.free.buffer(-0.3))
     found = walkers(free, float(context.driven.stamps[-1]), u, rng)
-    return HiddenEffect(name="people", parameters={"p": None}, extra={"walkers": found})
+    return {"parameters": {"p": None}, "extra": {"walkers": found}}
 
 
-def _range_drift(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    b1 = float(rng.choice([-1, 1])) * size_of("range_drift", u)
-    values: dict[str, float | None] = {"b1": b1}
+def _range_drift(context: Context, u: float, rng: np.random.Generator) -> Found:
+    values = {"b1": float(rng.choice([-1, 1])) * size_of("range_drift", u)}
     if rng.random() < 0.4:
         values["tau"] = float(rng.uniform(8, 30))
-    return HiddenEffect(name="range_drift", parameters=values)
+    return {"parameters": values}
 
 
-def _sonar(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    gamma = (7 + 12 * u) * DEG * rng.uniform(0.9, 1.1)
-    return HiddenEffect(
-        name="sonar_cone", parameters={"gamma": float(gamma), "alpha_max": float(rng.uniform(15, 45)) * DEG}
-    )
+def _sonar(context: Context, u: float, rng: np.random.Generator) -> Found:
+    gamma = float((7 + 12 * u) * DEG * rng.uniform(0.9, 1.1))
+    return {"parameters": {"gamma": gamma, "alpha_max": float(rng.uniform(15, 45)) * DEG}}
 
 
-def _tilt(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _tilt(context: Context, u: float, rng: np.random.Generator) -> Found:
     far = context.quantile(context.hits.ranges, 0.97 - 0.35 * u)
-    beta = math.atan(context.robot.height / far) * rng.uniform(1.0, 1.15)
+    beta = float(math.atan(context.robot.height / far) * rng.uniform(1.0, 1.15))
     inside = context.robot.bearings
-    theta0 = float(rng.uniform(0.6 * inside[0], 0.6 * inside[-1]))
-    return HiddenEffect(name="tilt", parameters={"beta": float(beta), "theta0": theta0})
+    return {"parameters": {"beta": beta, "theta0": float(rng.uniform(0.6 * inside[0], 0.6 * inside[-1]))}}
 
 
-def _slip(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _slip(context: Context, u: float, rng: np.random.Generator) -> Found:
     r = float(rng.uniform(0.45, 0.9))
     spots = context.driven.poses[:: max(1, len(context.driven.poses) // 200), :2]
     moving = np.abs(context.driven.wheels[:, 0]) > 0.08
@@ -263,60 +310,39 @@ def _slip(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     visits = np.array([(np.hypot(*(track - spot).T) < r).sum() for spot in spots])
     spot = rng.choice(spots[visits >= np.quantile(visits, 0.6)])
     x, y = float(spot[0]), float(spot[1])
-    s = size_of("wheel_slip", u)
-    return HiddenEffect(name="wheel_slip", parameters={"s": s, "x": x, "y": y, "r": r}, xy=(x, y))
+    return {"parameters": {"s": size_of("wheel_slip", u), "x": x, "y": y, "r": r}, "xy": (x, y)}
 
 
-def _saturation(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _saturation(context: Context, u: float, rng: np.random.Generator) -> Found:
     fastest = float(np.abs(context.driven.commands[:, 0]).max())
-    return HiddenEffect(
-        name="speed_saturation", parameters={"v_max": fastest - size_of("speed_saturation", u)}
-    )
+    return {"parameters": {"v_max": fastest - size_of("speed_saturation", u)}}
 
 
-def _clock_offset(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+def _clock_offset(context: Context, u: float, rng: np.random.Generator) -> Found:
     sign = -1.0 if rng.random() < 0.2 else 1.0
-    return HiddenEffect(name="pose_clock_offset", parameters={"tau": sign * 0.015 * 20**u})
-
-
-def _mount_xy(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
-    return HiddenEffect(name="mount_xy", parameters=_direction("mount_xy", context, u, rng))
+    return {"parameters": {"tau": sign * 0.015 * 20**u}}
 
 
 DRAWS: dict[str, Draw] = {
-    "range_bias": _signed("range_bias", "b"),
-    "range_scale": _signed("range_scale", "s"),
-    "range_noise": _signed("range_noise", "k", negative=0),
     "sector_bias": _sector_bias,
-    "mount_yaw": _signed("mount_yaw", "delta"),
-    "mount_xy": _mount_xy,
-    "latency": _signed("latency", "tau", negative=0),
-    "scan_skew": _signed("scan_skew", "T", negative=0),
-    "mixed_pixels": _signed("mixed_pixels", "gamma", negative=0),
+    "mount_xy": lambda context, u, rng: {"parameters": _shift("mount_xy", u, rng)},
     "glass": _glass,
-    "mirror": _mirror,
+    "mirror": _wall_part,
     "black_surface": _black,
     "incidence_dropout": _incidence,
     "max_range": _max_range,
     "min_range": _min_range,
-    "quantisation": _quantisation,
+    "quantisation": lambda context, u, rng: {"parameters": {"q": round(0.004 * 25**u, 3)}},
     "unmapped_obstacle": _unmapped,
     "moved_obstacle": _moved_obstacle,
-    "missing_obstacle": _missing_obstacle,
+    "missing_obstacle": lambda context, u, rng: _obstacle(context, rng),
     "moved_wall": _moved_wall,
-    "map_scale": _signed("map_scale", "s"),
     "people": _people,
     "range_drift": _range_drift,
     "sonar_cone": _sonar,
     "self_occlusion": _self_occlusion,
     "tilt": _tilt,
-    "random_outliers": _signed("random_outliers", "p", negative=0),
-    "wheel_radius": _signed("wheel_radius", "s"),
-    "wheel_radius_diff": _signed("wheel_radius_diff", "s"),
-    "wheel_base": _signed("wheel_base", "s"),
     "wheel_slip": _slip,
     "pose_clock_offset": _clock_offset,
-    "actuator_lag": _signed("actuator_lag", "tau", negative=0),
-    "dead_time": _signed("dead_time", "L", negative=0),
     "speed_saturation": _saturation,
 }
