@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.kernel import compile_for
+from planners.compile_ahead import compile_for
 from planners.rooms import NEIGHBOUR_STEPS
 from planners.search.area import SearchArea
 from planners.search.beam import beam_search, drive
