@@ -6,7 +6,7 @@ the file takes from other modules, which numba does not compare.
 
 import logging
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
@@ -15,6 +15,7 @@ from numba.extending import register_jitable
 from planners.source_stamp import source_stamp
 from planners.uninterrupted import uninterrupted
 
+logger = logging.getLogger(__name__)
 Function = TypeVar("Function", bound=Callable[..., object])
 KNOWN = dir(getattr(getattr(numba.core, "options", None), "DefaultOptions", None))
 LEAN = dict.fromkeys({"_nrt"} & set(KNOWN), False)  # no reference counting; private to numba
@@ -23,8 +24,9 @@ LEAN = dict.fromkeys({"_nrt"} & set(KNOWN), False)  # no reference counting; pri
 def kernel(function: Function, **options: Any) -> Function:
     """Compile a function on its first call and cache the result on disk; x / 0 is inf, as in numpy."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    compiled: Any = numba.njit(cache=_can_cache(), error_model="numpy", nogil=True, **options)(function)
-    compiled.compile = partial(_compile, compiled.compile)
+    compiled: Any = numba.njit(cache=can_cache(), error_model="numpy", nogil=True, **options)(function)
+    compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
+    compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
     return cast(Function, compiled)
 
 
@@ -36,7 +38,7 @@ def outer_kernel(function: Function) -> Function:
 def inner_kernel(function: Function, **options: Any) -> Function:
     """Compile a function like `outer_kernel` where kernels call it; called from Python, it is a Python function."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    return register_jitable(cache=_can_cache(), error_model="numpy", nogil=True, **LEAN, **options)(function)
+    return register_jitable(cache=can_cache(), error_model="numpy", nogil=True, **LEAN, **options)(function)
 
 
 def inlined_kernel(function: Function) -> Function:
@@ -44,17 +46,14 @@ def inlined_kernel(function: Function) -> Function:
     return inner_kernel(function, forceinline=True)
 
 
-def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
-    """Compile a kernel and the kernels that it calls; Ctrl-C is deferred, because it would crash LLVM."""
-    return uninterrupted(partial(compile_, kinds))
-
-
 @cache
-def _can_cache() -> bool:
+def can_cache() -> bool:
+    """Return whether numba finds a writable folder for compiled code; warn once if not."""
     try:
         return bool(numba.njit(cache=True)(lambda: None))
     except RuntimeError:
-        where = "neither the package folder nor the user cache is writable. Every command compiles again, which takes"
-        end = "about 30 s; set NUMBA_CACHE_DIR to a writable folder"
-        logging.getLogger(__name__).warning("compiled code cannot be kept: %s %s", where, end)
+        why = "cannot be kept: neither the package folder nor the user cache is writable. Every command compiles again,"
+        logger.warning(
+            "compiled code %s which takes about 30 s; set NUMBA_CACHE_DIR to a writable folder", why
+        )
         return False

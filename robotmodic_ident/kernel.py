@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
@@ -22,7 +22,8 @@ def kernel(function: Function) -> Function:
     """Compile a function on its first call and cache the result on disk; x / 0 is inf, as in numpy."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
     compiled: Any = numba.njit(cache=_can_cache(), error_model="numpy")(function)
-    compiled.compile = partial(_compile, compiled.compile)
+    compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
+    compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
     return cast(Function, compiled)
 
 
@@ -30,11 +31,6 @@ def inner_kernel(function: Function) -> Function:
     """Compile a function where kernels call it, without a Python wrapper; called from Python, it runs as Python."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
     return register_jitable(cache=_can_cache(), error_model="numpy")(function)
-
-
-def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
-    """Compile a kernel and the kernels it calls without interruption, because Ctrl-C would crash LLVM."""
-    return uninterrupted(partial(compile_, kinds))
 
 
 @cache

@@ -73,6 +73,13 @@ def test_where_nothing_can_be_kept_it_works_and_says_so_once(tmp_path: Path) -> 
     assert line.startswith("compiled code cannot be kept") and "NUMBA_CACHE_DIR" in line
 
 
+def test_compile_refuses_in_one_line_where_nothing_can_be_kept(tmp_path: Path) -> None:
+    done = run(tmp_path, "from sensorgraph.cli import run\nprint(run(['compile']))", NOWHERE)
+    assert done.stdout == "2\n"
+    (line,) = done.stderr.splitlines()
+    assert "NUMBA_CACHE_DIR" in line
+
+
 STILLBORN = """
 import subprocess
 class Stillborn(subprocess.Popen):
