@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +50,21 @@ def test_each_effect_comes_once_in_turn_clean_and_dirty(suite: str, effects: tup
     assert len({(turns(suite)[spec.index % n], spec.background_in_turn(n)) for spec in specs}) == 2 * n
 
 
-def test_absent_floors_are_said_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"nowhere: holds no FLOOR\.geojson"):
-        make(Spec(suite="none", index=0, floors=tmp_path / "nowhere"))
+def test_absent_floors_are_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = [
+        "generate",
+        "--world",
+        "floors",
+        "--suite",
+        "none",
+        "--n",
+        "1",
+        "--floors",
+        str(tmp_path / "nowhere"),
+    ]
+    monkeypatch.setattr(sys, "argv", ["hidden_effects", *arguments, "-o", str(tmp_path)])
+    with pytest.raises(SystemExit, match=r"nowhere: holds no FLOOR\.geojson"):
+        command.main()
 
 
 def test_same_arguments_give_the_same_bytes(floors: None, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import hashlib
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -59,6 +60,12 @@ def test_a_seed_gives_the_same_case_as_ever(world: object, digest: str) -> None:
     values = json.loads(json.dumps(case.truth), parse_float=lambda text: f"{float(text):.6g}")
     text = json.dumps([values, case.map["arena.geojson"], case.robot], sort_keys=True)
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == digest
+
+
+def test_the_package_has_all_its_parts() -> None:
+    stated = tomllib.loads((HERE / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    there = {path.parent.relative_to(HERE.parent.parent) for path in HERE.rglob("__init__.py")}
+    assert sorted(stated) == sorted(".".join(path.parts) for path in there)
 
 
 BLOCKED = f"""

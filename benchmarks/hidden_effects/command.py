@@ -128,4 +128,7 @@ def main() -> None:
     one.add_argument("--answers", nargs="+", metavar="ENTRANT", help="default: all that are there")
     one.set_defaults(run=score)
     options = parser.parse_args()
-    options.run(options)
+    try:
+        options.run(options)
+    except FileNotFoundError as exc:  # no floors, no cases
+        raise SystemExit(str(exc)) from None

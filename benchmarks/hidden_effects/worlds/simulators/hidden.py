@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,9 +10,9 @@ from typing import Any
 import numpy as np
 import shapely
 
-from benchmarks.hidden_effects.case import Spec
+from benchmarks.hidden_effects.case import Case, Spec, truth_of
 from benchmarks.hidden_effects.library import CHANNEL
-from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Room
 
 LIBRARY = {
@@ -150,6 +151,13 @@ class Secrets:
         one = self.get(name)
         return otherwise if one is None else one[key]
 
+    @property
+    def mount(self) -> Floats:
+        """(3,) [m, m, rad] by which the laser is not where it should be."""
+        return np.array(
+            [self.value("mount_xy", "dx"), self.value("mount_xy", "dy"), self.value("mount_yaw", "delta")]
+        )
+
 
 def draw_hidden(name: str, room: Room, rng: np.random.Generator) -> Hidden:
     """Draw size and place of an effect."""
@@ -209,6 +217,8 @@ def hidden_of(world: str, spec: Spec) -> tuple[str, int]:
 
 EPOCH_NS = 1_700_000_000 * 10**9
 """When every run begins."""
+SIGMA_XY, SIGMA_YAW = 0.002, 0.0015
+"""[m, rad] of the camera."""
 LEAST_CHANGED, LEAST_RMSE = 0.002, 0.2
 """Share of readings, or their root mean square over sigma, from which on an effect has left a mark in a run."""
 
@@ -263,3 +273,29 @@ def _shifted(ring: Floats, i: int, d: float) -> Floats:
     out = ring.copy()
     out[[i, j]] += d * np.array([along[1], -along[0]])
     return out
+
+
+def bent_by_lens(poses: Floats, room: Room, edge: float) -> Floats:
+    """Return poses (n, 3) as a lens shows them that is off by `edge` [m] towards the corners of the room."""
+    ring = room.rings[OUTER]
+    middle = (ring.min(axis=0) + ring.max(axis=0)) / 2
+    off, reach = poses[:, :2] - middle, 0.7 * float(np.hypot(*(ring.max(axis=0) - middle)))
+    bent = poses.copy()
+    bent[:, :2] += edge * off / reach * np.square(off / reach).sum(axis=1, keepdims=True)
+    return bent
+
+
+def seen_by_camera(poses: Floats, noise: Floats, rho: float) -> Floats:
+    """Return poses (n, 3) with noise of which a share `rho` lasts from frame to frame."""
+    if rho:
+        for k in range(1, len(noise)):
+            noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
+    poses = poses + noise * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
+    return np.column_stack([poses[:, :2], np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))])
+
+
+def case_of(spec: Spec, room: Room, log: Log, robot: str, told: list[dict[str, Any]], **facts: Any) -> Case:
+    """Return a case; `facts` are those of its truth."""
+    is_foreign = bool(told) and told[0]["name"] not in CHANNEL
+    truth = truth_of(spec, told, is_foreign=is_foreign, n_rays=int(log.ranges.size), **facts)
+    return Case(log=log, map={"arena.geojson": room.geojson()}, robot=robot, truth=truth)

@@ -14,15 +14,20 @@ import irsim
 import numpy as np
 import yaml
 
-from benchmarks.hidden_effects.case import Case, Spec, truth_of
+from benchmarks.hidden_effects.case import Case, Spec
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
+    SIGMA_XY,
+    SIGMA_YAW,
     Hidden,
     Secrets,
+    bent_by_lens,
+    case_of,
     changed_room,
     draw_hidden,
     hidden_of,
+    seen_by_camera,
     truth,
 )
 from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Pilot, Room, draw_room
@@ -32,7 +37,6 @@ SUITES = ("none", "singles", "foreign")
 STEP = 0.05
 DURATION = 80.0
 SIGMA = 0.01
-SIGMA_XY, SIGMA_YAW = 0.002, 0.0015
 MOUNT = (0.1, 0.0, 0.0)
 PER_SCAN = 4
 """Steps between two scans: 5 Hz."""
@@ -44,12 +48,7 @@ def world_yaml(
     """Return the world file of ir-sim."""
     x0, y0 = built.rings[OUTER].min(axis=0) - 1.0
     w, h = built.rings[OUTER].max(axis=0) - [x0, y0] + 1.0
-    mount = np.array(MOUNT)
-    mount += [
-        secrets.value("mount_xy", "dx"),
-        secrets.value("mount_xy", "dy"),
-        secrets.value("mount_yaw", "delta"),
-    ]
+    mount = np.array(MOUNT) + secrets.mount
     lidar = {
         "type": "lidar2d", "range_min": 0.0, "range_max": secrets.value("max_range", "R", 8.0), "angle_range": fov,
         "number": n_rays, "noise": True, "std": SIGMA, "angle_std": secrets.value("beam_jitter", "std"),
@@ -57,9 +56,8 @@ def world_yaml(
     }  # fmt: skip
     robot = {
         "kinematics": {"name": "diff"}, "shape": {"name": "circle", "radius": 0.2}, "state": [float(v) for v in start],
-        "vel_max": [1.0, 2.0], "vel_min": [-1.0, -2.0], "acce": [".inf", ".inf"], "sensors": [lidar],
+        "vel_max": [1.0, 2.0], "vel_min": [-1.0, -2.0], "acce": [math.inf, math.inf], "sensors": [lidar],
     }  # fmt: skip
-    robot["acce"] = [float("inf"), float("inf")]
     walls = [
         {
             "state": [0.0, 0.0, 0.0],
@@ -117,19 +115,7 @@ wheels: {{radius: 0.1, base: 0.4, sigma_v: 0.004, sigma_omega: 0.006, rate: 20.0
 actuators: {{tau: 0.001, delay: 0.0}}
 """
     told = [] if one is None else [truth(one, None)]
-    return Case(
-        log=log,
-        map={"arena.geojson": room.geojson()},
-        robot=robot,
-        truth=truth_of(
-            spec,
-            told,
-            is_foreign=one is not None and not one.is_known,
-            seed=ROOT_SEED,
-            background=background,
-            n_rays=int(ranges.size),
-        ),
-    )
+    return case_of(spec, room, log, robot, told, seed=ROOT_SEED, background=background)
 
 
 def _hidden(name: str, room: Room, rng: np.random.Generator) -> Hidden | None:
@@ -186,17 +172,7 @@ def _log(
         way[:, None] * np.stack([np.cos(heading - turn / 2), np.sin(heading - turn / 2)], axis=1), axis=0
     )
     noise = rng.normal(size=poses.shape)
-    if dirty:
-        rho = 0.8
-        for k in range(1, len(noise)):
-            noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
-    seen = poses.copy()
-    lens = secrets.value("lens_distortion", "edge")
-    ring = room.rings[OUTER]
-    middle = (ring.min(axis=0) + ring.max(axis=0)) / 2
-    off, reach = seen[:, :2] - middle, 0.7 * float(np.hypot(*(ring.max(axis=0) - middle)))
-    seen[:, :2] += lens * off / reach * np.square(off / reach).sum(axis=1, keepdims=True)
-    seen += noise * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
+    seen = bent_by_lens(poses, room, secrets.value("lens_distortion", "edge"))
     return Log(
         epoch_ns=EPOCH_NS,
         bearings=np.linspace(-fov / 2, fov / 2, n_rays),
@@ -204,7 +180,7 @@ def _log(
         scan_stamps=stamps[::PER_SCAN],
         ranges=np.round(ranges, 3),
         pose_stamps=stamps,
-        poses=np.column_stack([seen[:, :2], np.arctan2(np.sin(seen[:, 2]), np.cos(seen[:, 2]))]),
+        poses=seen_by_camera(seen, noise, 0.8 if dirty else 0.0),
         odom_stamps=stamps,
         odometry=np.column_stack([xy, np.arctan2(np.sin(heading), np.cos(heading))]),
         twists=np.column_stack([way, turn]) / STEP,

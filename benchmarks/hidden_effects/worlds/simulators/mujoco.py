@@ -7,27 +7,30 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.hidden_effects.case import KINDS, Case, Spec, truth_of
+from benchmarks.hidden_effects.case import KINDS, Case, Spec
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
+    SIGMA_XY,
+    SIGMA_YAW,
     Hidden,
     Secrets,
+    bent_by_lens,
+    case_of,
     changed_room,
     draw_hidden,
     hidden_of,
+    seen_by_camera,
     truth,
 )
 from benchmarks.hidden_effects.worlds.simulators.mujoco_drive import Base, Driven, bench_test, drive
-from benchmarks.hidden_effects.worlds.simulators.mujoco_laser import Laser, scans
-from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Pilot, Room, draw_room
+from benchmarks.hidden_effects.worlds.simulators.mujoco_laser import Laser, Scanner
+from benchmarks.hidden_effects.worlds.simulators.rooms import Pilot, Room, draw_room
 
 DURATION = 80.0
 """[s]"""
 ROOT_SEED = 20261122
 SUITES = ("none", "singles", "foreign")
-SIGMA_XY, SIGMA_YAW = 0.002, 0.0015
-"""[m, rad] of the camera."""
 
 
 def make(spec: Spec) -> Case:
@@ -54,7 +57,8 @@ def make(spec: Spec) -> Case:
         laser = replace(laser, off=(float(off[0]), float(off[1]), float(off[2])))
     driven = drive(base, Pilot(_passable(room, built), rng), secrets, DURATION, rng)
     stamps = 0.5 + np.arange(round((DURATION - 1.0) * laser.rate)) / laser.rate
-    ranges = scans(driven, built, laser, secrets, stamps, dirty=dirty, rng=rng)
+    scanner = Scanner(driven=driven, room=built, laser=laser, secrets=secrets, dirty=dirty, rng=rng)
+    ranges = scanner.scans(stamps)
     pose_stamps = np.arange(0.0, DURATION - 0.05, 1 / 30)
     odom_stamps, odometry, twists = _odometry(driven, base, radius, track, secrets)
     log = Log(
@@ -72,20 +76,8 @@ def make(spec: Spec) -> Case:
         commands=driven.commands,
     )
     told = [] if one is None else [truth(one, _mark(driven, room, laser, one, stamps))]
-    return Case(
-        log=log,
-        map={"arena.geojson": room.geojson()},
-        robot=_robot_yaml(laser, base, radius, track, tau, delay),
-        truth=truth_of(
-            spec,
-            told,
-            is_foreign=one is not None and not one.is_known,
-            seed=ROOT_SEED,
-            background=background,
-            n_rays=int(ranges.size),
-            base=vars(base),
-        ),
-    )
+    robot = _robot_yaml(laser, base, radius, track, tau, delay)
+    return case_of(spec, room, log, robot, told, seed=ROOT_SEED, background=background, base=vars(base))
 
 
 def _mark(
@@ -99,10 +91,13 @@ def _mark(
     if one is None or one.channel != "scan":
         return None
     quiet = replace(laser, sigma=0.0)
-    with_it, without = (
-        scans(driven, built, quiet, secrets, stamps, dirty=False, rng=np.random.default_rng(0))
-        for built, secrets in ((changed_room(room, (one,)), Secrets(one)), (room, Secrets()))
+    plain = Scanner(
+        driven=driven, room=room, laser=quiet, secrets=Secrets(), dirty=False, rng=np.random.default_rng(0)
     )
+    changed = replace(
+        plain, room=changed_room(room, (one,)), secrets=Secrets(one), rng=np.random.default_rng(0)
+    )
+    with_it, without = changed.scans(stamps), plain.scans(stamps)
     if one.name == "range_noise":  # it moves no reading by itself
         far = one["k"] * np.where(np.isfinite(without), without, 0.0) / laser.sigma
         return {"changed_share": float((far > 1).mean()), "rmse_over_sigma": float(np.sqrt((far**2).mean()))}
@@ -161,26 +156,13 @@ def _camera(
     driven: Driven, room: Room, stamps: Floats, secrets: Secrets, *, dirty: bool, rng: np.random.Generator
 ) -> Floats:
     """Return what the overhead camera logs; filters make its noise last for some ten frames."""
-    poses = driven.pose_at(stamps)
-    lens = secrets.value("lens_distortion", "edge")
-    if lens:
-        ring = room.rings[OUTER]
-        middle = (ring.min(axis=0) + ring.max(axis=0)) / 2
-        off = poses[:, :2] - middle
-        reach = 0.7 * float(np.hypot(*(ring.max(axis=0) - middle)))
-        poses[:, :2] += lens * off / reach * np.square(off / reach).sum(axis=1, keepdims=True)
+    poses = bent_by_lens(driven.pose_at(stamps), room, secrets.value("lens_distortion", "edge"))
     knocked = secrets.get("camera_knocked")
     if knocked is not None:
         moved = stamps > knocked["when"] * DURATION
         poses[moved] += [knocked["shift"], -0.5 * knocked["shift"], knocked["yaw"]]
     noise = rng.normal(size=poses.shape)
-    if dirty:
-        rho = float(rng.uniform(0.75, 0.92))
-        for k in range(1, len(noise)):
-            noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
-    poses = poses + noise * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
-    poses[:, 2] = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
-    return poses
+    return seen_by_camera(poses, noise, float(rng.uniform(0.75, 0.92)) if dirty else 0.0)
 
 
 def _robot_yaml(laser: Laser, base: Base, radius: float, track: float, tau: float, delay: float) -> str:
