@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from scan_samples import drive, hall_arena
 
-from sensorgraph.diagnosis.scan.effect_laws import Doubt
+from sensorgraph.diagnosis.scan.effect_laws import Doubt, sure
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.odd_scans import (
+from sensorgraph.diagnosis.scan.odd_kinds import (
     LateScans,
     LateStretches,
     ScansElsewhere,
     ScansWithOffsets,
-    odd_scan_doubts,
-    odd_scans,
 )
+from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts, odd_scans
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
@@ -35,7 +34,7 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
 
 
 def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    return odd_scan_doubts(got, null, rng=np.random.default_rng(0))
+    return sure(odd_scan_doubts(got, null, rng=np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])

@@ -10,6 +10,7 @@ from scan_samples import data_of, hall_arena
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.constancy import changes
+from sensorgraph.diagnosis.scan.effect_laws import Doubt, sure
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -30,6 +31,10 @@ def quiet(hall: Arena) -> ScanData:
 
 def fitted(data: ScanData, *model: Amendment) -> Fitted:
     return fit(data, model, start_state(data, NoiseBounds()), NoiseBounds(), outer=2)
+
+
+def sure_changes(model: Fitted, null: Fitted | None = None) -> list[Doubt]:
+    return sure(changes(model, null))
 
 
 def halves(first: ScanData, second: ScanData, share: float) -> ScanData:
@@ -55,18 +60,18 @@ def test_what_begins_during_the_run_is_told_with_its_time(
     whole = data_of(hall, (EFFECTS[name](**values),))
     broken = halves(quiet, whole, 0.6)
     null = fitted(broken)
-    (doubt,) = changes(fitted(broken, EFFECTS[name](**dict.fromkeys(values, 0.0))), null)
+    (doubt,) = sure_changes(fitted(broken, EFFECTS[name](**dict.fromkeys(values, 0.0))), null)
     assert doubt.failed == {0} and EFFECTS[name].title in doubt.statement
     when = float(doubt.statement.split("only after ")[1].split(" s ")[0])
     assert abs(when - 0.6 * broken.span) < 1.01 * broken.span / SCAN.constancy.n_parts
-    (doubt,) = changes(null)  # also where the search has not named it
+    (doubt,) = sure_changes(null)  # also where the search has not named it
     assert not doubt.failed
 
 
 @pytest.mark.parametrize(("name", "values"), PLANTED, ids=[name for name, _ in PLANTED])
 def test_what_holds_all_the_time_is_left_alone(hall: Arena, name: str, values: dict[str, float]) -> None:
     whole = data_of(hall, (EFFECTS[name](**values),))
-    assert changes(fitted(whole, EFFECTS[name](**dict.fromkeys(values, 0.0)))) == []
+    assert sure_changes(fitted(whole, EFFECTS[name](**dict.fromkeys(values, 0.0)))) == []
 
 
 def test_errors_that_neighbouring_scans_share_are_no_change(quiet: ScanData) -> None:
@@ -75,7 +80,7 @@ def test_errors_that_neighbouring_scans_share_are_no_change(quiet: ScanData) -> 
     seconds = np.linspace(0, n, quiet.n_scans)
     for _ in range(4):
         walk = np.interp(seconds, np.arange(n + 1), rng.normal(0, 0.01, n + 1))
-        assert changes(fitted(replace(quiet, ranges=quiet.ranges + walk[:, None], memo={}))) == []
+        assert sure_changes(fitted(replace(quiet, ranges=quiet.ranges + walk[:, None], memo={}))) == []
 
 
 @pytest.mark.parametrize(("spread", "is_told"), [(0.008, False), (0.0012, True)])
@@ -91,7 +96,7 @@ def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
         dof=12.0,
     )
     site = replace(broken, baseline_intervals={"mount_xy": usual}, memo={})
-    assert bool(changes(fitted(site))) == is_told
+    assert bool(sure_changes(fitted(site))) == is_told
 
 
 @pytest.mark.parametrize(("pose_xy", "is_told"), [(0.0022, True), (0.02, False)])
@@ -101,7 +106,7 @@ def test_a_mount_that_jumps_by_what_the_reference_may_wander_is_none(
     """A reference that is off by 2 cm for seconds on end moves readings as a laser does that sits elsewhere from then on."""
     broken = halves(quiet, data_of(hall, (EFFECTS["mount_xy"](dx=0.03, dy=0.0),)), 0.6)
     told = replace(broken, tolerances=replace(broken.tolerances, pose_xy=pose_xy), memo={})
-    assert bool(changes(fitted(told))) == is_told
+    assert bool(sure_changes(fitted(told))) == is_told
 
 
 def test_a_sector_that_is_not_seen_for_half_of_the_run_does_not_end_it(quiet: ScanData) -> None:
@@ -113,7 +118,7 @@ def test_a_sector_that_is_not_seen_for_half_of_the_run_does_not_end_it(quiet: Sc
     ranges = np.where(inside, quiet.ranges + 0.05, quiet.ranges)
     partly = replace(quiet, ranges=np.where(hidden, np.nan, ranges), memo={})
     model = fitted(partly, EFFECTS["sector_bias"](theta1=low, theta2=high, b=0.05))
-    assert changes(model) == []
+    assert sure_changes(model) == []
 
 
 @pytest.mark.parametrize(("people", "is_doubted"), [(0.1, True), (25.0, False)])
@@ -124,7 +129,7 @@ def test_a_coarse_effect_excuses_what_is_left_by_its_own_evidence_alone(
     early, late = (data_of(hall, (EFFECTS["latency"](tau=tau),)) for tau in (0.05, 0.12))
     found = fitted(halves(early, late, 0.5), EFFECTS["latency"](tau=0.08), EFFECTS["people"](p=0.001))
     data, null = found.solver.data, fitted(found.solver.data)
-    (doubt,) = changes(found, None)
+    (doubt,) = sure_changes(found, None)
     gains = {0: 25 * doubt.misfit, 1: people * doubt.misfit}  # of the latency the change is 4 %
     got = check(data, found, gains[0], gains, rng=np.random.default_rng(0), null=null, n_replicates=4)
     assert ("changes" in got.statement) == is_doubted

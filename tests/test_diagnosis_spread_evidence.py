@@ -88,7 +88,8 @@ def test_a_lead_that_clutter_may_bring_does_not_choose() -> None:
     rival = Rival(name="range_drift", instead_of="range_bias", evidence_nats=380.0, separates="")
     result = ChannelResult(channel="scan", effects=(found,), rivals=(rival,))
     assert without_close_calls(result).effects == (found,)
-    assert without_close_calls(result, {"range_bias": 60.0}).undecided == (found,)
+    far = replace(rival, required_nats=60.0)
+    assert without_close_calls(replace(result, rivals=(far,))).undecided == (found,)
 
 
 def test_a_located_log_with_a_scan_that_has_no_pose_keeps_the_poses_of_the_others() -> None:

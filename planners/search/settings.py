@@ -1,6 +1,7 @@
 """Tuned parameters of the search, with the command that set each.
 
-Some are constants of compiled code. `planners.kernel` compiles again after a change of their values.
+Some are constants of compiled code. `planners.kernel` compiles again after a change of any file that names
+it, such as this one.
 """
 
 from __future__ import annotations

@@ -34,6 +34,7 @@ from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
 from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
+from sensorgraph.cli.why import why
 from sensorgraph.termination import TERMINATED, Terminated, install
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -48,6 +49,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "show": show,
     "review": review,
     "diagnose": diagnose,
+    "why": why,
     "identify": identify,
     "design": design,
     "influence": influence,

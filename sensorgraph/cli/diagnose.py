@@ -17,6 +17,7 @@ from sensorgraph.cli.options import (
     DiagnoseRuns,
     DiagnoseSeed,
     DiagnoseSimulation,
+    DiagnoseWhy,
     Force,
     NoReturn,
     PosesFrom,
@@ -47,6 +48,7 @@ def diagnose(
     force: Force = False,
     poses: PosesFrom = None,
     heights: Slice = None,
+    why: DiagnoseWhy = None,
 ) -> None:
     """Find the physical effects that explain why measurement and simulation differ, and verify them.
 
@@ -55,6 +57,8 @@ def diagnose(
       sensorgraph diagnose run.mcap --arena lab.geojson --robot robot.yaml -o diagnosis
 
       sensorgraph diagnose run.mcap second.mcap -o diagnosis && rerun diagnosis/review.rrd
+
+      sensorgraph diagnose run.mcap --arena lab.geojson --why glass
 
       sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o remaining
 
@@ -71,11 +75,11 @@ def diagnose(
     from sensorgraph.diagnosis.report.files import save_diagnosis
     from sensorgraph.diagnosis.without_reference import driving_of, with_described_mount, with_driving
 
-    _check(runs, simulation, commissioning, out, poses)
+    _check(runs, simulation, commissioning, out, poses, why)
     reading = read_options(topic, no_return, robot, heights)
     loaded = [_read(path, reading) for path in runs]
     if arena is None and not (effects or commissioning or simulation) and _have_no_arena(loaded):
-        _drive_alone(loaded, runs, robot, out, poses, reading)
+        _drive_alone(loaded, runs, robot, out, poses, reading, why)
         return
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     place, kept = arena or "the arena kept in the run", str(robot or "the robot.yaml kept in the run")
@@ -103,16 +107,13 @@ def diagnose(
     )
     finding = with_driving(finding, driving, machine)
     settings = {
-        "seed": seed,
-        "runs": [path.name for path in runs],
-        "arena": arena or "kept in the run",
-        **_report_settings(machine, known, poses, topic, no_return),
+        **_report_settings(runs, arena, machine, known, seed, poses, topic, no_return),
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
-    _print_finding(finding, known, out)
+    _print_finding(finding, known, out, why)
 
 
 def _print_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
@@ -124,10 +125,20 @@ def _print_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Rob
 
 
 def _report_settings(
-    machine: Robot, known: Sequence[Amendment], poses: str | None, topic: Topics, no_return: str | None
+    runs: Sequence[Path],
+    arena: str | None,
+    machine: Robot,
+    known: Sequence[Amendment],
+    seed: int,
+    poses: str | None,
+    topic: Topics,
+    no_return: str | None,
 ) -> dict[str, Any]:
-    """Return the settings for the report: the robot, the known effects, and how the log was read."""
+    """Return the settings for the report: the inputs, the known effects, and how the log was read."""
     return {
+        "seed": seed,
+        "runs": [path.name for path in runs],
+        "arena": arena or "kept in the run",
         "poses": poses,
         "topics": list(topic or []),
         "no_return": no_return,
@@ -152,15 +163,21 @@ def _drive_alone(
     out: Path,
     poses: str | None,
     reading: Mapping[str, Any],
+    why: str | None,
 ) -> None:
     """Estimate wheels and mount from runs without an arena."""
     from sensorgraph.cli.inputs import print_log_notes, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.driving_files import save_driving
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.intake import log_notes
     from sensorgraph.world.robot import load_robot
 
+    if why is not None:
+        raise SensorgraphError(
+            "--why needs an arena, without which only wheels and mount are estimated; add --arena"
+        )
     machine = None if robot is None else load_robot(robot)
     loaded = [
         with_robot(run, str(path), machine, str(robot)) for run, path in zip(loaded, paths, strict=True)
@@ -194,10 +211,14 @@ def _check(
     commissioning: Sequence[Path] | None,
     out: Path,
     poses: str | None,
+    why: str | None,
 ) -> None:
     """Refuse contradictory arguments before any file is read."""
     from sensorgraph.cli.inputs import check_folder, check_poses
+    from sensorgraph.diagnosis.ledger import check_name
 
+    if why is not None:
+        check_name(why)
     _check_runs(runs)
     _check_simulation(simulation, runs, commissioning)
     check_folder(out)
@@ -279,16 +300,19 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
         return commission_all(good, walls, machine, seed=seed, progress=tick)
 
 
-def _print_finding(finding: Finding, known: Sequence[Amendment], out: Path) -> None:
-    """Print the notes on the log and the result."""
+def _print_finding(finding: Finding, known: Sequence[Amendment], out: Path, why: str | None) -> None:
+    """Print the notes on the log, the result, and why a hypothesis was or was not named."""
     from sensorgraph.cli.inputs import print_warnings
 
     print_warnings(finding.intake["log_notes"])
     typer.echo("\n".join(_lines(finding, known, out)))
+    if why is not None:
+        typer.echo(f"\n{finding.why(why)}")
 
 
 def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]:
     """Return the lines for the console."""
+    from sensorgraph.diagnosis.report.considered import unobservable_line
     from sensorgraph.diagnosis.report.quantities import brief
     from sensorgraph.diagnosis.report.summary import intake_sentences, summarise
 
@@ -304,4 +328,5 @@ def _lines(finding: Finding, known: Sequence[Amendment], out: Path) -> list[str]
         plan = out / "next_run"
         kept = f"--arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'}"
         lines.append(f"next run: sensorgraph record {plan} {kept} -o next.mcap")
-    return lines
+    hidden = unobservable_line(finding)
+    return [*lines, hidden] if hidden else lines

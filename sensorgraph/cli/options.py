@@ -406,6 +406,21 @@ DiagnoseSimulation = Annotated[
 DiagnoseSeed = Annotated[
     int, typer.Option(min=0, help="Random seed of the simulated replicates; same seed, same report.")
 ]
+DiagnoseWhy = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Also explain why this effect, or family of differences, was or was not named."
+    ),
+]
+
+# why
+WhyReport = Annotated[
+    Path, typer.Argument(metavar="REPORT", help="Folder of a diagnosis, or its report.json.")
+]
+WhyName = Annotated[
+    str,
+    typer.Argument(metavar="NAME", help="Effect, or family of differences that no effect explains."),
+]
 
 # identify
 IdentifyFile = Annotated[

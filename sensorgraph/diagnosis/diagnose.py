@@ -25,6 +25,7 @@ from sensorgraph.diagnosis.naming import (
 )
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
+from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
@@ -315,7 +316,9 @@ def _planned(scans: ScanDiagnosis, laid: _Laid, seed: int, clock: StageClock) ->
     """Plan the next run; return None if the room or the robot does not allow one."""
     with clock.stage("next run"):
         try:
-            questions = open_questions(scans.result, scans.names.accepted, scans.names.rivals)
+            room = RoomExposure(laid.arena, laid.robot, seed=seed)
+            names = scans.names
+            questions = open_questions(scans.result, names.accepted, names.rivals, room.can_show)
             return next_run(questions, laid.arena, laid.robot, seed=seed)
         except PlanError as exc:
             logger.info("no next run: %s", exc)

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from sensorgraph.diagnosis.engine.ledger import Ledger
+from sensorgraph.diagnosis.engine.why import why
+from sensorgraph.diagnosis.ledger import ledger_of
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.next_run.design import NextRun
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
@@ -82,6 +85,21 @@ class Finding:
     def unknown(self) -> Unknown | None:
         """Unmodelled structure: a difference that no effect of the library explains."""
         return next((channel.unknown for channel in self.channels.values() if channel.unknown), None)
+
+    @cached_property
+    def ledger(self) -> Ledger:
+        """Every hypothesis that was considered, with its numbers and the verdict on it."""
+        return ledger_of(self.channels)
+
+    def why(self, name: str) -> str:
+        """Return why an effect, or a family without a name, was or was not reported.
+
+        Raises
+        ------
+        SensorgraphError
+            No hypothesis has this name.
+        """
+        return why(self.ledger, name)
 
 
 def misaligned(

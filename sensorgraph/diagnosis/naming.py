@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import expit
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.report.quantities import brief
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown, Withdrawn
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.materiality import changes_too_few, is_map_error, required_ratio
@@ -32,6 +32,10 @@ AT_MOST = 0.99
 """Share of the maximum scale of map and poses, above which they count as widened to the limit."""
 CANCELS = 4.0
 """Minimum ratio of a clock offset to its standard error; below it, a dead time may cancel it by chance."""
+DOUBTED = "a difference that no effect explains may imitate it"
+IMITATED = "the mean error of a reference that drifts may imitate it"
+PART_OF_UNKNOWN = "it may be a part of a difference that no effect explains"
+"""Reasons why an effect with sufficient evidence is not named."""
 WRONG_BY_HALF = 0.5
 """Absolute scale error of a wheel, above which odometry and reference poses do not belong together."""
 
@@ -41,6 +45,10 @@ class ScanNames:
     """Result of the scan channel, and the effects that it accepts."""
 
     result: ChannelResult
+    complete: tuple[Amendment, ...] = ()
+    """All effects of the model with evidence and probability, in its order."""
+    small: Mapping[int, str] = field(default_factory=dict)
+    """Index in `complete` -> reason why the effect is within tolerance; empty if it is not."""
     accepted: tuple[Amendment, ...]
     """Fitted effects that are material and not contradicted by unmodelled structure, in the order of the model."""
     rivals: tuple[Amendment, ...]
@@ -80,24 +88,24 @@ def name_scan_effects(
         )
         for index, amendment in enumerate(final.model)
     ]
-    material = {
-        index
-        for index, a in enumerate(final.model)
-        if index not in echoes
-        and is_material(final, a)
-        and explained.gains[index] > data.clutter_leads.get(a.name, 0.0)
-    }
+    small = {i: _why_small(explained, i, data, echoes) for i in range(len(final.model))}
+    material = {i for i, words in small.items() if not words}
     # the mean error of a drifting reference is a rival as well
     margin = SCAN.naming.rival_margin
     imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
     material -= imitated
-    accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
+    doubted = {i for i in material if is_doubted(explained, i, fit)}
+    accepted = sorted(material - doubted)
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
     result = ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
+        withdrawn=tuple(
+            Withdrawn(amendment=complete[i], why=IMITATED if i in imitated else DOUBTED)
+            for i in sorted(imitated | doubted)
+        ),
         not_observable={
             a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
             for a in (complete[i] for i in sorted(imitated))
@@ -109,6 +117,7 @@ def name_scan_effects(
                 instead_of=complete[i].name,
                 evidence_nats=explained.gains[i] - short,
                 separates=separation(complete[i], rival),
+                required_nats=_margin(data, complete[i], rival),
             )
             for i, rival, short in rivals
         ),
@@ -116,36 +125,29 @@ def name_scan_effects(
         notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
     return ScanNames(
-        result=without_close_calls(
-            result, {complete[i].name: _margin(data, complete[i], a) for i, a, _ in rivals}
-        ),
+        result=without_close_calls(result),
+        complete=tuple(complete),
+        small=small,
         accepted=tuple(final.model[i] for i in accepted),
         rivals=tuple(rival for _, rival, _ in rivals),
     )
 
 
-def without_close_calls(result: ChannelResult, margins: Mapping[str, float] | None = None) -> ChannelResult:
-    """Move effects with an equally likely rival to the undecided ones, unless the rival is named itself.
-
-    Parameters
-    ----------
-    margins : Effect -> [nats] required lead over its rival; default: `SCAN.naming.rival_margin`.
-    """
+def without_close_calls(result: ChannelResult) -> ChannelResult:
+    """Move effects with an equally likely rival to the undecided ones, unless the rival is named itself."""
     names = {a.name for a in result.effects}
-    margins = margins or {}
     rivals = [rival for rival in result.rivals if rival.name not in names]
-    close = [a for a in result.effects if any(_is_close(a, rival, margins) for rival in rivals)]
+    close = [a for a in result.effects if any(_is_close(a, rival) for rival in rivals)]
     named = tuple(a for a in result.effects if a not in close)
     return replace(result, effects=named, undecided=(*result.undecided, *close))
 
 
-def _is_close(a: Amendment, rival: Rival, margins: Mapping[str, float]) -> bool:
+def _is_close(a: Amendment, rival: Rival) -> bool:
     """Tell whether the evidence does not decide between an effect and its rival.
 
     A rival that is far ahead was rejected for another reason, and is not close.
     """
-    margin = abs((a.evidence or 0.0) - rival.evidence_nats)
-    return rival.instead_of == a.name and margin < margins.get(a.name, SCAN.naming.rival_margin)
+    return rival.instead_of == a.name and abs((a.evidence or 0.0) - rival.evidence_nats) < rival.required_nats
 
 
 def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
@@ -172,17 +174,42 @@ def located(amendment: Amendment, data: ScanData) -> Amendment:
     return amendment
 
 
+def _why_small(explained: Explained, index: int, data: ScanData, echoes: Set[int]) -> str:
+    """Return why an effect of the model is within tolerance; empty if it is not."""
+    a = explained.final.model[index]
+    if index in echoes:
+        return "it only reflects something local"
+    if words := why_immaterial(explained.final, a):
+        return words
+    if explained.gains[index] <= data.clutter_leads.get(a.name, 0.0):
+        return "the known-good runs of the site bring it as much evidence"
+    return ""
+
+
 def is_material(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether an effect is large enough to be named, with sufficient probability."""
-    return not (
-        _is_blurred_corner(amendment)
-        or is_within_baseline(fitted, amendment)
-        or not is_measured(amendment)
-        or is_map_error(fitted, amendment)
-        or changes_too_few(fitted, amendment)
-    ) and (
-        material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment))
-        >= SCAN.naming.min_material_probability
+    return not why_immaterial(fitted, amendment)
+
+
+def why_immaterial(fitted: Fitted, amendment: Amendment) -> str:
+    """Return why an effect is not surely large enough to be named; empty if it is."""
+    if _is_blurred_corner(amendment):
+        return f"it is shorter than {100 * SCAN.naming.min_part:.0f} cm, as a blurred corner is"
+    if is_within_baseline(fitted, amendment):
+        return "it is within what the known-good runs of the site show"
+    if not is_measured(amendment):
+        return "the run does not determine its size"
+    if is_map_error(fitted, amendment):
+        return "it is within the errors of the map"
+    if changes_too_few(fitted, amendment):
+        return "it changes too few readings"
+    least = required_ratio(fitted, amendment)
+    chance = material_probability(amendment, amendment.stderr, least)
+    if chance >= SCAN.naming.min_material_probability:
+        return ""
+    return (
+        f"the probability that it exceeds {least:.2g} times its materiality is {100 * chance:.0f} %, "
+        f"and {100 * SCAN.naming.min_material_probability:.0f} % is required"
     )
 
 
@@ -240,6 +267,7 @@ def _unknown(fit: GoodnessOfFit) -> Unknown | None:
         size={} if fit.size is None else fit.size.to_dict(),
         consequence="" if fit.size is None else fit.size.sentence(),
         families=fit.causes,
+        family=fit.family,
         profile=fit.profile,
     )
 
@@ -252,18 +280,25 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     )
     if is_absurd:
         words = "odometry and reference poses do not belong together: distance or turn differ in sign or by more than half"
-        return without_close_calls(replace(result, effects=(), unknown=Unknown(statement=words)))
+        gone = dict.fromkeys(
+            range(len(result.effects)), "odometry and reference poses do not belong together"
+        )
+        return without_close_calls(replace(result.without(gone), unknown=Unknown(statement=words)))
     if result.unknown is not None:  # an effect with less evidence may be a part of it
         least = result.unknown.statistic
-        result = replace(result, effects=tuple(a for a in result.effects if (a.evidence or 0.0) > least))
+        weaker = [i for i, a in enumerate(result.effects) if (a.evidence or 0.0) <= least]
+        result = result.without(dict.fromkeys(weaker, PART_OF_UNKNOWN))
     slips = [a for a in result.effects if a.effect.place == "spot"]
     # several patches may imitate the unknown
     mimics = slips if len(slips) > 1 and result.unknown is not None else []
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     as_known = {a.name for a in result.effects if _is_expected(a, expected)}
-    named = tuple(a for a in result.effects if a not in mimics and a.name not in as_known)
+    why = {i: PART_OF_UNKNOWN for i, a in enumerate(result.effects) if a in mimics}
+    why |= {
+        i: "it is already in the model, as given" for i, a in enumerate(result.effects) if a.name in as_known
+    }
     rivals = tuple(rival for rival in result.rivals if rival.instead_of not in as_known)
-    return without_close_calls(replace(result, effects=named, rivals=rivals))
+    return without_close_calls(replace(result.without(why), rivals=rivals))
 
 
 def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
@@ -304,11 +339,9 @@ def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> Channe
 
 def _without(result: ChannelResult, why: Mapping[Effect, str]) -> ChannelResult:
     """Return a channel without some effects; each becomes not observable, for the given reason."""
-    kept = tuple(a for a in result.effects if a.effect not in why)
-    if len(kept) == len(result.effects):
-        return result
-    left_out = {a.name: why[a.effect] for a in result.effects if a.effect in why}
-    return replace(result, effects=kept, not_observable={**result.not_observable, **left_out})
+    gone = {i: why[a.effect] for i, a in enumerate(result.effects) if a.effect in why}
+    left_out = {result.effects[i].name: words for i, words in gone.items()}
+    return replace(result.without(gone), not_observable={**result.not_observable, **left_out})
 
 
 def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
@@ -337,10 +370,10 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
             "a filter on the poses",
         ),
     )
-    rest = tuple(a for a in odometry.effects if a is not clock)
+    why = "a clock offset and a dead time cancel, so that one unknown cause explains both"
     return (
-        replace(odometry, effects=rest, unknown=unknown),
-        replace(drive, effects=tuple(a for a in drive.effects if a is not delay)),
+        replace(odometry.without({odometry.effects.index(clock): why}), unknown=unknown),
+        drive.without({drive.effects.index(delay): why}),
     )
 
 

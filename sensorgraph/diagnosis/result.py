@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from sensorgraph.diagnosis.engine.ledger import Entry
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
 
@@ -95,6 +97,8 @@ class Unknown:
     """The same in words."""
     families: tuple[str, ...] = ()
     """Possible causes, in the words of a robotics engineer, most likely first."""
+    family: str = ""
+    """Name of its family in the ledger; empty if it belongs to none."""
     profile: Profile | None = None
     """Its shape, if it is an error over bearing or range."""
 
@@ -133,6 +137,17 @@ class Rival:
     evidence_nats: float
     separates: str
     """What would distinguish the two."""
+    required_nats: float = SCAN.naming.rival_margin
+    """[nats] Minimum difference of evidence; below it, the two are undecided."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Withdrawn:
+    """An effect that lost its name."""
+
+    amendment: Amendment
+    why: str
+    """Reason, as a clause."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,6 +171,10 @@ class ChannelResult:
     """Material effects with an equally likely rival; they are not named."""
     within_tolerance: tuple[Amendment, ...] = ()
     """Effects with sufficient evidence, but too small to matter."""
+    withdrawn: tuple[Withdrawn, ...] = ()
+    """Effects with sufficient evidence that are not named for another reason."""
+    considered: tuple[Entry, ...] = ()
+    """Hypotheses of the channel, for the ledger (`sensorgraph.diagnosis.ledger`)."""
     unknown: Unknown | None = None
     rivals: tuple[Rival, ...] = ()
     deviations: tuple[Deviation, ...] = ()
@@ -169,3 +188,14 @@ class ChannelResult:
     """Further results, as plain data."""
     motion: MotionDifference | None = None
     """From the odometry channel, for the other channels."""
+
+    def without(self, why: Mapping[int, str]) -> ChannelResult:
+        """Return the result without some named effects.
+
+        Parameters
+        ----------
+        why : Index in `effects` -> reason.
+        """
+        gone = tuple(Withdrawn(amendment=self.effects[i], why=words) for i, words in why.items())
+        kept = tuple(a for i, a in enumerate(self.effects) if i not in why)
+        return replace(self, effects=kept, withdrawn=(*self.withdrawn, *gone))

@@ -12,7 +12,9 @@ from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFEREN
 from sensorgraph.diagnosis.naming import ScanNames, located, name_scan_effects
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
+from sensorgraph.diagnosis.scan.considered import effect_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
+from sensorgraph.diagnosis.scan.families import family_entries
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
@@ -84,7 +86,11 @@ def diagnose_scans(
         second_gap = None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
     with clock.stage("observable"):
         unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
-        result = replace(names.result, gap=gap, not_observable=unseen_effects)
+        considered = (
+            *effect_entries(train, explained, names.complete, names.small, threshold),
+            *family_entries(goodness, train.sensor.sigma),
+        )
+        result = replace(names.result, gap=gap, not_observable=unseen_effects, considered=considered)
         pairs = [asdict(pair) for pair in alike(train, final)]
     return ScanDiagnosis(
         result=result,
@@ -129,6 +135,7 @@ def judge(
         }
         names = name_scan_effects(train, explained, found, listed, echoes=echoes) if echoes else names
     if not found.is_doubted and (told := told_by_tolerances(final)) is not None:
+        told = replace(told, tested=found.tested, least=found.least)
         found = told if baseline is None else baseline.discount(told, train)
         names = name_scan_effects(train, explained, found, listed)
     return found, names

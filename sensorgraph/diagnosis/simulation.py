@@ -10,7 +10,7 @@ Both are diagnosed against the same arena and robot file, which therefore cancel
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -115,8 +115,10 @@ def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[
 def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
     """Remove the effects that robot and simulation share."""
     shared = shared_with(result, simulated)
-    kept = tuple(a for a in result.effects if counterpart(a, shared) is None)
-    return result if len(kept) == len(result.effects) else replace(result, effects=kept)
+    why = "the simulation shows it with the same size"
+    return result.without(
+        {i: why for i, a in enumerate(result.effects) if counterpart(a, shared) is not None}
+    )
 
 
 def is_same_unknown(a: Unknown | None, b: Unknown | None) -> bool:

@@ -10,7 +10,7 @@ few and many columns need the same evidence. Noise and columns are fitted in tur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +63,35 @@ class AcceptedStructure:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ScreenedFamily:
+    """A family in addition to a model, with fixed noise."""
+
+    family: StructureFamily
+    evidence: float
+    """[nats] less the price."""
+    price: float
+    """[nats] Occam factor of its columns, and the penalty for the choice of the family."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TestedStructure:
+    """Families that one test compared, for the ledger."""
+
+    families: Mapping[str, ScreenedFamily]
+    """Kind -> its most likely family."""
+    threshold: float
+    """[nats] required evidence."""
+    best: AcceptedStructure | None = None
+    """The family with sufficient evidence; None without one."""
+    is_material: bool = True
+    """Whether it matters to a user."""
+    objection: str = ""
+    """Another reason why it is not reported."""
+    prefix: str = ""
+    """Of the names in the ledger, where two tests have families of the same kind."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Fit:
     """Columns fitted under one noise."""
 
@@ -100,6 +129,8 @@ class StructureTest:
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
         self._noise_of_rows = self._noise(y)
         self._noises: list[Noise] = []
+        self.tested: dict[str, ScreenedFamily] = {}
+        """Kind -> its most likely family of all comparisons."""
         white = WhiteningFilter.white(0, 1.0)
         self.whitener = Whitener.plain((white,) * (len(y) // len(valid)), valid)
         self.residual = y
@@ -108,19 +139,22 @@ class StructureTest:
         """Return the best family in addition to the model's own columns (n_kinds n, k), and its evidence [nats]."""
         here = self.evidence(own)
         screened = self._screened(own, candidates)
-        k = int(np.argmax(screened))
-        found = self.evidence(own, candidates[k])
+        for one in screened:
+            kind = one.family.kind
+            if kind not in self.tested or one.evidence > self.tested[kind].evidence:
+                self.tested[kind] = one
+        best = max(screened, key=lambda one: one.evidence)
+        found = self.evidence(own, best.family)
         here = max(here, self.evidence(own))  # under the noise that was fitted with the family
-        return candidates[k], max(found - here, screened[k])
+        return best.family, max(found - here, best.evidence)
 
     def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
         """Return the most likely family of each kind, most likely first; families that explain nothing are omitted."""
         self.evidence(own)
-        screened = dict(zip(candidates, self._screened(own, candidates), strict=True))
         found: dict[str, StructureFamily] = {}
-        for family in sorted(candidates, key=lambda family: -screened[family]):
-            if screened[family] > MIN_GAIN:
-                found.setdefault(family.kind, family)
+        for one in sorted(self._screened(own, candidates), key=lambda one: -one.evidence):
+            if one.evidence > MIN_GAIN:
+                found.setdefault(one.family.kind, one.family)
         return list(found.values())
 
     def explained(self, own: Floats, families: Sequence[StructureFamily]) -> Floats:
@@ -252,8 +286,8 @@ class StructureTest:
         fitted = sum(columns @ some for (columns, _), some in zip(parts, by_part, strict=True))
         return self.y - fitted, price
 
-    def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[float]:
-        """Return the evidence of each family in addition to columns (n_kinds n, k), with fixed noise [nats]."""
+    def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[ScreenedFamily]:
+        """Return each family with its evidence in addition to columns (n_kinds n, k), with fixed noise."""
         parts = self._parts(own, None)
         parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
         scale = np.concatenate([scale for _, scale in parts])
@@ -262,24 +296,27 @@ class StructureTest:
         k, m, out = own.shape[1], self.nuisances.shape[1], []
         c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
         H = np.eye(len(G) - k) + _information_beside(G, k)
-        alone, first = _gain(H[:m, :m], c[:m]), m
+        (alone, paid), first = _gain(H[:m, :m], c[:m]), m
         for family in families:
             mine = np.r_[:m, first : first + family.columns.shape[1]]
             first += family.columns.shape[1]
-            out.append(_gain(H[np.ix_(mine, mine)], c[mine]) - alone - family.choice_price)
+            gain, occam = _gain(H[np.ix_(mine, mine)], c[mine])
+            evidence = (gain - occam) - (alone - paid) - family.choice_price
+            price = occam - paid + family.choice_price
+            out.append(ScreenedFamily(family=family, evidence=evidence, price=price))
         return out
 
 
-def _gain(H: Floats, c: Floats) -> float:
-    """Return the evidence of columns with unit priors [nats].
+def _gain(H: Floats, c: Floats) -> tuple[float, float]:
+    """Return the gain and the Occam factor of columns with unit priors [nats]; their difference is the evidence.
 
-        c' H⁻¹ c / 2 - log det H / 2
+        c' H⁻¹ c / 2,   log det H / 2
 
     Parameters
     ----------
     H, c : (k, k), (k,) Normal equations of the columns, including the prior.
     """
-    return float(0.5 * c @ np.linalg.solve(H, c) - 0.5 * np.linalg.slogdet(H)[1])
+    return float(0.5 * c @ np.linalg.solve(H, c)), float(0.5 * np.linalg.slogdet(H)[1])
 
 
 def _ridge(G: Floats, k: int) -> Floats:

@@ -129,7 +129,7 @@ def next_run(
     rng = np.random.default_rng(seed)
     duration = 60.0 * minutes
     motions = candidate_motions(space, rng)
-    samples = [_motion_samples(motion, robot, duration) for motion in motions]
+    samples = [motion_samples(motion, robot, duration) for motion in motions]
     scans = planned_scans(samples, arena, robot, duration)
     forecasts = [EvidenceForecast(q, scans) for q in questions]
     per_second = [QuadraticsOfMotions.of(forecast.per_second()) for forecast in forecasts]
@@ -207,7 +207,7 @@ def expected_evidence(
     return out
 
 
-def _motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
+def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
     """Return sample moments of a motion, back and forth, spread over the run."""
     limits, settings = robot.limits, NEXT_RUN.candidates
     n_samples = settings.n_samples

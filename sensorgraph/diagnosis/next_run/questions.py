@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from sensorgraph.diagnosis.next_run.forecast import OpenQuestion
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
@@ -16,7 +16,10 @@ LONGER_THAN_ANY_WALL = 1e3
 
 
 def open_questions(
-    result: ChannelResult, model: Sequence[Amendment], rivals: Sequence[Amendment]
+    result: ChannelResult,
+    model: Sequence[Amendment],
+    rivals: Sequence[Amendment],
+    can_show: Callable[[Amendment], bool] = lambda a: True,
 ) -> list[OpenQuestion]:
     """Return the open questions of the scan channel, most important first.
 
@@ -32,6 +35,7 @@ def open_questions(
     ----------
     model : The accepted effects.
     rivals : Second-best explanation of each effect, in the order of `result.rivals`.
+    can_show : Whether a run in the room could show an effect; there are no questions about others.
     """
     most = NEXT_RUN.forecast.max_questions
     accepted = tuple(model)
@@ -40,7 +44,9 @@ def open_questions(
         return close[:1]
     hidden = [(name, why, typical_effect(name, why)) for name, why in result.not_observable.items()]
     everywhere = [
-        _is_there(one, accepted, why) for _, why, one in hidden if one is not None and not one.place
+        _is_there(one, accepted, why)
+        for _, why, one in hidden
+        if one is not None and not one.place and can_show(one)
     ]
     if everywhere:
         return everywhere[:most]
@@ -56,7 +62,7 @@ def open_questions(
         (e.diagnostics.question_rank, name) for name, e in EFFECTS.items() if e.diagnostics.question_rank
     ]
     usual = (typical_effect(name) for _, name in sorted(ranked))
-    return [_is_there(one, (), "") for one in usual if one is not None]
+    return [_is_there(one, (), "") for one in usual if one is not None and can_show(one)]
 
 
 def _undecided(

@@ -15,9 +15,7 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
-from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
@@ -228,36 +226,6 @@ class ComparedScans:
         mean = np.where(rays >= MIN_RAYS, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
         scatter = np.sqrt(((s - np.nan_to_num(mean) * n) ** 2).sum(axis=0))
         return mean, scatter / np.maximum(rays, 1)
-
-
-def bare_gap(finding: Finding) -> Gap | None:
-    """Return the gap of the bare simulator on the held-out scans, with the nominal noise as floor; None without a scan effect.
-
-    `held_out_gap.gap` lets poses and map shift within their tolerances before and after, which hides a part of an
-    effect. Here nothing shifts; residuals are clipped at CLIP_SIGMAS sigmas. There is no likelihood: nats are nan.
-    """
-    named = _named(finding)
-    if not named:
-        return None
-    held = held_out(finding.data)
-    data = finding.data.subset(held)
-    sigma = data.sensor.sigma or 0.01
-    z = data.ranges
-    squares: list[float] = []
-    count = 0
-    shared = tuple(a for a in finding.shared if a.effect.channel == "scan")  # of the user's own simulator
-    for effects in (shared, (*shared, *named)):
-        expected = cast(data, effects).expected
-        with np.errstate(invalid="ignore"):
-            off = np.abs(z - expected.reading)
-        there = np.isfinite(off) & (expected.p_return > 0.5) & (expected.p_alternative < MAX_P_ALTERNATIVE)
-        count = int(there.sum())
-        squares.append(float(np.mean(np.minimum(off[there], CLIP_SIGMAS * sigma) ** 2)) if count else 0.0)
-    before, after = (
-        FitQuality(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
-    )
-    floor = FitQuality(rmse_m=sigma, normalised=1.0, nats_per_ray=float("nan"))
-    return Gap(before=before, after=after, noise_floor=floor, n_rays=count)
 
 
 def _named(finding: Finding) -> tuple[Amendment, ...]:

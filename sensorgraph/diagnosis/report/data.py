@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.comparison import bare_gap
 from sensorgraph.diagnosis.report.driving import calibrations
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
@@ -21,7 +20,6 @@ def to_dict(finding: Finding) -> dict[str, Any]:
     main = main_channel(finding)
     results = dict(sorted(finding.channels.items(), key=lambda item: item[0] != main))
     unknown = finding.unknown
-    bare = bare_gap(finding)
     rivals = [asdict(r) for result in results.values() for r in result.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
@@ -31,7 +29,6 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "runner_up": runner_up(finding, rivals),
         "rivals": rivals,
         "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
-        "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "simulation": None if finding.simulation is None else simulation_dict(finding.simulation),
         "calibration": [] if finding.driving is None else calibrations(finding.driving),
@@ -45,6 +42,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
             for result in results.values()
             for name, why in result.not_observable.items()
         ],
+        "ledger": finding.ledger.to_list(),
         "next_run": None if finding.next_run is None else finding.next_run.to_dict(),
         "intake": finding.intake,
         "channels": {name: channel_dict(result) for name, result in finding.channels.items()},

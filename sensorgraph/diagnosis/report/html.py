@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.driving import driving_section
 from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings
 from sensorgraph.diagnosis.report.quantities import (
@@ -65,11 +66,10 @@ def page(
     ]
     sections = [
         *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
+        considered_section(finding.ledger),
         _deviations_section(finding, pictures),
-        _tolerated_section(finding),
         _channels_section(finding),
         _driving_section(finding, pictures),
-        _not_observable_section(finding),
         _next_run_section(next_run, pictures),
         _settings_section(finding, settings),
     ]
@@ -102,7 +102,7 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     caption = (
         f"Measured on held-out readings{rays}; map and poses may shift within their tolerances, before and after. "
         "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood per reading; smaller "
-        "is better. Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
+        "is better."
     )
     text = _scales_text(finding) + picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
     return f"<h2>Size of the gap</h2>{text}" if text else ""
@@ -217,22 +217,6 @@ def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     return f"<h2>Deviations before any effect</h2><p>Residuals after map, mount, clocks and poses are corrected within their tolerances.</p>{text}{picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
 
-def _tolerated_section(finding: Finding) -> str:
-    small = [a for result in finding.channels.values() for a in result.within_tolerance]
-    if not small:
-        return ""
-    rows = "".join(
-        f"<tr><td>{escape(', '.join(filter(None, [a.effect.title, place_text(a)])))}</td><td>{escape(', '.join(parameters(a)))}</td>"
-        f'<td class="n">{"–" if a.evidence is None else f"{a.evidence:,.0f}"}</td></tr>'
-        for a in small
-    )
-    head = "<tr><th>effect</th><th>size</th><th class='n'>log Bayes factor</th></tr>"
-    return (
-        "<h2>Within tolerance</h2><p>Present, but below the materiality; not counted as effects.</p>"
-        f"<table>{head}{rows}</table>"
-    )
-
-
 def _channels_section(finding: Finding) -> str:
     rows = "".join(
         f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel_text(result))}</td></tr>"
@@ -276,23 +260,6 @@ def _channel_text(result: ChannelResult) -> str:
         out = out or ["nothing material"]
         out.append(f"gap {size} times the noise floor")
     return "; ".join(out) if out else "nothing material"
-
-
-def _not_observable_section(finding: Finding) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(title_of(name))}</td><td>{escape(why)}</td></tr>"
-        for result in finding.channels.values()
-        for name, why in result.not_observable.items()
-    )
-    skipped = "".join(
-        f"<tr><td>all effects of the {escape(name)} channel</td><td>{escape(result.skipped)}</td></tr>"
-        for name, result in finding.channels.items()
-        if result.skipped
-    )
-    if not rows and not skipped:
-        return ""
-    head = "<tr><th>effect</th><th>why</th></tr>"
-    return f"<h2>What this run could not show</h2><table class='pairs'>{head}{rows}{skipped}</table>"
 
 
 def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:

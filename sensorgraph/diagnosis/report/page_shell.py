@@ -39,6 +39,9 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .4rem 1.5rem; margin: .8rem 0; }
 .facts div span { display: block; color: var(--soft); font-size: .8rem; }
 table.pairs td:first-child { width: 34%; color: var(--soft); }
+table.ledger td { font-size: .86rem; } table.ledger td:nth-child(2) { width: 34%; }
+tr.named, tr.unknown, tr.undecided { background: var(--pale); }
+small { color: var(--soft); }
 sub { font-size: .72em; }
 code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
 ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }

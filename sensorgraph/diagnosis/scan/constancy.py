@@ -78,24 +78,30 @@ class NumberChange:
 
 
 def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Report a sensor parameter that changed once, by more than its materiality and by at least half of its value.
+    """Report a sensor parameter that changed once; sure by more than its materiality and at least half of its value.
 
     Parameters
     ----------
     null : The fit without effects, which may show the change more clearly than effects that imitate it.
     """
-    candidates = _candidates(fitted)
+    screened = _screened_changes(fitted)
+    candidates = [c for c in screened if _is_likely(c)]
     found, view = _likeliest(fitted, candidates), fitted
     if candidates and fitted.model and null is not None:
-        plain = _likeliest(null, _candidates(null))
+        plain = _likeliest(null, [c for c in _screened_changes(null) if _is_likely(c)])
         if plain is not None and null.j + plain.gain > fitted.j:
             found, view = plain, null
+    is_sure = found is not None
+    found = found or next(iter(screened), None)
     if found is None:
         return []
     failed = range(len(fitted.model)) if view is not fitted else [found.number.index]
     when = float(view.solver.data.stamps[parts_of_run(view)[found.part][0]] - view.solver.data.begin)
     return [
         Doubt(
+            family="change_in_time",
+            price=_price(found),
+            is_sure=is_sure,
             statement=_sentence(found.first, found.second, when),
             misfit=found.gain,
             statistic=found.gain,
@@ -107,14 +113,14 @@ def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     ]
 
 
-def _candidates(fitted: Fitted) -> list[NumberChange]:
-    """Return the changes that are likely to first order, most likely first; one for each parameter."""
+def _screened_changes(fitted: Fitted) -> list[NumberChange]:
+    """Return the changes to first order, most likely first; one for each parameter."""
     rows = parts_of_run(fitted)
     if len(rows[-1]) < SCAN.constancy.min_scans:
         return []
     parts = equations_of_parts(fitted.solver, fitted.solution, rows)
     screened = [_screened(parts, fitted, number) for number in _numbers(fitted)]
-    return sorted((c for c in screened if c is not None and _is_likely(c)), key=lambda c: -c.gain)
+    return sorted((c for c in screened if c is not None), key=lambda c: -c.gain)
 
 
 def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
@@ -200,8 +206,12 @@ def _moved(a: Amendment, step: Floats) -> Amendment:
 
 def _is_likely(change: NumberChange) -> bool:
     """Return whether the likelihood supports a change, after the complexity penalty for its size and its time."""
-    price = SCAN.selection.price * (len(change.number.unknowns) + 1)
-    return change.gain - price > SCAN.selection.threshold
+    return change.gain - _price(change) > SCAN.selection.threshold
+
+
+def _price(change: NumberChange) -> float:
+    """Return the complexity penalty [nats] of a change."""
+    return SCAN.selection.price * (len(change.number.unknowns) + 1)
 
 
 def _is_sure(change: NumberChange, n_asked: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +42,10 @@ WALL_CAUSES: tuple[str, ...] = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Doubt:
-    """A difference that a model does not explain."""
+    """A difference that a model may not explain: a hypothesis without a name."""
 
+    family: str
+    """Key in `FAMILIES` (`scan.families`)."""
     statement: str
     misfit: float
     """[nats] approximate evidence for the difference."""
@@ -62,6 +64,15 @@ class Doubt:
     """Error over bearing or range, if the difference is one."""
     is_of_building: bool = False
     """Whether the building differs from its map; this concerns few rays, unlike an error of the sensor."""
+    price: float = 0.0
+    """[nats] Complexity penalty, which the misfit contains."""
+    is_sure: bool = True
+    """Whether the statistic exceeds its threshold; other doubts are only kept for the ledger."""
+
+
+def sure(doubts: Sequence[Doubt]) -> list[Doubt]:
+    """Return the doubts whose statistic exceeds its threshold."""
+    return [doubt for doubt in doubts if doubt.is_sure]
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -> list[Doubt]:
@@ -83,6 +94,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
             worth = settings.failed_law_share * max(gains[index], absorbed)
             out.append(
                 Doubt(
+                    family="absorbed_readings",
                     statement=words,
                     misfit=worth,
                     statistic=0.0,
@@ -108,6 +120,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float], gained: float) -
         if count >= telltale.least:
             out.append(
                 Doubt(
+                    family="implausible_combination",
                     statement=telltale.statement,
                     misfit=settings.failed_law_share * sum(gains[i] for i in members),
                     statistic=float(count),
@@ -142,6 +155,7 @@ def _flat_noise(view: FitResiduals, index: int, gain: float) -> Doubt | None:
     if excess + 3 * np.sqrt(24 / n) > FLAT:
         return None
     return Doubt(
+        family="rounded_readings",
         statement="readings are distributed between two limits instead of normally, as if rounded to steps that grow "
         "with the range",
         misfit=settings.failed_law_share * gain,
@@ -203,6 +217,7 @@ def in_walls(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         wall = data.arena.names[_nearest_wall(data.arena.walls, np.array([x, y]))]
         out.append(
             Doubt(
+                family="object_at_wall",
                 statement=f"readings end in front of {wall} near ({x:.1f}, {y:.1f}) m: an object stands against the wall, "
                 "or the wall is reflective there",
                 misfit=gains[index],
@@ -257,6 +272,7 @@ def absences(view: FitResiduals) -> list[Doubt]:
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(
+                    family="temporary_object",
                     statement=f"{a.effect.title} at {a.place or 'its spot'} is absent from "
                     f"{begin - data.begin:.0f} s to {end - data.begin:.0f} s of the run",
                     misfit=float(gain[0]),
@@ -313,6 +329,7 @@ def lost_by_direction(view: FitResiduals, gains: Mapping[int, float]) -> list[Do
         ):
             out.append(
                 Doubt(
+                    family="missing_by_direction",
                     statement=f"returns are missing towards one side of the room ({np.degrees(_middle(dark)):.0f}° in the map), "
                     "at every wall in that direction",
                     misfit=gains[index],

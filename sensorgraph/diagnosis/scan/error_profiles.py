@@ -14,11 +14,13 @@ makes readings longer or shorter, so that it cancels in the mean residual of a b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtri
 
+from sensorgraph.diagnosis.engine.ledger import as_name
 from sensorgraph.diagnosis.result import Profile
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, inverse_of_whole, is_better_alone
 from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError, length
@@ -135,29 +137,44 @@ def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
     ----------
     least : [nats] Minimum first-order gain for a fit; at least the complexity penalty.
     """
-    least = max(least, _price())
-    found = [_fitted(fitted, one) for one in _profiles(fitted) if _screened(fitted, one) > least]
-    return sorted(found, key=lambda one: -one.gain)
+    return _fitted_profiles(fitted, _screened_profiles(fitted), least)
 
 
 def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Report a significant error profile of the laser.
+    """Report the error profiles of the laser; at most one is sure.
 
     Parameters
     ----------
     null : The fit without effects. If a profile alone explains more than all effects together with a profile, the
         effects only imitate it.
     """
-    found, failed = _sure(fitted), frozenset[int]()
+    screened, failed = _screened_profiles(fitted), frozenset[int]()
+    found = _sure(fitted, screened)
     if fitted.model and null is not None:
-        alone = _sure(null, SCAN.profiles.min_first_order_share * (fitted.j - null.j))
+        least = SCAN.profiles.min_first_order_share * (fitted.j - null.j)
+        alone = _sure(null, _screened_profiles(null), least)
         beside = 0.0 if found is None else found.gain - _price()
         if alone is not None and is_better_alone(alone.gain - _price(), null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
+    unsure = [
+        Doubt(
+            family=as_name(one.kind),
+            price=_price(),
+            statement="",
+            misfit=gain,
+            statistic=gain,
+            threshold=SCAN.selection.threshold,
+            is_sure=False,
+        )
+        for one, gain in screened
+        if found is None or one.kind != found.kind
+    ]
     if found is None:
-        return []
+        return unsure
     return [
         Doubt(
+            family=as_name(found.kind),
+            price=_price(),
             statement=found.sentence(),
             misfit=found.gain,
             statistic=found.amplitude_z,
@@ -166,13 +183,29 @@ def profile_doubts(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
             size=ScanError(offset=found.offset, affected=found.affected),
             causes=found.causes,
             profile=found.profile,
-        )
+        ),
+        *unsure,
     ]
 
 
-def _sure(fitted: Fitted, least: float = 0.0) -> ErrorProfile | None:
+def _screened_profiles(fitted: Fitted) -> list[tuple[_Columns, float]]:
+    """Return the profiles, each with its gain [nats] to first order."""
+    return [(one, _screened(fitted, one)) for one in _profiles(fitted)]
+
+
+def _fitted_profiles(
+    fitted: Fitted, screened: Sequence[tuple[_Columns, float]], least: float
+) -> list[ErrorProfile]:
+    """Fit the profiles that gain more than `least` [nats], and the complexity penalty; most likely first."""
+    found = [_fitted(fitted, one) for one, gain in screened if gain > max(least, _price())]
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _sure(
+    fitted: Fitted, screened: Sequence[tuple[_Columns, float]], least: float = 0.0
+) -> ErrorProfile | None:
     """Return the most likely profile if the likelihood and the parts of the run support it; None otherwise."""
-    profiles = error_profiles(fitted, least=least)
+    profiles = _fitted_profiles(fitted, screened, least)
     found = next((one for one in profiles if not _is_of_walls(one, fitted.solver.data.grain)), None)
     if found is None or found.gain - _price() < SCAN.selection.threshold:
         return None

@@ -18,6 +18,14 @@ class FirstGains:
 
     def __init__(self) -> None:
         self._gains: dict[str, list[float]] = {}
+        self.latest: dict[str, Candidate] = {}
+        """Name of each effect -> the start with the largest gain that was expected last."""
+
+    def note(self, candidates: Sequence[Candidate]) -> None:
+        """Store the best start of each effect."""
+        self.latest = {}
+        for c in sorted(candidates, key=lambda c: -c.gain):
+            self.latest.setdefault(c.amendment.name, c)
 
     def compare(self, candidates: Sequence[Candidate], *, is_first: bool) -> None:
         """Store the gains expected in the bare model; later, drop those that are no longer expected of any start."""

@@ -22,7 +22,14 @@ from sensorgraph.diagnosis.scan.consequence import (
 )
 from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
-from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws, in_walls, lost_by_direction
+from sensorgraph.diagnosis.scan.effect_laws import (
+    Doubt,
+    absences,
+    broken_laws,
+    in_walls,
+    lost_by_direction,
+    sure,
+)
 from sensorgraph.diagnosis.scan.error_profiles import profile_doubts
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts
@@ -78,6 +85,12 @@ class GoodnessOfFit:
     """Error over bearing or range, if the difference is one."""
     is_of_building: bool = False
     """Whether the only difference is between the building and its map."""
+    family: str = ""
+    """Key of the unexplained difference in `FAMILIES`; empty without one."""
+    tested: tuple[Doubt, ...] = ()
+    """All differences that were tested, for the ledger."""
+    least: float = 0.0
+    """[nats] misfit that inexact effects may leave."""
 
     @property
     def is_doubted(self) -> bool:
@@ -129,14 +142,15 @@ def check(
     inexact = sum((a.effect.diagnostics.misfit_share or share) * gains[i] for i, a in enumerate(fitted.model))
     # each effect allows for the share of its evidence by which its model is inexact
     least = max(share * gained, inexact)
-    doubts = [d for d in _told_in_order(whole, doubts) if d.misfit > least]
+    tested = (*whole, *doubts)
+    doubts = [d for d in _told_in_order(sure(whole), sure(doubts)) if d.misfit > least]
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
     if not doubts:
-        return GoodnessOfFit(failed=fringes, immaterial=immaterial)
+        return GoodnessOfFit(failed=fringes, immaterial=immaterial, tested=tested, least=least)
     told = _of_doubts(doubts[0], doubts, doubts[0].causes or likely_causes(found), immaterial)
-    return replace(told, failed=told.failed | fringes)
+    return replace(told, failed=told.failed | fringes, tested=tested, least=least)
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:
@@ -183,9 +197,11 @@ def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
 def _beyond_tolerances(
     poses: float, walls: float, nominal: Tolerances, n_scans: int, limit: float
 ) -> list[Doubt]:
-    """Report poses and walls that are at least `limit` times worse than their tolerances."""
+    """Report poses and walls; sure are those at least `limit` times worse than their tolerances."""
     return [
         Doubt(
+            family=family,
+            is_sure=scale >= limit,
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
             misfit=(scale - 1) * n_scans,
             statistic=scale,
@@ -193,11 +209,10 @@ def _beyond_tolerances(
             size=ScanError(offset=scale * tolerance, affected=1.0),
             causes=causes,
         )
-        for name, scale, tolerance, causes in (
-            ("reference pose", poses, nominal.pose_xy, POSE_CAUSES),
-            ("map", walls, nominal.map, MAP_CAUSES),
+        for family, name, scale, tolerance, causes in (
+            ("reference_worse", "reference pose", poses, nominal.pose_xy, POSE_CAUSES),
+            ("map_worse", "map", walls, nominal.map, MAP_CAUSES),
         )
-        if scale >= limit
     ]
 
 
@@ -209,7 +224,8 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
     """
     data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
     limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
-    doubts = _beyond_tolerances(state.pose_scale, state.map_scale, data.tolerances, data.n_scans, limit)
+    scales = state.pose_scale, state.map_scale
+    doubts = sure(_beyond_tolerances(*scales, data.tolerances, data.n_scans, limit))
     doubts += [] if data.from_scans else _one_part_of_the_poses(fitted)
     if not doubts:
         return None
@@ -240,6 +256,7 @@ def _one_part_of_the_poses(fitted: Fitted) -> list[Doubt]:
     names = " or the ".join(name for name, *_ in worse)
     return [
         Doubt(
+            family="stamps_or_heading_worse",
             statement=f"the {names} would have to be {scale:.1f} times worse than specified",
             misfit=(scale - 1) * data.n_scans,
             statistic=scale,
@@ -255,6 +272,7 @@ def _of_doubts(
 ) -> GoodnessOfFit:
     """Return the result for the first of several differences."""
     return GoodnessOfFit(
+        family=first.family,
         statement=first.statement,
         deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
         statistic=first.statistic,
@@ -270,16 +288,16 @@ def _of_doubts(
 
 
 def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
-    """Report a model under which scans differ from each other more than the rays within a scan do."""
+    """Report how much more scans differ from each other than the rays within a scan explain."""
     scatter, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
     noise = excess_noise(scatter.excess, view.data.sensor.sigma)
     is_of_walls = noise < view.data.grain  # scans at different places see walls with different errors
-    if scatter.ratio <= limit or is_of_walls:
-        return []
     where = next((d for d in found if d.family == "spread" and d.partition in OF_SCANS), None)
     place = "" if where is None else f", most at {where.partition} {where.label}"
     return [
         Doubt(
+            family="scans_differ",
+            is_sure=scatter.ratio > limit and not is_of_walls,
             statement=f"scans differ from each other {scatter.ratio:.1f} times more than the rays within a scan explain"
             + place,
             misfit=(scatter.ratio - 1) / 2 * view.data.n_scans,
@@ -302,33 +320,41 @@ def _against_replicates(
 ) -> list[Doubt]:
     """Compare the largest deviation of each kind with replicates, which are simulated only for suspect kinds."""
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
-    suspects = {family: z for family, z in largest_z(found).items() if z > settings.min_z[family]}
+    most = {family: z for family, z in largest_z(found).items() if z > 0}
+    suspects = {family: z for family, z in most.items() if z > settings.min_z[family]}
+    out = [
+        _deviating(view, found, family, settings.min_z[family]) for family in most if family not in suspects
+    ]
     if not suspects:
-        return []
+        return out
     wider = max(t.map / max(nominal.map, 1e-9), t.pose_xy / max(nominal.pose_xy, 1e-9))
     slack = float(np.clip(wider, 1.0, 2.0))
     drawn = _largest_z_of_replicates(view, parts, rng, count, tick)
-    out = []
-    for family, z in suspects.items():
+    for family in suspects:
         d = np.array(drawn[family])
         beyond_largest = settings.replicate_factor * float(d.max())
         beyond_mean = float(d.mean() + settings.replicate_sigmas * d.std())
         threshold = max(beyond_largest, beyond_mean, settings.min_z[family]) * slack
-        if z > threshold:
-            worst = next(d for d in found if d.family == family)
-            alike = [d for d in found if d.partition == worst.partition and d.family == family]
-            out.append(
-                Doubt(
-                    statement=worst.sentence(),
-                    misfit=float(sum(0.5 * d.z**2 for d in alike)),
-                    statistic=z,
-                    threshold=threshold,
-                    deviation=worst,
-                    size=scan_error(alike, view.data.sensor.sigma, view.data.ranges.size),
-                    causes=likely_causes([d for d in found if d.family == family]),
-                )
-            )
+        out.append(_deviating(view, found, family, threshold))
     return out
+
+
+def _deviating(view: FitResiduals, found: Sequence[Deviation], family: str, threshold: float) -> Doubt:
+    """Return the largest deviation of a kind, with those of the same partition; sure above a threshold of |z|."""
+    worst = next(d for d in found if d.family == family)
+    alike = [d for d in found if d.partition == worst.partition and d.family == family]
+    z = largest_z(found)[family]
+    return Doubt(
+        family=f"unexplained_{family}",
+        is_sure=z > threshold,
+        statement=worst.sentence(),
+        misfit=float(sum(0.5 * d.z**2 for d in alike)),
+        statistic=z,
+        threshold=threshold,
+        deviation=worst,
+        size=scan_error(alike, view.data.sensor.sigma, view.data.ranges.size),
+        causes=likely_causes([d for d in found if d.family == family]),
+    )
 
 
 def _largest_z_of_replicates(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
@@ -58,6 +58,8 @@ class Explained:
     steps: tuple[Step, ...] = field(default_factory=tuple)
     rivals: dict[int, tuple[Amendment, float]] = field(default_factory=dict)
     """Index in the final model -> the second best explanation and its deficit [nats]."""
+    expected: Mapping[str, Candidate] = field(default_factory=dict)
+    """Name of each effect -> its best start in the last round, whether or not it was fitted."""
 
 
 def explain(
@@ -133,7 +135,9 @@ def explain(
     kept = {i: rivals[name_at_place(a)] for i, a in enumerate(current.model) if name_at_place(a) in rivals}
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
-    return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
+    return Explained(
+        null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept, expected=first.latest
+    )
 
 
 def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
@@ -292,7 +296,8 @@ def shortlist(
     gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
     first : Gains expected in the bare model. They are stored there, and dropped when they change.
     """
-    sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
+    smooth = smooth_candidates(data, current)
+    sharp = [c for c in smooth if c.gain > SCAN.selection.min_expected_gain]
     broad = [
         c
         for c in smooth_candidates(data, current, broad=True)
@@ -303,6 +308,7 @@ def shortlist(
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
     first = FirstGains() if first is None else first
     first.compare((*sharp, *rough, *broad), is_first=not current.model)
+    first.note((*smooth, *rough))
     present = {name_at_place(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}

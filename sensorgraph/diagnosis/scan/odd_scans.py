@@ -18,118 +18,26 @@ wrong poses do not. Otherwise, wrong poses are reported.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, is_better_alone
-from sensorgraph.diagnosis.scan.consequence import ScanError, length
+from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
+from sensorgraph.diagnosis.scan.odd_kinds import (
+    LateScans,
+    LateStretches,
+    OddScans,
+    ScansElsewhere,
+    ScansWithOffsets,
+)
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
-
-LATE_CAUSES = (
-    "scans that sometimes wait in a queue, and are stamped when they leave it",
-    "two clocks that stamp the scans in turn",
-)
-STRETCH_CAUSES = (
-    "two clocks that drift apart and are synchronised at times",
-    "a queue that fills during the run",
-)
-OFFSET_CAUSES = (
-    "mirror facets or receivers that alternate and differ",
-    "a laser that calibrates its zero again in every scan",
-)
-ELSEWHERE_CAUSES = (
-    "a reference that sometimes loses track: hidden or swapped markers, extrapolated or outdated poses",
-    "a laser that sways, or a robot that pitches or is lifted",
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OddScans(ABC):
-    """Scans that differ from the others."""
-
-    share: float
-    """Share of the scans."""
-    gain: float
-    """[nats] Log-likelihood ratio of two kinds of scan to one."""
-    offset: float
-    """[m] RMS change of the readings of these scans."""
-    causes: ClassVar[tuple[str, ...]] = ()
-    """Possible causes, most likely first."""
-
-    @abstractmethod
-    def sentence(self) -> str:
-        """Return a statement for the report."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LateScans(OddScans):
-    """Two delays; each scan has one of them."""
-
-    causes = LATE_CAUSES
-    delay: float
-    """[s] Delay of the rarer kind of scan relative to the others; positive if its stamps are late."""
-
-    @property
-    def words(self) -> str:
-        """Description of the wrong stamps."""
-        late = "late" if self.delay > 0 else "early"
-        return f"stamped {1e3 * abs(self.delay):.0f} ms too {late}"
-
-    def sentence(self) -> str:
-        """Return a statement for the report."""
-        return f"{100 * self.share:.0f} % of the scans are {self.words}, relative to the others"
-
-
-@dataclass(frozen=True, kw_only=True)
-class LateStretches(LateScans):
-    """Two delays, each in separate stretches of the run: the delay changes."""
-
-    causes = STRETCH_CAUSES
-
-    def sentence(self) -> str:
-        """Return a statement for the report."""
-        return (
-            f"the delay of the scans changes during the run: in {100 * self.share:.0f} % of it they are {self.words}, "
-            "relative to the rest"
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScansElsewhere(OddScans):
-    """Scans that were not taken at their reference pose."""
-
-    causes = ELSEWHERE_CAUSES
-    distance: float
-    """[m] RMS position error."""
-    turn: float
-    """[rad] RMS heading error."""
-
-    def sentence(self) -> str:
-        """Return a statement for the report."""
-        return (
-            f"{100 * self.share:.0f} % of the scans were taken away from their reference pose, by {length(self.distance)} "
-            f"and {np.degrees(self.turn):.2g}° (rms)"
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScansWithOffsets(OddScans):
-    """Scans with a common offset of all their readings, which differs between scans."""
-
-    causes = OFFSET_CAUSES
-
-    def sentence(self) -> str:
-        """Return a statement for the report."""
-        return f"each scan has a different range offset, {length(self.offset)} (rms)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,14 +83,70 @@ class _EachScan:
         return np.asarray(0.5 * (self.right * self.poses(prior)).sum(axis=1) - 0.5 * volume)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Kinds:
+    """Gains [nats] of each kind of odd scan over one kind of scan, and what the fits found."""
+
+    each: _EachScan
+    late: float
+    is_late: Bools
+    elsewhere: float
+    is_elsewhere: Bools
+    prior: Floats
+    shifted: float
+    spread: float
+    is_rough: bool
+
+    @classmethod
+    def of(cls, fitted: Fitted) -> _Kinds:
+        """Fit each kind of odd scan."""
+        each = each_scan(fitted)
+        late, is_late = _two_delays(each)
+        elsewhere, is_elsewhere, prior = _two_priors(each)
+        shifted, spread, is_rough = _offsets(each)
+        return cls(
+            each=each,
+            late=late,
+            is_late=is_late,
+            elsewhere=elsewhere,
+            is_elsewhere=is_elsewhere,
+            prior=prior,
+            shifted=shifted,
+            spread=spread,
+            is_rough=is_rough,
+        )
+
+    def unsure(self) -> list[Doubt]:
+        """Return each kind with its gain, for the ledger."""
+        gains: dict[type[OddScans], float] = {
+            LateScans: self.late,
+            ScansElsewhere: self.elsewhere,
+            ScansWithOffsets: self.shifted,
+        }
+        return [
+            Doubt(
+                family=kind.family,
+                price=2 * SCAN.selection.price,
+                statement="",
+                misfit=gain,
+                statistic=gain,
+                threshold=SCAN.selection.threshold,
+                is_sure=False,
+            )
+            for kind, gain in gains.items()
+        ]
+
+
 def odd_scans(fitted: Fitted) -> OddScans | None:
     """Search for scans that differ from the others, given the effects and nuisances of a fit; None without any."""
-    each = each_scan(fitted)
-    late, is_late = _two_delays(each)
-    elsewhere, is_elsewhere, prior = _two_priors(each)
-    shifted, spread, is_rough = _offsets(each)
+    return _likeliest(fitted, _Kinds.of(fitted))
+
+
+def _likeliest(fitted: Fitted, kinds: _Kinds) -> OddScans | None:
+    each, late, is_late, shifted, spread = kinds.each, kinds.late, kinds.is_late, kinds.shifted, kinds.spread
+    elsewhere, is_elsewhere, prior = kinds.elsewhere, kinds.is_elsewhere, kinds.prior
     # scans at distant places observe different walls with different map errors
-    is_offset = is_rough and spread >= fitted.solver.data.grain
+    is_offset = kinds.is_rough and spread >= fitted.solver.data.grain
     if is_offset and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
         return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
     if late > least_gain() and is_late.sum() >= SCAN.odd_scans.min_scans:
@@ -195,14 +159,15 @@ def odd_scans(fitted: Fitted) -> OddScans | None:
 
 
 def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.random.Generator) -> list[Doubt]:
-    """Report a share of scans that are late or off their pose, if scans differ more than in simulated replicates.
+    """Report the kinds of odd scan; at most one is sure, if scans differ more than in simulated replicates.
 
     Parameters
     ----------
     null : Fit without effects. If two kinds of scan alone explain more than all effects, they replace the effects.
     rng : For the replicates.
     """
-    found, failed = _sure(fitted), frozenset[int]()
+    kinds, failed = _Kinds.of(fitted), frozenset[int]()
+    found = _if_sure(_likeliest(fitted, kinds))
     beside = 0.0 if found is None else found.gain
     if found is not None and not _is_beyond_replicates(found, fitted, rng):
         found = None
@@ -210,15 +175,18 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.rando
         is_delay = [Nuisance.DELAY in a.effect.nuisances for a in fitted.model]
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
-        alone = _sure(null)
+        alone = _if_sure(odd_scans(null))
         stands_alone = alone is not None and is_better_alone(alone.gain, null, beside, fitted)
         if alone is not None and stands_alone and _is_beyond_replicates(alone, null, rng):
             found, failed = alone, frozenset(range(len(fitted.model)))
+    unsure = [doubt for doubt in kinds.unsure() if found is None or doubt.family != found.family]
     if found is None:
-        return []
+        return unsure
     valid = fitted.solver.jacobian.valid & fitted.solver.data.returned
     return [
         Doubt(
+            family=found.family,
+            price=2 * SCAN.selection.price,
             statement=found.sentence(),
             misfit=found.gain,
             statistic=found.gain,
@@ -226,7 +194,8 @@ def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.rando
             failed=failed,
             size=ScanError(offset=found.offset, affected=found.share * float(valid.mean())),
             causes=found.causes,
-        )
+        ),
+        *unsure,
     ]
 
 
@@ -235,8 +204,7 @@ def least_gain() -> float:
     return SCAN.selection.threshold + 2 * SCAN.selection.price
 
 
-def _sure(fitted: Fitted) -> OddScans | None:
-    found = odd_scans(fitted)
+def _if_sure(found: OddScans | None) -> OddScans | None:
     return found if found is not None and found.gain > least_gain() else None
 
 

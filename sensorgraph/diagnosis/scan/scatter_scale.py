@@ -53,6 +53,7 @@ def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData)
         return found
     return replace(
         found,
+        family="laser_scatter",
         statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
         f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",
         statistic=scale,

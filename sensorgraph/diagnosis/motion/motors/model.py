@@ -24,7 +24,7 @@ from sensorgraph.diagnosis.motion.motors.simulation import (
 )
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, RegressionFit
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedStructure
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
     WhiteningFilter,
@@ -156,6 +156,8 @@ class DriveModel:
         self.whitener = self.stated_noise()
         self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
         self.structure: StructureFamily | None = None
+        self.tested: TestedStructure | None = None
+        """Test for structure, for the ledger."""
         self.layout = MotorColumns.of_library()
         self.library_terms = self.layout.terms
         self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)

@@ -8,6 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.ledger import Entry
+from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
+from sensorgraph.diagnosis.motion.consequence import simulation_error
+from sensorgraph.diagnosis.motion.considered import structure_entries
+from sensorgraph.diagnosis.motion.families import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
 from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
@@ -16,9 +22,9 @@ from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, 
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown, Withdrawn
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -26,6 +32,8 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
+ABSORBED = "a difference that no effect explains absorbs it"
+"""Reason why an effect beside structure is not named."""
 FAST, MODERATE = 0.85, 0.4
 """Shares of the maximum commanded speed that separate the listed ranges of speed."""
 CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
@@ -48,7 +56,7 @@ def drive_result(
     """
     fit, rows = selected.fit, model.rows
     covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
-    found, rivals, material = [], [], set()
+    found, rivals, material, entries = [], [], set(), []
     for term in sorted(selected.terms, key=lambda term: -evidence[term]):
         alternatives = _alternatives(model, term, selected)
         error = float(np.sqrt(covariance[term.column, term.column]))
@@ -58,6 +66,7 @@ def drive_result(
             evidence=evidence[term],
         )
         found.append((amendment, term))
+        entries.append(_entry_of(model, amendment, term, selected))
         if _is_material(model, amendment, float(np.hypot(error, term.blur))):
             material.add(term.effect)
         rival = strongest_rival(term.effect, alternatives, EVIDENCE)
@@ -67,21 +76,31 @@ def drive_result(
             rivals.append(rival)
     # a lag or a delay that changes has no single size, and the other one absorbs a part of the change
     structure = selected.structure
+    tested = [] if model.tested is None else [model.tested]
+    if structure is not None and structure.family.kind not in {k for one in tested for k in one.families}:
+        tested.append(TestedStructure(families={}, threshold=structure.threshold, best=structure))
     kind = "" if structure is None else structure.family.kind
     is_change = column_of_jump(kind) is not None
     steady = [a for a, term in found if not (is_change and term.column in WHAT_CHANGES)]
     if structure is not None and kind in OTHER_MOTORS:
         least = np.inf if kind != ANSWER else DRIVE.structure.lead_over_answer * structure.evidence
         steady = [a for a in steady if a.effect not in TIMING or (a.evidence or 0.0) > least]
+    withdrawn = [a for a, _ in found if a not in steady]
     return ChannelResult(
         channel="drive",
         effects=tuple(a for a in steady if a.effect in material),
         within_tolerance=tuple(a for a in steady if a.effect not in material),
+        withdrawn=tuple(Withdrawn(amendment=a, why=ABSORBED) for a in withdrawn),
         unknown=None if structure is None else _unknown(model, structure),
         rivals=tuple(rivals),
         deviations=deviations,
         gap=_gap(model, selected),
         not_observable=_not_observable(model, selected.terms, fit),
+        considered=(
+            *entries,
+            *(_term_entry(model, term, selected) for term in model.terms if term not in selected.terms),
+            *structure_entries("drive", tested),
+        ),
         notes={
             "odometry_from": rows.source,
             "clock_offset_s": rows.late,
@@ -90,6 +109,25 @@ def drive_result(
             "gain_omega": 1 + float(fit.solution.theta[Column.GAIN_OMEGA]),
         },
     )
+
+
+def _entry_of(model: DriveModel, a: Amendment, term: MotorTerm, selected: MotorSelection) -> Entry:
+    """Return the ledger's entry of an effect of the model, with the error of a simulation without it."""
+    rest = model.fit([other for other in selected.terms if other != term], selected.fit.motors)
+    rows, dt = model.rows, model.rows.end - model.rows.start
+    missing = model.rows.masked(selected.fit.simulated - rest.simulated) * np.concatenate([dt, dt])
+    distance, turn = both_kinds(selected.fit.simulated, rows.n)
+    size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
+    return accepted_entry(a, EVIDENCE.threshold, EVIDENCE.price, size)
+
+
+def _term_entry(model: DriveModel, term: MotorTerm, selected: MotorSelection) -> Entry:
+    """Return the ledger's entry of an effect that is not in the model, at its most likely size."""
+    fit = model.fit([*selected.terms, term], selected.fit.motors)
+    evidence = fit.log_posterior - selected.fit.log_posterior - EVIDENCE.price
+    error = float(np.sqrt(max(float(fit.solution.covariance[term.column, term.column]), 0.0)))
+    facts = Facts(has_name=True, evidence=evidence, threshold=EVIDENCE.threshold)
+    return effect_entry(_sized(model, term, fit, error), facts, price=EVIDENCE.price)
 
 
 def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> Amendment:
@@ -198,6 +236,7 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
         statistic=evidence,
         size=size.to_dict(),
         consequence=size.sentence(),
+        family=DRIVE_FAMILIES[family.kind][0],
         families=(family.statement, *structure.rivals),
         threshold=structure.threshold,
     )

@@ -20,7 +20,12 @@ from sensorgraph.diagnosis.motion.motors.structure import (
     drive_families,
 )
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
+from sensorgraph.diagnosis.motion.structure_test import (
+    AcceptedStructure,
+    StructureFamily,
+    StructureTest,
+    TestedStructure,
+)
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -147,6 +152,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     terms, here, own, test, families = beside.terms, beside.fit, beside.own, beside.test, beside.families
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
     needed = max(EVIDENCE.threshold, DRIVE.structure.share * strongest)
+    model.tested = TestedStructure(families=dict(test.tested), threshold=needed)
     if gain < needed:
         return selected
     dt = model.rows.end - model.rows.start
@@ -161,9 +167,18 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
     sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
-    if sure_change < _change_by_waits(model, here, family):
+    found_one = AcceptedStructure(family=family, evidence=gain, threshold=needed, size=size)
+    is_by_waits = sure_change < _change_by_waits(model, here, family)
+    is_large = sure_change >= max(family.materiality, model.robot.tolerances.control_period / 2)
+    model.tested = replace(
+        model.tested,
+        best=found_one,
+        is_material=is_material or is_large,
+        objection="waits for the control loop of the base may cause it" if is_by_waits else "",
+    )
+    if is_by_waits:
         return _without_smaller(model, selected, family, sure_change)
-    if not is_material and sure_change < max(family.materiality, model.robot.tolerances.control_period / 2):
+    if not (is_material or is_large):
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
     if np.isfinite(family.materiality):
@@ -176,13 +191,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     return MotorSelection(
         terms=tuple(terms),
         fit=full,
-        structure=AcceptedStructure(
-            family=family,
-            evidence=gain,
-            threshold=needed,
-            size=size,
-            rivals=rivals[:2],
-        ),
+        structure=replace(found_one, family=family, rivals=rivals[:2]),
     )
 
 

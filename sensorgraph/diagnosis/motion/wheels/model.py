@@ -17,7 +17,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY, EvidenceSettings
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
@@ -74,6 +74,10 @@ class WheelModel:
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[SlipPatch] = []
         self.structure: AcceptedStructure | None = None
+        self.tested: list[TestedStructure] = []
+        """Tests for structure, for the ledger."""
+        self.last_patch: tuple[SlipPatch, float] | None = None
+        """The best further patch, and its evidence [nats], when the selection ended."""
         raw, order = both_kinds(self.y, rows.n), ODOMETRY.filter_order
         first, second = (WhiteningFilter.white(order, float(np.std(y[rows.valid]) + 1e-12)) for y in raw)
         self.whitener = Whitener.plain((first, second), rows.valid)

@@ -7,14 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.ledger import Entry
+from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
+from sensorgraph.diagnosis.motion.consequence import simulation_error
+from sensorgraph.diagnosis.motion.considered import name_of, structure_entries
 from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, ridge_solution
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel
-from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel, price
+from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, gains_of_discs
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import (
@@ -25,12 +30,15 @@ from sensorgraph.diagnosis.result import (
     MotionDifference,
     Rival,
     Unknown,
+    Withdrawn,
 )
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
+ABSORBED = "a difference that no effect explains absorbs it"
+"""Reason why an effect beside structure is not named."""
 RMSE_WINDOW = 1.0
 """[s] averaging time of the speeds in the gap."""
 
@@ -53,20 +61,30 @@ def odometry_result(
     fit = model.regression.solve(model.prior(terms))
     covariance = model.regression.clustered_covariance(fit, model.clusters)
     found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
+    entries = [_entry_of(model, term, a, fit) for term, a in zip(terms, found, strict=True)]
     found.sort(key=lambda a: -(a.evidence or 0.0))
+    absorbed = list[Amendment]()
     if model.structure is not None:  # effects that structure absorbs are not named
         taken = _taken_by_structure(model, terms, fit)
-        found = [a for a in found if _is_determined(a) and a.effect not in taken]
+        absorbed = [a for a in found if not _is_determined(a) or a.effect in taken]
+        found = [a for a in found if a not in absorbed]
     named = [a for a in found if _is_material(a)]
     return ChannelResult(
         channel="odometry",
         effects=tuple(named),
         within_tolerance=tuple(a for a in found if not _is_material(a)),
+        withdrawn=tuple(Withdrawn(amendment=a, why=ABSORBED) for a in absorbed),
         unknown=_unknown(model, aside),
         rivals=tuple(_rivals(model, terms, named, rng)),
         deviations=deviations,
         gap=_gap(model, terms),
         not_observable=_not_observable(model, terms),
+        considered=(
+            *entries,
+            *(_term_entry(model, term, terms) for term in model.layout.terms if term not in terms),
+            *_patch_entry(model, terms),
+            *structure_entries("odometry", model.tested),
+        ),
         notes={
             **notes,
             "clock_offset_s": model.rows.clock + float(fit.theta[model.layout.clock]),
@@ -74,6 +92,36 @@ def odometry_result(
         },
         motion=_motion_difference(model, fit),
     )
+
+
+def _entry_of(model: WheelModel, term: WheelTerm, a: Amendment, fit: RegressionFit) -> Entry:
+    """Return the ledger's entry of an effect of the model, with the error of a simulation without it."""
+    missing = model.columns[:, term.column] * fit.theta[term.column]
+    rows, base = model.rows, model.robot.wheels.base
+    distance, turn = rows.D_along @ model.motion.distance, rows.D_yaw @ model.motion.turn
+    size = simulation_error(distance, turn, missing, np.gradient(rows.stamps), base)
+    return accepted_entry(a, EVIDENCE.threshold, price(term), size)
+
+
+def _term_entry(model: WheelModel, term: WheelTerm, terms: Sequence[WheelTerm]) -> Entry:
+    """Return the ledger's entry of an effect that is not in the model, at its most likely size."""
+    fit = model.regression.solve(model.prior([*terms, term]))
+    theta = float(fit.theta[term.column])
+    error = float(np.sqrt(max(float(fit.covariance[term.column, term.column]), 0.0)))
+    evidence = fit.log_posterior - model.log_posterior(terms) - price(term)
+    facts = Facts(has_name=True, evidence=evidence, threshold=EVIDENCE.threshold)
+    return effect_entry(_everywhere(model, term.effect, theta, error, 1.0), facts, price=price(term))
+
+
+def _patch_entry(model: WheelModel, terms: Sequence[WheelTerm]) -> list[Entry]:
+    """Return the ledger's entry of the best slippery patch, if no patch is in the model and one was found."""
+    if model.last_patch is None or any(term.effect is WHEEL_SLIP for term in terms):
+        return []
+    patch, evidence = model.last_patch
+    _, lost = gains_of_discs(model, patch.disc[None], patch.track, terms)
+    slip = WHEEL_SLIP(s=float(lost[0]), x=patch.x, y=patch.y, r=patch.r).at(xy=(patch.x, patch.y))
+    facts = Facts(has_name=True, evidence=evidence, threshold=EVIDENCE.threshold)
+    return [effect_entry(slip, facts, price=PATCH_PRICE)]
 
 
 def _motion_difference(model: WheelModel, fit: RegressionFit) -> MotionDifference | None:
@@ -254,6 +302,7 @@ def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | No
         statistic=evidence,
         size=size.to_dict(),
         consequence=size.sentence(),
+        family=name_of("odometry", model.tested, first),
         families=(family.statement, *rivals[:2]),
         threshold=first.threshold,
     )

@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
     StructureFamily,
     StructureTest,
+    TestedStructure,
 )
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
@@ -54,6 +55,7 @@ def select(
         best = max(gains, key=lambda term: gains[term], default=None)
         top = max(gains.values(), default=-np.inf)
         patch, patch_gain = _patch(model, terms, max(top, 0.0), rng)
+        model.last_patch = None if patch is None else (patch, patch_gain)
         if max(top, patch_gain) < EVIDENCE.threshold:
             break
         if patch is not None and patch_gain >= top:
@@ -180,6 +182,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
     if not candidate.replaces_patches:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:
+        model.tested.append(TestedStructure(families=test.tested, threshold=needed))
         return
     likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
     explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
@@ -195,8 +198,10 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
     is_material = size.is_material(model.robot.limits.v, candidate.evidence)
     if not candidate.replaces_patches and not is_material:
         is_material = _stands_for_clock(model, terms, accepted)
-        if not is_material:
-            return
+    tested = TestedStructure(families=test.tested, threshold=needed, best=accepted, is_material=is_material)
+    model.tested.append(tested)
+    if not candidate.replaces_patches and not is_material:
+        return
     if candidate.replaces_patches:
         model.patches = []
         terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]

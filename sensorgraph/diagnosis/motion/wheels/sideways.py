@@ -14,12 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error, sure_share
+from sensorgraph.diagnosis.motion.families import SIDEWAYS
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, NoiseLimits, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
+    ScreenedFamily,
     StructureFamily,
     StructureTest,
+    TestedStructure,
 )
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
@@ -86,16 +89,22 @@ def _askew(
     gain, missing = test.gain(own, family), test.explained(own, [family])
     angle = float(distance @ missing) / max(float(distance @ distance), 1e-12)
     needed = evidence_needed(test.dispersion(EVIDENCE.cluster, limits[0].period), rows)
-    if gain < needed or sure_share(gain) * abs(angle) < ODOMETRY.structure.max_askew:
-        return None
     side = "left" if angle > 0 else "right"
     words = f"a direction of travel {np.degrees(abs(angle)):.1f}° to the {side} of the body's heading"
-    return AcceptedStructure(
-        family=replace(family, statement=f"{words}: the axle or the markers of the reference are misaligned"),
-        evidence=gain,
-        threshold=needed,
-        size=_size(model, aside, missing),
+    family = replace(family, statement=f"{words}: the axle or the markers of the reference are misaligned")
+    size = _size(model, aside, missing)
+    found = AcceptedStructure(family=family, evidence=gain, threshold=needed, size=size)
+    is_large = sure_share(gain) * abs(angle) >= ODOMETRY.structure.max_askew
+    best = found if gain >= needed else None
+    model.tested.append(
+        TestedStructure(
+            families={family.kind: ScreenedFamily(family=family, evidence=gain, price=0.0)},
+            threshold=needed,
+            best=best,
+            is_material=is_large,
+        )
     )
+    return best if is_large else None
 
 
 def _sliding(
@@ -113,16 +122,24 @@ def _sliding(
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     needed = evidence_needed(dispersion, rows)
     if gain < needed:
+        model.tested.append(TestedStructure(families=test.tested, threshold=needed, prefix=SIDEWAYS))
         return None
     # the size of all sliding; with the nuisance, the clock would absorb a part
     missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
     size = _size(model, aside, missing)
-    if not size.is_material(model.robot.limits.v, gain) and not _is_late(model, family, missing, gain):
-        return None
-    rivals = [one.statement for one in test.ranking(own, families) if one is not family]
-    return AcceptedStructure(
+    is_material = size.is_material(model.robot.limits.v, gain) or _is_late(model, family, missing, gain)
+    rivals = (
+        [one.statement for one in test.ranking(own, families) if one is not family] if is_material else []
+    )
+    found = AcceptedStructure(
         family=family, evidence=gain, threshold=needed, size=size, rivals=tuple(rivals[:2])
     )
+    model.tested.append(
+        TestedStructure(
+            families=test.tested, threshold=needed, best=found, is_material=is_material, prefix=SIDEWAYS
+        )
+    )
+    return found if is_material else None
 
 
 def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[StructureFamily]:

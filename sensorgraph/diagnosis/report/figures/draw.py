@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.comparison import ComparedScans, bare_gap
+from sensorgraph.diagnosis.report.comparison import ComparedScans
 from sensorgraph.diagnosis.report.figures.arena import arena_picture
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture
@@ -31,8 +31,7 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
     gaps = _gaps(finding)
     if gaps:
         out["gap"] = folder / "gap.png"
-        others = {"scan, bare simulator": bare_gap(finding), "scan, second run": finding.second_gap}
-        gap_picture(gaps, {k: g for k, g in others.items() if g is not None}, out["gap"])
+        gap_picture(gaps, finding.second_gap, out["gap"])
     if finding.explained is not None and any(step.tried for step in finding.explained.steps):
         out["ranking"] = folder / "ranking.png"
         ranking_picture(finding, out["ranking"])

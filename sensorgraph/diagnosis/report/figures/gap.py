@@ -23,16 +23,15 @@ MIN_NATS_SCALE = 0.02
 """[nats] per reading, minimum span of the axis."""
 
 
-def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> None:
+def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
     """Draw gap before, gap after and noise floor in three units, one row per channel.
 
     Parameters
     ----------
-    others : further gaps of the scan channel, by what to call them
+    second : of the scans of a second run
     """
     rows = [(name, gap, name) for name, gap in gaps.items()]
-    at = next((i + 1 for i, row in enumerate(rows) if row[2] == "scan"), len(rows))
-    rows[at:at] = [(name, gap, "scan") for name, gap in others.items()]
+    rows += [] if second is None else [("scan, second run", second, "scan")]
     figure = new_figure(10.0, 0.35 + 1.15 * len(rows), layout=None)
     grid = figure.subplots(len(rows), 3, squeeze=False)
     figure.subplots_adjust(

@@ -1,0 +1,22 @@
+"""`sensorgraph why`."""
+
+from __future__ import annotations
+
+import typer
+
+from sensorgraph.cli.options import WhyName, WhyReport
+
+
+def why(report: WhyReport, name: WhyName) -> None:
+    """Explain why an effect was or was not named in a kept report, and what the next run would have to show.
+
+    Examples:
+
+      sensorgraph why diagnosis glass
+
+      sensorgraph why diagnosis/report.json late_scans
+    """
+    from sensorgraph.diagnosis.engine.why import why as explain
+    from sensorgraph.diagnosis.report.kept import kept_ledger
+
+    typer.echo(explain(kept_ledger(report), name))

@@ -1,0 +1,192 @@
+"""Ledger of a diagnosis: every hypothesis that was considered, with its numbers and the verdict on it.
+
+This package knows no robot: hypotheses come with the words and numbers that a reader needs. `why` explains an entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Competitor:
+    """The hypothesis that explains the same data best, in place of an entry."""
+
+    title: str
+    evidence: float
+    """[nats]"""
+    separates: str = ""
+    """Observation that would distinguish the two."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A hypothesis that was considered: an effect of the library at its best place, or a nameless family."""
+
+    name: str
+    """Of the effect or the family, as in `--why NAME`."""
+    channel: str
+    title: str
+    """Noun phrase for readers, without an article."""
+    facts: Facts
+    place: str = ""
+    """Name of its best place; empty without one."""
+    xy: tuple[float, float] | None = None
+    """[m, map]"""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Most likely values, in SI units."""
+    stderr: Mapping[str, float] = field(default_factory=dict)
+    estimate: str = ""
+    """The same in words and in the units of readers; empty if nothing was estimated."""
+    price: float | None = None
+    """[nats] Complexity penalty, which the evidence does not contain."""
+    alone: float | None = None
+    """[nats] Evidence before any effect was accepted; None if it was not fitted then."""
+    size: Mapping[str, float] = field(default_factory=dict)
+    """Error of a simulation without it; each key contains its unit."""
+    consequence: str = ""
+    """The same in words."""
+    rival: Competitor | None = None
+    needs: str = ""
+    """What the next run would have to show."""
+    remark: str = ""
+    """Cause of the verdict in the words of the channel, if the numbers do not state it."""
+
+    @property
+    def where(self) -> str:
+        """Its best place in words; empty without one."""
+        if self.xy is None:
+            return self.place
+        spot = f"({self.xy[0]:.1f}, {self.xy[1]:.1f}) m".replace("-", "−")
+        return f"{self.place} about {spot}" if self.place else f"about {spot}"
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the hypothesis."""
+        return judge(self.facts)[0]
+
+    @property
+    def decided_by(self) -> DecidedBy:
+        """Fact that decided the verdict."""
+        return judge(self.facts)[1]
+
+    @property
+    def reason(self) -> str:
+        """Reason for the verdict, as a clause."""
+        facts, rival = self.facts, self.rival
+        needs = f"it needs {nats(facts.threshold)}"
+        match self.decided_by:
+            case DecidedBy.EVIDENCE:
+                return f"its evidence is {nats(facts.evidence)}, and {needs}"
+            case DecidedBy.CLOSE_RIVAL if rival is not None:
+                lead, required = nats(facts.lead), nats(facts.required_lead)
+                return f"{rival.title} explains the data almost as well: {lead} apart, {required} required"
+            case DecidedBy.BEATEN if rival is not None:
+                return f"{rival.title} explains the same data better ({nats(rival.evidence)})"
+            case DecidedBy.NOT_OBSERVABLE:
+                return f"not observable in this run: {facts.not_observable}"
+            case DecidedBy.NOT_TRIED:
+                return f"not tried: {facts.not_tried or 'no start was found'}"
+            case DecidedBy.WEAK if facts.is_significant or not self.remark:
+                return f"its evidence is {nats(facts.evidence)}, but {needs}"
+            case DecidedBy.OBJECTION:
+                return facts.objection
+            case DecidedBy.IMMATERIAL:
+                return self.remark or "too small to matter"
+            case DecidedBy.WEAK:
+                return self.remark
+        return self.remark or "another hypothesis explains the same data"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as plain data, for report.json."""
+        facts = asdict(self.facts)
+        location = {"name": self.place, "xy": None if self.xy is None else list(self.xy)}
+        return {
+            "name": self.name,
+            "channel": self.channel,
+            "named_effect": facts.pop("has_name"),
+            "title": self.title,
+            "location": location if self.place or self.xy is not None else None,
+            "parameters": dict(self.parameters),
+            "stderr": dict(self.stderr),
+            "estimate": self.estimate,
+            "evidence_nats": facts.pop("evidence"),
+            "price_nats": self.price,
+            "alone_nats": self.alone,
+            "size": dict(self.size),
+            "consequence": self.consequence,
+            "rival": None if self.rival is None else asdict(self.rival),
+            "verdict": self.verdict.value,
+            "decided_by": self.decided_by.value,
+            "reason": self.reason,
+            "needs": self.needs,
+            "remark": self.remark,
+            "facts": facts,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Entry:
+        """Return the entry of plain data; the verdict follows from its facts."""
+        location, rival = data["location"] or {}, data["rival"]
+        xy = location.get("xy")
+        return cls(
+            **{key: data[key] for key in ("name", "channel", "title", "parameters", "stderr", "estimate")},
+            **{key: data[key] for key in ("size", "consequence", "needs", "remark")},
+            facts=Facts(has_name=data["named_effect"], evidence=data["evidence_nats"], **data["facts"]),
+            place=location.get("name", ""),
+            xy=None if xy is None else (xy[0], xy[1]),
+            price=data["price_nats"],
+            alone=data["alone_nats"],
+            rival=None if rival is None else Competitor(**rival),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ledger(Sequence[Entry]):
+    """All hypotheses of a diagnosis."""
+
+    entries: tuple[Entry, ...]
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self.entries)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.entries[index]
+
+    def of(self, name: str) -> tuple[Entry, ...]:
+        """Return the entries of an effect or a family; spaces and hyphens count as underscores."""
+        return tuple(entry for entry in self.entries if entry.name == as_name(name))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all hypotheses, each once."""
+        return tuple(dict.fromkeys(entry.name for entry in self.entries))
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """Return the ledger as plain data, for report.json."""
+        return [entry.to_dict() for entry in self.entries]
+
+    @classmethod
+    def from_list(cls, data: Sequence[Mapping[str, Any]]) -> Ledger:
+        """Return the ledger of plain data."""
+        return cls(entries=tuple(Entry.from_dict(one) for one in data))
+
+
+def as_name(text: str) -> str:
+    """Return a text as the name of a hypothesis: `Late scans` is `late_scans`."""
+    return "_".join(text.lower().replace("-", " ").replace("_", " ").split())
+
+
+def nats(value: float | None) -> str:
+    """Return evidence with its unit, in whole nats where these suffice."""
+    if value is None:
+        return "unknown"
+    text = f"{value:.1f}" if abs(value) < 10 else f"{value:,.0f}"
+    return f"{text.removesuffix('.0')} nats".replace("-", "−")

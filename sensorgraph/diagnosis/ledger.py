@@ -1,0 +1,144 @@
+"""Ledger of a finding: the hypotheses of all channels, with the verdicts that the channels reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict
+from sensorgraph.diagnosis.engine.why import check_known
+from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, needs_of
+from sensorgraph.diagnosis.motion.families import FAMILIES_OF
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.scan.families import FAMILIES
+from sensorgraph.effects import EFFECTS, Effect
+
+FAMILIES_OF_CHANNEL: Mapping[str, Mapping[str, str]] = {
+    "scan": FAMILIES,
+    **{channel: dict(families.values()) for channel, families in FAMILIES_OF.items()},
+}
+"""Channel -> its families without a name, each with a noun phrase."""
+UNLISTED = "unexplained"
+"""Name of a difference that belongs to no family, as two logs that do not belong together."""
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that is neither of an effect nor of a family.
+
+    Raises
+    ------
+    SensorgraphError
+        The message lists the known names.
+    """
+    families = (name for channel in FAMILIES_OF_CHANNEL.values() for name in channel)
+    check_known(name, [*EFFECTS, *families, UNLISTED])
+
+
+def ledger_of(channels: Mapping[str, ChannelResult]) -> Ledger:
+    """Return the ledger of the channels of a finding, each with all effects of the library that it knows."""
+    return Ledger(entries=tuple(entry for result in channels.values() for entry in _entries(result)))
+
+
+def _entries(result: ChannelResult) -> Iterator[Entry]:
+    """Yield the effects of a channel that were accepted, then the others, then families without a name."""
+    taken = set[str]()
+    for entry in _accepted(result):
+        taken.add(entry.name)
+        yield entry
+    others = {one.name: one for one in result.considered if one.facts.has_name and not one.facts.accepted}
+    for name, effect in EFFECTS.items():
+        if name in taken or (effect.channel != result.channel and name not in others):
+            continue
+        yield _not_accepted(result, effect, others.get(name))
+    tested = {one.name: one for one in result.considered if not one.facts.has_name}
+    if result.unknown is not None and result.unknown.family not in tested:
+        yield _unlisted(result)
+    for name, title in FAMILIES_OF_CHANNEL[result.channel].items():
+        yield _judged(result, tested[name]) if name in tested else _untested(result, name, title)
+
+
+def _accepted(result: ChannelResult) -> Iterator[Entry]:
+    """Yield the effects whose evidence is sufficient, with the facts that decided about their names."""
+    known = {_key(one): one for one in result.considered if one.facts.accepted}
+    withdrawn = [(one.amendment, one.why) for one in result.withdrawn]
+    listed = [(a, "") for a in (*result.effects, *result.undecided, *result.within_tolerance)]
+    for a, objection in (*listed, *withdrawn):
+        facts = Facts(
+            has_name=True,
+            accepted=True,
+            evidence=a.evidence,
+            is_material=all(a is not one for one in result.within_tolerance),
+            objection=objection,
+        )
+        plain = effect_entry(a, facts)
+        entry = known.get(_key(plain), plain)
+        facts = replace(facts, threshold=entry.facts.threshold)
+        rival = next((one for one in result.rivals if one.instead_of == a.name), None)
+        if rival is not None:
+            is_open = any(a is one for one in result.undecided)
+            lead = abs((a.evidence or 0.0) - rival.evidence_nats)
+            facts = replace(facts, lead=lead, required_lead=rival.required_nats if is_open else 0.0)
+        yield replace(entry, facts=facts, rival=entry.rival if rival is None else competitor(rival))
+
+
+def _key(entry: Entry) -> tuple[str, str, float | None]:
+    return entry.name, entry.place, entry.facts.evidence
+
+
+def _not_accepted(result: ChannelResult, effect: Effect, entry: Entry | None) -> Entry:
+    """Return the entry of an effect that is not in the model, with the reason if this run could not show it."""
+    why = result.not_observable.get(effect.name, "")
+    is_local = effect.place in ("wall", "obstacle") and ":" in why  # only at the places that it lists
+    everywhere = "" if is_local else why
+    if entry is None:
+        idle = result.skipped or "its search found no start in the residuals"
+        facts = Facts(has_name=True, not_tried=idle, not_observable=everywhere)
+        return Entry(
+            name=effect.name,
+            channel=result.channel,
+            title=effect.title,
+            facts=facts,
+            needs=needs_of(effect),
+        )
+    return replace(entry, facts=replace(entry.facts, not_observable=everywhere))
+
+
+def _unlisted(result: ChannelResult) -> Entry:
+    """Return the entry of an unexplained difference that belongs to no family."""
+    assert result.unknown is not None
+    unknown = result.unknown
+    facts = Facts(
+        has_name=False, accepted=True, evidence=unknown.statistic or None, threshold=unknown.threshold
+    )
+    return Entry(
+        name=unknown.family or UNLISTED,
+        channel=result.channel,
+        title="a difference that no effect explains",
+        facts=facts,
+        estimate=unknown.statement,
+        size=dict(unknown.size),
+        consequence=unknown.consequence,
+        remark="no effect of the library explains it",
+    )
+
+
+def _untested(result: ChannelResult, name: str, title: str) -> Entry:
+    """Return the entry of a family that was not tested."""
+    facts = Facts(has_name=False, not_tried=result.skipped or "nothing in this run suggests it")
+    return Entry(name=name, channel=result.channel, title=title, facts=facts)
+
+
+def _judged(result: ChannelResult, family: Entry) -> Entry:
+    """Return a family with an objection if the channel reports another difference, or none, instead."""
+    is_told = result.unknown is not None and result.unknown.family == family.name
+    if is_told or family.verdict is not Verdict.UNKNOWN:
+        return family
+    return replace(
+        family, facts=replace(family.facts, objection="the same difference is explained otherwise")
+    )
+
+
+def not_observable(ledger: Ledger) -> list[Entry]:
+    """Return the effects that this run could not have shown anywhere."""
+    return [one for one in ledger if one.facts.has_name and one.decided_by is DecidedBy.NOT_OBSERVABLE]

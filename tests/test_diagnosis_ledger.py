@@ -1,0 +1,201 @@
+"""The ledger of a diagnosis: complete, consistent with the report, and able to explain each of its verdicts."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_samples import ROBOT, make_run
+from scan_samples import ROOM_ROBOT, drive_in_room
+
+from planners.arena import Arena
+from sensorgraph.cli import run as cli
+from sensorgraph.diagnosis import engine
+from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
+from sensorgraph.diagnosis.engine.why import paragraph, why
+from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.ledger import FAMILIES_OF_CHANNEL, ledger_of
+from sensorgraph.diagnosis.report.data import plain, to_dict
+from sensorgraph.diagnosis.report.files import save_report
+from sensorgraph.diagnosis.result import ChannelResult, Rival, Withdrawn
+from sensorgraph.effects import EFFECTS
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.world.robot import parse_robot
+
+NAMED = Facts(has_name=True, accepted=True, evidence=40.0, threshold=12.0)
+
+
+@pytest.fixture(scope="module")
+def found(room: Arena) -> Finding:
+    return diagnose(drive_in_room(room, bias=0.03), room, parse_robot(ROOM_ROBOT), plan_next=False)
+
+
+@pytest.fixture(scope="module")
+def silent(room: Arena) -> Finding:
+    return diagnose(drive_in_room(room), room, parse_robot(ROOM_ROBOT), plan_next=False)
+
+
+@pytest.mark.parametrize("which", ["found", "silent"])
+def test_each_effect_and_each_family_is_in_the_ledger_once(
+    which: str, request: pytest.FixtureRequest
+) -> None:
+    finding: Finding = request.getfixturevalue(which)
+    counted = Counter((one.channel, one.name) for one in finding.ledger)
+    expected = {(effect.channel, name) for name, effect in EFFECTS.items()}
+    expected |= {(channel, name) for channel, families in FAMILIES_OF_CHANNEL.items() for name in families}
+    assert set(counted) == expected
+    assert set(counted.values()) == {1}
+    assert len(set(finding.ledger.names)) == len(expected)  # no name is used by two channels
+
+
+@pytest.mark.parametrize("which", ["found", "silent"])
+def test_verdicts_are_those_of_the_report(which: str, request: pytest.FixtureRequest) -> None:
+    finding: Finding = request.getfixturevalue(which)
+    said = {verdict: [one.name for one in finding.ledger if one.verdict is verdict] for verdict in Verdict}
+    assert sorted(said[Verdict.NAMED]) == sorted(a.name for a in finding.effects)
+    assert sorted(said[Verdict.UNDECIDED]) == sorted(a.name for a in finding.undecided)
+    unknown = [one.unknown.family for one in finding.channels.values() if one.unknown is not None]
+    assert said[Verdict.UNKNOWN] == unknown
+    small = [a.name for one in finding.channels.values() for a in one.within_tolerance]
+    assert sorted(one.name for one in finding.ledger if one.decided_by is DecidedBy.IMMATERIAL) >= sorted(
+        small
+    )
+
+
+def test_a_named_effect_has_its_numbers_and_its_consequence(found: Finding) -> None:
+    (entry,) = found.ledger.of("range_bias")
+    (a,) = found.effects
+    assert entry.parameters == a.parameters and entry.facts.evidence == a.evidence
+    assert entry.size["offset_m"] == pytest.approx(0.03, rel=0.1)  # a reading is off by the bias itself
+    assert entry.price == 4.0 and entry.alone == pytest.approx(a.evidence, rel=0.1)
+    assert "off by 3.1 cm in 100 %" in entry.consequence
+
+
+@pytest.mark.parametrize("which", ["found", "silent"])
+def test_every_entry_is_explained_with_size_and_evidence(which: str, request: pytest.FixtureRequest) -> None:
+    finding: Finding = request.getfixturevalue(which)
+    for entry in finding.ledger:
+        text = finding.why(entry.name)
+        assert "size" in text and "evidence" in text and f"({entry.name})" in text
+        assert entry.reason in text and "\n" not in paragraph(entry)
+        assert entry.estimate in text
+    assert finding.why("Range bias") == finding.why("range_bias") == finding.why("range-bias")
+
+
+def test_a_ledger_survives_json_with_its_verdicts(found: Finding) -> None:
+    text = json.dumps(to_dict(found)["ledger"], allow_nan=False)
+    kept = Ledger.from_list(json.loads(text))
+    assert kept == found.ledger
+    assert [one["verdict"] for one in json.loads(text)] == [one.verdict for one in kept]
+    assert plain(kept.to_list()) == json.loads(text)
+    keys = {"name", "channel", "named_effect", "location", "parameters", "stderr", "evidence_nats",
+            "price_nats", "size", "verdict", "reason"}  # fmt: skip
+    assert all(keys <= set(one) for one in json.loads(text))
+
+
+def test_a_verdict_is_a_function_of_its_facts() -> None:
+    for facts, expected in {
+        NAMED: (Verdict.NAMED, DecidedBy.EVIDENCE),
+        replace(NAMED, lead=2.0, required_lead=3.0): (Verdict.UNDECIDED, DecidedBy.CLOSE_RIVAL),
+        replace(NAMED, lead=4.0, required_lead=3.0): (Verdict.NAMED, DecidedBy.EVIDENCE),
+        replace(NAMED, is_material=False): (Verdict.SILENT, DecidedBy.IMMATERIAL),
+        replace(NAMED, objection="clutter"): (Verdict.SILENT, DecidedBy.OBJECTION),
+        replace(NAMED, has_name=False): (Verdict.UNKNOWN, DecidedBy.EVIDENCE),
+        replace(NAMED, accepted=False): (Verdict.SILENT, DecidedBy.BEATEN),
+        replace(NAMED, accepted=False, is_significant=False): (Verdict.SILENT, DecidedBy.WEAK),
+        replace(NAMED, accepted=False, evidence=5.0): (Verdict.SILENT, DecidedBy.WEAK),
+        Facts(has_name=True, not_observable="no floor in view"): (Verdict.SILENT, DecidedBy.NOT_OBSERVABLE),
+        Facts(has_name=True, not_tried="no start"): (Verdict.SILENT, DecidedBy.NOT_TRIED),
+    }.items():
+        assert judge(facts) == expected, facts
+
+
+def test_the_engine_knows_no_robot() -> None:
+    for path in Path(engine.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                ("sensorgraph", "logs", "planners")
+            ):
+                assert (node.module or "").startswith(("sensorgraph.diagnosis.engine", "sensorgraph.errors"))
+
+
+def test_the_runner_up_and_the_missing_readings_are_said() -> None:
+    weak = replace(NAMED, accepted=False, evidence=4.0)
+    rival = Competitor(title="mirror", evidence=300.0, separates="a view along the wall")
+    entry = Entry(name="glass", channel="scan", title="glass pane", facts=weak, price=8.0, estimate="a = 1 m")
+    text = why(Ledger(entries=(entry,)), "glass")
+    assert "4 nats, but it needs 12 nats" in text
+    beaten = replace(entry, facts=replace(weak, evidence=40.0), rival=rival)
+    assert "mirror explains the same data better (300 nats)" in paragraph(beaten)
+    assert "a view along the wall" in paragraph(beaten)
+    needs = replace(entry, needs="residuals that vary with incidence")
+    assert "1.7 times as many such readings would suffice" in paragraph(needs)  # (12 + 8) / (4 + 8)
+
+
+def test_effects_that_lost_their_name_keep_the_reason() -> None:
+    a = replace(EFFECTS["wheel_base"](s=0.02), evidence=30.0)
+    taken = ChannelResult(channel="odometry", effects=(a,)).without({0: "the floor may imitate it"})
+    assert taken.effects == () and [one.amendment for one in taken.withdrawn] == [a]
+    (entry,) = ledger_of({"odometry": taken}).of("wheel_base")
+    assert entry.verdict is Verdict.SILENT and entry.reason == "the floor may imitate it"
+    rival = Rival(name="wheel_radius", instead_of="wheel_base", evidence_nats=28.0, separates="a spin")
+    open_ = ChannelResult(channel="odometry", undecided=(a,), rivals=(rival,))
+    (entry,) = ledger_of({"odometry": open_}).of("wheel_base")
+    assert entry.verdict is Verdict.UNDECIDED and "wheel radius" in entry.reason
+    assert Withdrawn(amendment=a, why="").amendment is a
+
+
+def test_wheels_and_motors_are_explained_too() -> None:
+    run = make_run(3, radius=0.03, lag=0.08)
+    odometry, drive = diagnose_motion(run, ROBOT, (), 0)
+    ledger = ledger_of({"odometry": odometry, "drive": drive})
+    (radius,), (lag,), (base,) = (ledger.of(name) for name in ("wheel_radius", "actuator_lag", "wheel_base"))
+    assert radius.verdict is lag.verdict is Verdict.NAMED
+    assert radius.size["drift_m_per_minute"] > 0.05 and lag.size["speed_m_s"] > 0.0
+    assert base.verdict is Verdict.SILENT and base.facts.evidence is not None
+    assert base.facts.evidence < base.facts.threshold and np.isfinite(base.stderr["s"])
+    tested = [one for one in ledger if not one.facts.has_name and one.facts.evidence is not None]
+    assert len(tested) > 20 and all(one.price is not None for one in tested)
+    text = json.dumps(plain(ledger.to_list()), allow_nan=False)
+    assert Ledger.from_list(json.loads(text)) == ledger
+
+
+def test_command_explains_a_kept_report(
+    found: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_report(found, tmp_path / "out")
+    for place in (tmp_path / "out", tmp_path / "out" / "report.json"):
+        assert cli(["why", str(place), "range_bias"]) == 0
+        assert capsys.readouterr().out.strip() == found.why("range_bias")
+
+
+def test_command_refuses_what_it_cannot_explain_in_one_line(
+    found: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_report(found, tmp_path)
+    old = {key: value for key, value in to_dict(found).items() if key != "ledger"}
+    (tmp_path / "old.json").write_text(json.dumps(plain(old)))
+    (tmp_path / "damaged.json").write_text(json.dumps({"effects": [], "ledger": [{"name": "glass"}]}))
+    (tmp_path / "other.json").write_text("[]")
+    (tmp_path / "text.json").write_text("glass")
+    for words, said in {
+        (tmp_path, "glas"): "did you mean glass?",
+        (tmp_path, "nothing like it"): "expected one of: range_bias",
+        (tmp_path / "old.json", "glass"): "has no ledger, as of an older version",
+        (tmp_path / "damaged.json", "glass"): "is damaged",
+        (tmp_path / "other.json", "glass"): "is not a report",
+        (tmp_path / "text.json", "glass"): "is not JSON",
+        (tmp_path / "none", "glass"): "does not exist",
+    }.items():
+        assert cli(["why", *map(str, words)]) == 2
+        text = capsys.readouterr().err.strip()
+        assert said in text and "\n" not in text
+    with pytest.raises(SensorgraphError, match="did you mean mirror"):
+        found.why("miror")
