@@ -7,10 +7,11 @@ updates, and are told where to start. Truth is the whole log, located together. 
 with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom: 1 if the posterior is as wide as
 its errors.
 
-The posterior of one scan is so narrow that few of 200 particles fall into it. So the filter of the graph
-raises the exponent of the likelihood from 0 to 1 in steps that keep half of the particles effective (annealed importance
-sampling, Neal 2001). It draws new particles after each step, with the kernel of Liu and West (2001), which keeps mean and
-covariance. Its motion noise is fitted to the first half (`MotionNoise`), since AMCL's allows no sideways motion in a turn.
+The posterior of one scan is so narrow that few particles of the prior fall into it. So the filter of the graph adds groups
+of rays one after the other, each with an exponent that grows from 0 to 1, and draws new particles after each step (annealed
+importance sampling, Neal 2001). KLD-sampling (Fox 2003) chooses their number. `graph.near` tabulates the likelihood of each
+scan around the particles. The errors of the odometry are fitted to the first half (`Motion`), since AMCL's model allows no
+sideways motion in a turn and no systematic errors.
 """
 
 from __future__ import annotations
@@ -19,19 +20,17 @@ import argparse
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.spatial import cKDTree
 
 import sensorgraph as sg
 from benchmarks.localize_in_map import Halves, halves, said
+from benchmarks.odometry_errors import Drive, Motion
 from benchmarks.particle_filter import driven, followed
-from logs import pair
-from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import wrap
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
 from sensorgraph.exporting.amcl_filter import (
     LASER_MODELS,
@@ -41,62 +40,34 @@ from sensorgraph.exporting.amcl_filter import (
     mean_pose,
     updates,
 )
+from sensorgraph.exporting.amcl_filter import filtered as follow_amcl
 from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.crossed_cells import crossed_cells
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.likelihood import information_share
+from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.show.figures.style import new_figure, save_figure
 from sensorgraph.world.identified_arena import arena_of
 
 Floats = NDArray[np.float64]
-Likelihood = Callable[[int, Floats], Floats]
-"""Log-likelihood (n,) of a scan, given by index, for particles (n, 3)."""
 N_RAYS = 60
 """Number of rays of a scan that count, as many as AMCL's."""
-KERNEL = 0.3
-"""Width of the kernel of new particles, in standard deviations of the particles."""
-FREEDOM = 4
-"""Degrees of freedom of Student's distribution of the motion noise."""
-N_GLOBAL, N_AFTER, N_STARTS = 4000, 400, 5
-"""Number of particles of a global start, of its later updates, and of starts."""
+N_GROUPS, ORDER = 8, (0, 4, 2, 6, 1, 5, 3, 7)
+"""Number of groups of rays, and their order."""
+N_NEIGHBOURS, KERNEL, TURN_SCALE = 8, 0.5, 2.0
+"""Number of neighbours of a particle, share of the difference of two that moves it, and metres that one radian counts."""
+NEAR = 0.25, 0.25, 0.1
+"""[m, m, rad] Standard deviations of particles up to which their likelihoods are tabulated."""
+LEAST, MOST = 200, 1000
+"""Limits of the number of particles."""
+BIN, KLD = np.array([0.2, 0.2, np.radians(6.0)]), (0.05, 2.33)
+"""[m, m, rad] Sizes of the bins of KLD-sampling; its largest divergence, and quantile of 99 % (Nav2's pf_err and pf_z)."""
+N_GLOBAL, N_FIRST, N_STARTS = (2000, 20_000), 10, 5
+"""Numbers of particles of a global start; number of its updates, and of starts."""
 CONVERGED = 0.5
 """[m] Largest error of a filter that has converged."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionNoise:
-    """Noise of the odometry between two updates, in the frame of the robot."""
-
-    coefficients: Floats
-    """(3, 3) Variance of x, y and phi = coefficients · (1e-4, distance² [m²], turn² [rad²])."""
-
-    @classmethod
-    def fit(cls, run: Run) -> MotionNoise:
-        """Fit the variances to the steps of a located run by weighted least squares; the largest 2 % are cut."""
-        odometry, poses = driven(run), pair(run).poses
-        first = int(np.flatnonzero(np.isfinite(poses[:, 0]))[0])
-        at = np.array([first + k for k in updates(odometry[first:])])
-        steps = compose(invert(odometry[at[:-1]]), odometry[at[1:]])
-        errors = compose(invert(steps), compose(invert(poses[at[:-1]]), poses[at[1:]]))
-        known = np.isfinite(errors).all(axis=1)
-        rows, squares = cls.features(steps[known]), errors[known] ** 2
-        found = []
-        for y in np.minimum(squares, np.quantile(squares, 0.98, axis=0)).T:
-            variance = np.full(len(y), y.mean())
-            for _ in range(10):
-                solution = nnls(rows / variance[:, None], y / variance)[0]
-                variance = rows @ solution + 1e-8
-            found.append(solution)
-        return cls(coefficients=np.array(found))
-
-    @staticmethod
-    def features(steps: Floats) -> Floats:
-        """Return the features (n, 3) of steps (n, 3)."""
-        return np.column_stack([np.full(len(steps), 1e-4), (steps[:, :2] ** 2).sum(axis=1), steps[:, 2] ** 2])
-
-    def moved(self, particles: Floats, step: Floats, rng: np.random.Generator) -> Floats:
-        """Return particles (n, 3) after a step (3,) of the odometry."""
-        sigma = np.sqrt(self.coefficients @ self.features(step[None])[0])
-        noise = rng.standard_t(FREEDOM, size=particles.shape) * np.sqrt((FREEDOM - 2) / FREEDOM)
-        return np.asarray(compose(particles, compose(step, noise * sigma)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +78,8 @@ class Posterior:
     covariances: Floats
     seconds: float
     """[s] of CPU"""
-    n_updates: int
+    counts: NDArray[np.intp]
+    """(n_updates,) Number of particles."""
 
 
 def moments(particles: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
@@ -118,86 +90,135 @@ def moments(particles: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]
     return mean, off, (weights[:, None] * off).T @ off
 
 
+def spread_of(particles: Floats) -> Floats:
+    """Return the standard deviations (3,) of particles (n, 3)."""
+    _, _, covariance = moments(particles, np.full(len(particles), 1.0 / len(particles)))
+    return np.asarray(np.sqrt(np.diag(covariance)))
+
+
 def tempered(log_likelihood: Floats, exponent: float) -> Floats:
     """Return weights that sum to 1."""
     weights = np.exp(exponent * (log_likelihood - log_likelihood.max()))
     return np.asarray(weights / weights.sum())
 
 
-def updated(
-    particles: Floats, likelihood: Callable[[Floats], Floats], rng: np.random.Generator, *, is_local: bool = True
-) -> Floats:  # fmt: skip
+class ScanLikelihood:
+    """Log-likelihood of one scan for particles: tabulated where they are near each other, else cast for each particle."""
+
+    def __init__(self, graph: Sensorgraph, scan: Floats, rays: NDArray[np.intp]) -> None:
+        self.graph, self.scan, self.rays = graph, scan, rays
+        self.near: NearbyLikelihood | None = None
+        bearings = graph.sensor.bearings[rays]
+        ends = scan[rays, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+        self.share = 1.0 if graph.memory is None else float(information_share(graph.memory, ends[None])[0])
+
+    def is_near(self, particles: Floats) -> bool:
+        """Return whether the particles are near enough to each other for tables."""
+        return bool((spread_of(particles) <= NEAR).all())
+
+    def of(self, particles: Floats, some: NDArray[np.intp]) -> Floats:
+        """Return the log-likelihood (n,) of the rays at positions `some` among all that count."""
+        spread = spread_of(particles)
+        if not self.is_near(particles):
+            found = self.graph.log_likelihood(self.scan, particles, rays=self.rays[some], correlated=False)
+            return np.asarray(self.share * found)
+        if self.near is None or (self.near.is_coarse and (spread < 0.5 * self.spread).any()):
+            self.near, self.spread = self.graph.near(self.scan, particles, rays=self.rays), spread
+        return self.near.log_likelihood(particles, some)
+
+
+def updated(particles: Floats, likelihood: ScanLikelihood, rng: np.random.Generator) -> Floats:
     """Return particles of the posterior, from those of the prior, by annealed importance sampling.
 
-    `is_local` False: the kernel keeps each particle near its own place, for priors with several modes.
+    Groups of rays come one after the other, the first ones far from each other. The exponent of a group grows in steps that
+    keep half of the particles effective. A drawn particle moves by the difference of two of its neighbours, which keeps
+    the shape of each of several modes.
     """
-    n, done = len(particles), 0.0
-    while done < 1.0:
-        found = likelihood(particles)
-        low, step = 0.0, 1.0 - done
-        while step - low > 1e-3 * step and (tempered(found, step) ** 2).sum() > 2.0 / n:
-            middle = 0.5 * (low + step)
-            if (tempered(found, middle) ** 2).sum() > 2.0 / n:
-                step = middle
-            else:
-                low = middle
-        done += step
-        weights = tempered(found, step)
-        at = drawn(weights, rng)
-        if is_local:
-            mean, off, covariance = moments(particles, weights)
-            noise = rng.multivariate_normal(np.zeros(3), covariance + 1e-12 * np.eye(3), size=n)
-            particles = mean + np.sqrt(1.0 - KERNEL**2) * off[at] + KERNEL * noise
-        else:
-            particles = particles[at] + (1.0 - done) * rng.normal(size=(n, 3)) * [0.2, 0.2, 0.1]
+    n, scale = len(particles), np.array([1.0, 1.0, TURN_SCALE])
+    for first in range(N_GROUPS):
+        if first == N_GROUPS // 2 and not likelihood.is_near(particles):
+            break  # the other half of the rays would say as little, and casts for each particle take long
+        some, done = np.arange(ORDER[first], len(likelihood.rays), N_GROUPS), 0.0
+        while done < 1.0:
+            found = likelihood.of(particles, some)
+            low, step = 0.0, 1.0 - done
+            while step - low > 1e-2 * step and (tempered(found, step) ** 2).sum() > 2.0 / n:
+                middle = 0.5 * (low + step)
+                low, step = (
+                    (low, middle) if (tempered(found, middle) ** 2).sum() > 2.0 / n else (middle, step)
+                )
+            done += step
+            at = drawn(tempered(found, step), rng)
+            _, neighbours = cKDTree(particles * scale).query(particles * scale, k=N_NEIGHBOURS + 1)
+            two = neighbours[at][np.arange(n), rng.integers(1, N_NEIGHBOURS + 1, (2, n))]
+            difference = particles[two[0]] - particles[two[1]]
+            difference[:, 2] = wrap(difference[:, 2])
+            particles = particles[at] + KERNEL * difference
+            if n > LEAST:  # fewer suffice for a narrower posterior
+                n = min(n, number_of(particles))
+                particles = rng.permutation(particles)[:n]
     return particles
 
 
+def number_of(particles: Floats) -> int:
+    """Return how many particles represent the places of these (n, 3), by KLD-sampling (Fox 2003)."""
+    bins = len(np.unique(np.floor(particles / BIN), axis=0)) - 1
+    if bins < 1:
+        return LEAST
+    part = 2.0 / (9.0 * bins)
+    wanted = bins / (2.0 * KLD[0]) * (1.0 - part + np.sqrt(part) * KLD[1]) ** 3
+    return int(np.clip(wanted, LEAST, MOST))
+
+
 def filtered(
-    likelihood: Likelihood, noise: MotionNoise, data: Halves, n: int, rng: np.random.Generator
-) -> Posterior:
-    """Follow the second half from where it starts."""
-    truth, odometry = data.truth, driven(data.second)
-    last = first = int(np.flatnonzero(np.isfinite(truth[:, 0]))[0])
-    particles = truth[first] + rng.normal(size=(n, 3)) * START_SPREAD
-    poses, covariances = np.full_like(truth, np.nan), np.full((len(truth), 3, 3), np.nan)
-    began, count = time.process_time(), 0
-    for k in updates(odometry[first:]):
+    graph: Sensorgraph, motion: Motion, data: Halves, particles: Floats, first: int, n_updates: int | None,
+    rng: np.random.Generator,
+) -> Posterior:  # fmt: skip
+    """Follow the second half from the particles at scan `first`; `n_updates` None: to its end."""
+    drive = Drive.of(data.second)
+    rays = np.unique(np.linspace(0, data.second.sensor.n_rays - 1, N_RAYS).astype(int))
+    poses, covariances = np.full_like(data.truth, np.nan), np.full((len(data.truth), 3, 3), np.nan)
+    last, counts, began = first, [], time.process_time()
+    for k in [0, *updates(drive.odometry[first:])][:n_updates]:
         scan = first + k
-        particles = noise.moved(particles, compose(invert(odometry[last]), odometry[scan]), rng)
-        particles = updated(particles, partial(likelihood, scan), rng)
+        if scan != last:
+            particles = particles[rng.integers(len(particles), size=MOST)]
+            particles = motion.moved(particles, drive, (last, scan), rng)
+            particles = particles[: number_of(particles)]
+        particles = updated(particles, ScanLikelihood(graph, data.second.ranges[scan], rays), rng)
+        n, last = len(particles), scan
         poses[scan], _, covariances[scan] = moments(particles, np.full(n, 1.0 / n))
-        last, count = scan, count + 1
-    return Posterior(
-        poses=poses, covariances=covariances, seconds=time.process_time() - began, n_updates=count
+        counts.append(n)
+    seconds = time.process_time() - began
+    return Posterior(poses=poses, covariances=covariances, seconds=seconds, counts=np.array(counts))
+
+
+def anywhere(graph: Sensorgraph, n: int, rng: np.random.Generator) -> Floats:
+    """Return n poses in the space that the training rays crossed."""
+    model = graph.model
+    assert isinstance(model, Faces | CellModel)
+    corner, side, known = crossed_cells(model)
+    cells = np.argwhere(known)[rng.integers(known.sum(), size=n)]
+    return np.column_stack(
+        [corner + (cells + rng.uniform(size=(n, 2))) * side, rng.uniform(-np.pi, np.pi, n)]
     )
 
 
 def converged(
-    likelihood: Likelihood, noise: MotionNoise, data: Halves, rng: np.random.Generator
+    follow: Callable[[Floats, int], Floats],
+    graph: Sensorgraph,
+    data: Halves,
+    n: int,
+    rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Return the share of global starts that find the robot within 10 updates, and the mean number of updates."""
-    truth, odometry = data.truth, driven(data.second)
-    usable = np.flatnonzero(data.covered & np.isfinite(truth[:, 0]))
-    low, high = truth[usable, :2].min(axis=0) - 2.0, truth[usable, :2].max(axis=0) + 2.0
-    needed = []
+    """Return the share of global starts that have found the robot after `N_FIRST` updates, and the seconds of each."""
+    usable = np.flatnonzero(data.covered & np.isfinite(data.truth[:, 0]))
+    found, began = [], time.process_time()
     for first in usable[np.linspace(0, 0.9 * len(usable), N_STARTS).astype(int)]:
-        particles = np.column_stack(
-            [rng.uniform(low, high, (N_GLOBAL, 2)), rng.uniform(-np.pi, np.pi, N_GLOBAL)]
-        )
-        last, found = first, np.inf
-        for count, k in enumerate([0, *list(updates(odometry[first:]))[:9]]):
-            scan = first + k
-            particles = noise.moved(particles, compose(invert(odometry[last]), odometry[scan]), rng)
-            particles = updated(particles, partial(likelihood, scan), rng, is_local=False)
-            particles, last = particles[:: max(1, len(particles) // N_AFTER)], scan
-            if np.hypot(*(np.median(particles[:, :2], axis=0) - truth[scan, :2])) < CONVERGED:
-                found = min(found, count + 1)
-            else:
-                found = np.inf
-        needed.append(found)
-    done = np.isfinite(needed)
-    return float(done.mean()), float(np.mean(np.array(needed)[done])) if done.any() else np.nan
+        poses = follow(anywhere(graph, n, rng), int(first))
+        last = np.flatnonzero(np.isfinite(poses[:, 0]))[-1]
+        found.append(np.hypot(*(poses[last, :2] - data.truth[last, :2])) < CONVERGED)
+    return float(np.mean(found)), (time.process_time() - began) / N_STARTS
 
 
 def nees(found: Posterior, data: Halves) -> float:
@@ -256,6 +277,37 @@ def print_amcl(
             )
 
 
+def print_starts(
+    data: Halves,
+    graph: Sensorgraph,
+    motion: Motion,
+    numbers: Mapping[str, float],
+    field: CellDistances,
+    fitted: str,
+) -> None:
+    """Print how often filters find the robot that are not told where it starts."""
+    drive, second = driven(data.second), data.second
+
+    def by_graph(particles: Floats, first: int) -> Floats:
+        return filtered(graph, motion, data, particles, first, N_FIRST, np.random.default_rng(first)).poses
+
+    def by_amcl(particles: Floats, first: int) -> Floats:
+        last = first + [0, *updates(drive[first:])][:N_FIRST][-1] + 1
+        poses = follow_amcl(
+            drive[first:last], second.ranges[first:last], second.sensor, particles, field, numbers,
+            rng=np.random.default_rng(first), laser_model=fitted,
+        )  # fmt: skip
+        return np.concatenate([np.full((first, 3), np.nan), poses])
+
+    for n in N_GLOBAL:
+        for name, follow in (("AMCL, fitted", by_amcl), ("graph", by_graph)):
+            share, seconds = converged(follow, graph, data, n, np.random.default_rng(0))
+            print(
+                f"{name}, {n} particles anywhere: {100 * share:.0f} % found after {N_FIRST} updates; {seconds:.1f} s",
+                flush=True,
+            )
+
+
 def main() -> None:
     """Print the errors of each filter."""
     parser = argparse.ArgumentParser(
@@ -263,7 +315,6 @@ def main() -> None:
     )
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, default=Path("runs/in_map"))
-    parser.add_argument("--particles", type=int, nargs="+", default=[200])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--global-start", action="store_true", help="also starts without a pose")
     parser.add_argument("--picture", type=Path)
@@ -273,36 +324,30 @@ def main() -> None:
     grid = map_of(arena)
     numbers = chosen(estimate_amcl(data.first, arena, grid))
     compared = compare_laser_models(data.first, grid, numbers)
-    field = CellDistances.of(grid)
-    print_amcl(data, numbers, field, compared.name if compared else LASER_MODELS[0], given.seeds)
+    field, fitted = CellDistances.of(grid), compared.name if compared else LASER_MODELS[0]
+    print_amcl(data, numbers, field, fitted, given.seeds)
     path = given.work / f"{given.log.name}.first_memory.sensorgraph"
     if not path.exists():
         sg.build(data.first, calibrate=False, memory=True).save(path)
     graph = sg.Sensorgraph.load(path)
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
-    noise = MotionNoise.fit(data.first)
-    rays = np.unique(np.linspace(0, data.second.sensor.n_rays - 1, N_RAYS).astype(int))
-
-    def likelihood(scan: int, particles: Floats) -> Floats:
-        return graph.log_likelihood(data.second.ranges[scan], particles, rays=rays)
-
-    for n in given.particles:
-        for seed in range(given.seeds):
-            found = filtered(likelihood, noise, data, n, np.random.default_rng(seed))
-            done = np.isfinite(found.poses[:, 0]) & data.covered
-            print(
-                f"graph, {n} particles, seed {seed}: {said(found.poses[done], data.truth[done])}; "
-                f"NEES {nees(found, data):.2f}; {found.n_updates / found.seconds:.1f} updates/s",
-                flush=True,
-            )
+    motion = Motion.fit(data.first)
+    first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
+    for seed in range(given.seeds):
+        rng = np.random.default_rng(seed)
+        start = data.truth[first] + rng.normal(size=(MOST, 3)) * START_SPREAD
+        found = filtered(graph, motion, data, start, first, None, rng)
+        done = np.isfinite(found.poses[:, 0]) & data.covered
+        print(
+            f"graph, {found.counts.mean():.0f} particles (median {np.median(found.counts):.0f}), seed {seed}: "
+            f"{said(found.poses[done], data.truth[done])}; NEES {nees(found, data):.2f}; "
+            f"{len(found.counts) / found.seconds:.1f} updates/s",
+            flush=True,
+        )
     if given.picture:
         picture(found, data, graph, given.picture)
     if given.global_start:
-        share, count = converged(likelihood, noise, data, np.random.default_rng(0))
-        print(
-            f"graph, {N_GLOBAL} particles without a start, then {N_AFTER}: "
-            f"{100 * share:.0f} % found, after {count:.1f} updates"
-        )
+        print_starts(data, graph, motion, numbers, field, fitted)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.thin_rays import noise_of_poses
 from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.sensor_model import (
     GraphRays,
     Unanswered,
@@ -29,6 +30,7 @@ from sensorgraph.sensor_model import (
     check_readings,
     each_ray,
     likelihood_of,
+    near_of,
     sample_of,
     warn_of_sweep,
 )
@@ -130,6 +132,23 @@ class Sensorgraph:
         return likelihood_of(
             self, readings, where, index, correlated=correlated, per_ray=per_ray, unanswered=unanswered
         )
+
+    def near(
+        self, ranges: ArrayLike, poses: ArrayLike, *, rays: Sequence[int] | NDArray[np.integer] | None = None,
+        correlated: bool = True, unanswered: Unanswered = "broad",
+    ) -> NearbyLikelihood:  # fmt: skip
+        """Tabulate `log_likelihood` of one scan (n_rays,) [m] around poses near each other, as the particles of a filter.
+
+        A few casts of each ray serve all poses (n_poses, 3), which span the tables; within 0.3 m the error is small. The
+        options are those of `log_likelihood`.
+
+        Raises
+        ------
+        SensorgraphError : As for `log_likelihood`, or the rays start at several points.
+        """
+        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        readings = check_readings(ranges, 1, index, self.sensor)
+        return near_of(self, readings, where, index, correlated=correlated, unanswered=unanswered)
 
     def sample(
         self,

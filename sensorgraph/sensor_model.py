@@ -28,6 +28,7 @@ from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import MIN_DENSITY, information_share
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.nearby_likelihood import NearbyLikelihood, tabulated
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import apply_range_limits
 
@@ -121,8 +122,7 @@ def likelihood_of(
     unanswered: Unanswered,
 ) -> Floats:
     """Compute `Sensorgraph.log_likelihood`; ranges (n_poses or 1, n_rays) [m], poses as the module describes."""
-    if unanswered not in UNANSWERED:
-        raise SensorgraphError(f"unanswered is {unanswered!r}, expected {' or '.join(UNANSWERED)}")
+    _check_choice(unanswered)
     found, supported = _of_rays(graph, ranges, poses, rays)
     known = ~np.isnan(np.broadcast_to(ranges, found.shape))
     if unanswered == "broad":
@@ -133,13 +133,40 @@ def likelihood_of(
         counts = known & supported
     if not supported.any():
         _check_place(graph, poses)
-    share = np.ones(len(ranges))
-    if correlated and graph.memory is None:
-        _warn_of_missing_memory()
-    elif correlated and graph.memory is not None:
-        share = information_share(graph.memory, _ends_in_laser(ranges, graph.sensor, rays))
-    found *= share[:, None]
+    found *= _shares(graph, ranges, rays, correlated=correlated)[:, None]
     return found if per_ray else np.where(counts, found, 0.0).sum(axis=1)
+
+
+def near_of(
+    graph: Graph, ranges: Floats, poses: Floats, rays: Ints, *, correlated: bool, unanswered: Unanswered
+) -> NearbyLikelihood:
+    """Compute `Sensorgraph.near`; ranges (1, n_rays) [m], poses (n_poses, 3)."""
+    _check_choice(unanswered)
+    if poses.ndim == 3:
+        raise SensorgraphError(
+            "near takes one pose for all rays of a scan, which start at one point; use log_likelihood"
+        )
+    if graph.sensor.scan_duration > 0:
+        warn_of_sweep(graph.sensor.scan_duration)
+    broad = _broad(ranges, graph.sensor)[0] if unanswered == "broad" else np.zeros(len(rays))
+    share = float(_shares(graph, ranges, rays, correlated=correlated)[0])
+    mount = graph.lasers(np.zeros((1, 3)))[0]
+    return tabulated(graph.model, graph.sensor.bearings, mount, ranges[0], poses, rays, broad, share)
+
+
+def _shares(graph: Graph, ranges: Floats, rays: Ints, *, correlated: bool) -> Floats:
+    """Return the share (len(ranges),) of independent readings in each scan, 1 without a memory."""
+    if correlated and graph.memory is not None:
+        return information_share(graph.memory, _ends_in_laser(ranges, graph.sensor, rays))
+    if correlated:
+        _warn_of_missing_memory()
+    return np.ones(len(ranges))
+
+
+def _check_choice(unanswered: str) -> None:
+    """Refuse an unknown choice of what unanswered rays count."""
+    if unanswered not in UNANSWERED:
+        raise SensorgraphError(f"unanswered is {unanswered!r}, expected {' or '.join(UNANSWERED)}")
 
 
 def _of_rays(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:

@@ -219,6 +219,34 @@ def test_sum_of_rays_and_threads_and_one_pose_for_each_ray_agree(graphs: dict[st
     np.testing.assert_allclose(some, each[:5, [3, 9]].sum(axis=1))
 
 
+@pytest.mark.parametrize("name", ["faces", "cells", "polynomial"])
+def test_tables_around_one_pose_hold_its_likelihood(graphs: dict[str, Sensorgraph], name: str) -> None:
+    graph, pose = graphs[name], np.array([[1.2, 1.4, 0.7]])
+    scan = graph.predict(pose).ranges[0]
+    scan[[3, 9, 20]] = np.inf, np.nan, -np.inf
+    near = graph.near(scan, pose, unanswered="skip")
+    each = graph.log_likelihood(scan, pose, per_ray=True, unanswered="skip")[0]
+    each[9] = 0.0  # a broken reading counts nothing
+    for ray in range(graph.sensor.n_rays):
+        assert near.log_likelihood(pose, np.array([ray]))[0] == pytest.approx(each[ray], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["faces", "cells"])
+def test_tables_rank_near_poses_as_casts_do(
+    graphs: dict[str, Sensorgraph], room: Arena, sensor: RangeSensor, name: str
+) -> None:
+    rng = np.random.default_rng(10)
+    pose = np.array([1.2, 1.4, 3.1])  # headings on both sides of pi
+    scan = measured(room, sensor, pose[None], rng)[0]
+    poses = pose + rng.normal(size=(200, 3)) * [0.03, 0.03, 0.02]
+    found, exact = (
+        function(scan, poses, correlated=False)
+        for function in (lambda *a, **k: graphs[name].near(*a, **k).log_likelihood(poses), graphs[name].log_likelihood)
+    )  # fmt: skip
+    assert np.corrcoef(found, exact)[0, 1] > 0.98
+    assert np.std(found - exact) < 0.2 * np.std(exact)
+
+
 def test_unanswered_rays_count_broad_or_not_at_all(graphs: dict[str, Sensorgraph]) -> None:
     graph = graphs["faces"]
     outside = np.array([[3.6, 0.5, 0.0], [1.0, 1.0, 0.0], [20.0, 0.0, 0.0]])

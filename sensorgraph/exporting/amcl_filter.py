@@ -87,10 +87,10 @@ def filtered(
     ----------
     odometry : (n, 3) [m, m, rad] Odometry at the scans.
     ranges : (n, n_rays) [m]
-    start : (3,) Pose at the first scan.
+    start : (3,) Pose at the first scan, or (n_particles, 3): the particles there.
     parameters : Parameters by their names in Nav2.
     """
-    particles = start + rng.normal(size=(n_particles, 3)) * START_SPREAD
+    particles = start if start.ndim == 2 else start + rng.normal(size=(n_particles, 3)) * START_SPREAD
     table, out, last = field.table(parameters, laser_model), np.full((len(odometry), 3), np.nan), 0
     rays = np.arange(0, sensor.n_rays, max((sensor.n_rays - 1) // (MAX_BEAMS - 1), 1))
     top = min(parameters["laser_max_range"], sensor.range_max - sensor.resolution)

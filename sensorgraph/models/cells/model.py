@@ -115,14 +115,9 @@ class CellModel:
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
         return cls(
-            sensor=scans.sensor,
-            mount=mount,
-            table=table,
-            beta=beta,
-            reliability=reliability,
-            nothing=none / max(far, 1),
-            counts=counts,
-        )
+            sensor=scans.sensor, mount=mount, table=table, beta=beta, reliability=reliability,
+            nothing=none / max(far, 1), counts=counts,
+        )  # fmt: skip
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
@@ -143,7 +138,7 @@ class CellModel:
             self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays]
         )
         reliability = self.reliability[which_of("mode")]
-        scale_all_weights(means, weights, widths, survival, self.table.reach, reliability)
+        scale_all_weights(means, weights, widths, self.table.reach, reliability)
         none = survival * self.nothing
         total = np.maximum(weights.sum(axis=2) + none, 1e-300)
         return Mixture(
@@ -156,7 +151,13 @@ class CellModel:
 
     def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
         """Return log-likelihoods (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], and which rays data support."""
-        out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)
+        out, supported = self.log_likelihoods(ranges[..., None], poses, rays)
+        return out[..., 0], supported
+
+    def log_likelihoods(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+        """Compute `log_likelihood` of several readings of each ray: (n_poses or 1, n_rays, n_readings) [m]."""
+        supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
+        out = np.empty((*supported.shape, ranges.shape[2]))
         longest = max(self.sensor.range_max - self.table.reach, self.table.cell)
         fill_log_likelihoods(
             laser_poses(poses, self.mount), self.sensor.bearings[rays], self.table,

@@ -39,6 +39,10 @@ RATES = np.concatenate([[0.0], np.geomspace(*MARCH.rates, MARCH.n_rates)])
 """[1/m] Rate of stops for each code."""
 
 
+MAX_SERIES = 1e-3
+"""Largest x at which three terms of the series of 1 - exp(-x) suffice; the relative error is below 1e-10."""
+
+
 class CellTable(NamedTuple):
     """Lookup table of the march; row -1 of each array is an unobserved cell."""
 
@@ -187,7 +191,8 @@ def stop_candidates(
             row = table.rows[i, j]
         chord = ends[k] - before
         rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # shorter ranges are not used
-        chance = survival * -math.expm1(-rate * chord)
+        x = rate * chord
+        chance = survival * (x * (1.0 - x * (0.5 - x / 6.0)) if x < MAX_SERIES else -math.expm1(-x))
         middle = 0.5 * (before + ends[k])
         survival -= chance
         is_small = chance < MAX_MERGED
