@@ -37,7 +37,7 @@ def calibrated(p: float, reliability: Floats) -> float:
     k = 1
     while k < len(KNOTS) - 1 and p > KNOTS[k]:
         k += 1
-    share = (p - KNOTS[k - 1]) / (KNOTS[k] - KNOTS[k - 1])
+    share = float((p - KNOTS[k - 1]) / (KNOTS[k] - KNOTS[k - 1]))
     low, high = float(reliability[k - 1]), float(reliability[k])
     return low + min(max(share, 0.0), 1.0) * (high - low)
 
