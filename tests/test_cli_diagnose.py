@@ -73,8 +73,12 @@ def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert cli(["diagnose", str(folder / "run.mcap"), str(folder / "second.mcap"), "-o", str(out)]) == 0
-    assert "range bias" in capsys.readouterr().out
+    runs = [str(folder / "run.mcap"), str(folder / "second.mcap")]
+    assert cli(["diagnose", *runs, "-o", str(out), "--why", "range_bias"]) == 0
+    said = capsys.readouterr().out
+    assert "range bias" in said and "of 35 effects are not observable in this run" in said
+    assert cli(["why", str(out), "range_bias"]) == 0
+    assert said.endswith(f"\n\n{capsys.readouterr().out}")  # the paragraph comes last
     report = json.loads((out / "report.json").read_text())
     (bias,) = [e for e in report["effects"] if e["name"] == "range_bias"]
     assert abs(bias["parameters"]["b"] - 0.04) < 0.006
@@ -238,6 +242,7 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
         (["missing.mcap"], "missing.mcap"),
         (["run.mcap", "--arena", "nowhere"], "nowhere does not exist"),
         (["run.mcap", "--robot", "missing.yaml"], "missing.yaml"),
+        (["missing.mcap", "--why", "glas"], "did you mean glass?"),  # before any file is read
         (["run.mcap", "second.mcap", "run.mcap"], "expected one, or two"),
         (["run.mcap", "--effects", "robot.yaml"], "robot.yaml"),
         (

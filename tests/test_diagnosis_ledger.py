@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,8 @@ from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
 from sensorgraph.diagnosis.engine.why import paragraph, why
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.ledger import FAMILIES_OF_CHANNEL, ledger_of
+from sensorgraph.diagnosis.ledger import FAMILIES_OF_CHANNEL, ledger_of, not_observable
+from sensorgraph.diagnosis.report.considered import considered_section, unobservable_line
 from sensorgraph.diagnosis.report.data import plain, to_dict
 from sensorgraph.diagnosis.report.files import save_report
 from sensorgraph.diagnosis.result import ChannelResult, Rival, Withdrawn
@@ -165,6 +167,20 @@ def test_wheels_and_motors_are_explained_too() -> None:
     assert len(tested) > 20 and all(one.price is not None for one in tested)
     text = json.dumps(plain(ledger.to_list()), allow_nan=False)
     assert Ledger.from_list(json.loads(text)) == ledger
+
+
+def test_page_and_terminal_say_what_was_considered_and_what_could_not_be_shown(found: Finding) -> None:
+    section = considered_section(found.ledger)
+    rows = re.findall(r"<tr class='(\w+)'>.*?<code>(\w+)</code>", section)
+    assert sorted(name for _, name in rows) == sorted(found.ledger.names)  # each once, most of them folded
+    assert rows[0] == ("named", "range_bias")
+    folded = dict(re.findall(r"<summary>(\d+) ([^<]+)</summary>", section))
+    hidden = not_observable(found.ledger)
+    assert str(len(hidden)) in folded
+    skipped = [name for name, effect in EFFECTS.items() if found.channels[effect.channel].skipped]
+    line = unobservable_line(found)
+    assert line.startswith(f"{len(hidden) + len(skipped)} of {len(EFFECTS)} effects are not observable")
+    assert all(one.title in line for one in hidden)
 
 
 def test_command_explains_a_kept_report(

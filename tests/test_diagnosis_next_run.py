@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import polygon_arena
 
 from planners.arena import Arena
 from planners.check import check
@@ -24,6 +25,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     planned_scans,
 )
 from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
+from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
 from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
@@ -191,6 +193,16 @@ def test_without_a_rival_what_was_not_observable_is_asked_for() -> None:
     del hidden["latency"]
     (question,) = open_questions(ChannelResult(channel="scan", not_observable=hidden), [], [])
     assert (question.truth[-1].name, question.truth[-1].place) == ("glass", "room/edge_2")
+
+
+def test_what_no_drive_in_the_room_can_show_is_not_asked_for() -> None:
+    """A plane that dips by 3 degrees meets the floor at 5.7 m, which a room of 4 m never shows."""
+    hidden = {"tilt": "few rays ahead exceed 5.7 m", "min_range": "no return from nearer than 0.40 m"}
+    result = ChannelResult(channel="scan", not_observable=hidden)
+    for side, names in ((4.0, ["min_range"]), (20.0, ["tilt", "min_range"])):
+        square = polygon_arena([(0, 0), (side, 0), (side, side), (0, side)])
+        room = RoomExposure(square, default_robot())
+        assert [q.truth[-1].name for q in open_questions(result, [], [], room.can_show)] == names
 
 
 def test_there_is_always_a_question() -> None:
