@@ -45,14 +45,18 @@ def accepted_entry(a: Amendment, threshold: float, price: float, size: Simulatio
     size : Error of a simulation without it.
     """
     facts = Facts(has_name=True, accepted=True, evidence=a.evidence, threshold=threshold)
-    limits = a.effect(**a.effect.sizes)
-    least = ", ".join(quantity(limits, name).lstrip("+") for name in limits.parameters)
     return replace(
         effect_entry(a, facts, price=price),
         size=size.to_dict(),
         consequence=size.sentence(),
-        remark=f"its size is not surely material (at least {least})",
+        remark=f"its size is not surely material (at least {least_size(a.effect)})",
     )
+
+
+def least_size(effect: Effect) -> str:
+    """Return the materiality of an effect in words; empty if it has no size."""
+    limits = effect(**effect.sizes)
+    return ", ".join(quantity(limits, name).lstrip("+") for name in limits.parameters)
 
 
 def needs_of(effect: Effect) -> str:

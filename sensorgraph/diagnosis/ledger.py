@@ -8,7 +8,7 @@ from dataclasses import replace
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict
 from sensorgraph.diagnosis.engine.why import check_known
-from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, needs_of
+from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.families import FAMILIES
@@ -79,6 +79,8 @@ def _accepted(result: ChannelResult) -> Iterator[Entry]:
             is_open = any(a is one for one in result.undecided)
             lead = abs((a.evidence or 0.0) - rival.evidence_nats)
             facts = replace(facts, lead=lead, required_lead=rival.required_nats if is_open else 0.0)
+        if not facts.is_material and a.effect.sizes:
+            entry = replace(entry, needs=f"a size of at least {least_size(a.effect)}")
         yield replace(entry, facts=facts, rival=entry.rival if rival is None else competitor(rival))
 
 
@@ -131,8 +133,11 @@ def _untested(result: ChannelResult, name: str, title: str) -> Entry:
 
 def _judged(result: ChannelResult, family: Entry) -> Entry:
     """Return a family with an objection if the channel reports another difference, or none, instead."""
-    is_told = result.unknown is not None and result.unknown.family == family.name
-    if is_told or family.verdict is not Verdict.UNKNOWN:
+    unknown = result.unknown
+    if unknown is not None and unknown.family == family.name:
+        causes = "; or ".join(unknown.families)
+        return replace(family, needs=f"which of these is the cause: {causes}" if causes else "")
+    if family.verdict is not Verdict.UNKNOWN:
         return family
     return replace(
         family, facts=replace(family.facts, objection="the same difference is explained otherwise")

@@ -11,6 +11,7 @@ from scipy.special import expit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown, Withdrawn
+from sensorgraph.diagnosis.scan.families import FAMILIES
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.materiality import changes_too_few, is_map_error, required_ratio
@@ -32,7 +33,6 @@ AT_MOST = 0.99
 """Share of the maximum scale of map and poses, above which they count as widened to the limit."""
 CANCELS = 4.0
 """Minimum ratio of a clock offset to its standard error; below it, a dead time may cancel it by chance."""
-DOUBTED = "a difference that no effect explains may imitate it"
 IMITATED = "the mean error of a reference that drifts may imitate it"
 PART_OF_UNKNOWN = "it may be a part of a difference that no effect explains"
 """Reasons why an effect with sufficient evidence is not named."""
@@ -103,7 +103,7 @@ def name_scan_effects(
         effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
         withdrawn=tuple(
-            Withdrawn(amendment=complete[i], why=IMITATED if i in imitated else DOUBTED)
+            Withdrawn(amendment=complete[i], why=IMITATED if i in imitated else _why_doubted(explained, fit))
             for i in sorted(imitated | doubted)
         ),
         not_observable={
@@ -237,6 +237,15 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
     if fit.is_of_building:
         share = naming.max_building_share
     return fit.is_doubted and fit.misfit > share * explained.gains[index]
+
+
+def _why_doubted(explained: Explained, fit: GoodnessOfFit) -> str:
+    """Return why effects lose their names (`is_doubted`)."""
+    if _fits_nowhere(explained.final):
+        return "map and reference poses are both far less accurate than specified"
+    if not fit.is_doubted:
+        return "it is a fringe of the readings of another effect, or a bulge of a wall"
+    return f"it may be a part of what no effect explains: {FAMILIES.get(fit.family, fit.statement)}"
 
 
 def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:

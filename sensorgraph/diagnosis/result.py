@@ -11,6 +11,9 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
 
+BOTH_SIDES = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}
+"""Motion channel -> the two signals that it compares."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
@@ -39,7 +42,7 @@ class Deviation:
     def sentence(self) -> str:
         """Return the deviation in words."""
         if self.channel != "scan":
-            who = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}[self.channel]
+            who = BOTH_SIDES[self.channel]
             how = (
                 f"in the test by {self.partition}: {self.label}" if self.evidence_nats is None else self.label
             )

@@ -70,20 +70,19 @@ def _best(entry: Entry) -> str:
 
 
 def _evidence(entry: Entry) -> str:
-    """Return the evidence with its price and the threshold."""
+    """Return the evidence with its threshold, unless the reason states them, and its price."""
     facts = entry.facts
     if facts.evidence is None:
         return "There is no evidence about it."
-    price = (
-        ""
-        if entry.price is None
-        else f", after a price of {nats(entry.price)} for its parameters and its place"
-    )
-    needed = f"; {nats(facts.threshold)} are needed" if facts.threshold > 0 else ""
-    alone = ""
+    paid = "" if entry.price is None else f"a price of {nats(entry.price)} for its parameters and its place"
+    if f"its evidence is {nats(facts.evidence)}" in entry.reason:
+        text = f"This evidence is after {paid}." if paid else ""
+    else:
+        needed = f"; {nats(facts.threshold)} are needed" if facts.threshold > 0 else ""
+        text = f"Its evidence is {nats(facts.evidence)}{', after ' if paid else ''}{paid}{needed}."
     if entry.alone is not None and abs(entry.alone - facts.evidence) >= 1.0:
-        alone = f" Before any effect was accepted, it had {nats(entry.alone)}."
-    return f"Its evidence is {nats(facts.evidence)}{price}{needed}.{alone}"
+        text += f" Before any effect was accepted, it had {nats(entry.alone)}."
+    return text
 
 
 def _rival(entry: Entry) -> str:
@@ -94,11 +93,12 @@ def _rival(entry: Entry) -> str:
 
 
 def _next(entry: Entry) -> str:
-    """Return what the next run would have to show."""
-    wanted = entry.rival.separates if entry.rival is not None and entry.rival.separates else entry.needs
-    if not wanted:
-        return ""
-    return f"The next run would have to show: {wanted}{_more_readings(entry)}."
+    """Return what the next run would have to show; of a named effect, what would confirm it against its rival."""
+    separates = "" if entry.rival is None else entry.rival.separates
+    if entry.verdict is Verdict.NAMED:
+        return f"To separate the two: {separates}." if separates else ""
+    wanted = "; ".join(filter(None, [separates or entry.needs, _more_readings(entry)]))
+    return f"The next run would have to show: {wanted}." if wanted else ""
 
 
 def _more_readings(entry: Entry) -> str:
@@ -114,4 +114,4 @@ def _more_readings(entry: Entry) -> str:
     factor = (facts.threshold + price) / (facts.evidence + price)
     if not 1.0 < factor <= MAX_FACTOR:
         return ""
-    return f"; if the size is right, {factor:.1f} times as many such readings would suffice"
+    return f"if the size is right, {factor:.1f} times as many such readings would suffice"

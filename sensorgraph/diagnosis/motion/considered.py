@@ -1,14 +1,19 @@
-"""Entries of the ledger for structure that was tested in the odometry or the drive channel."""
+"""What both motion channels report: structure that was tested, for the ledger and as unknown, and unseen effects."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
+from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Unknown
+from sensorgraph.effects import Effect
 
 NAMELESS = Facts(has_name=False)
 
@@ -50,3 +55,53 @@ def name_of(channel: str, tests: Sequence[TestedStructure], structure: AcceptedS
     """Return the name of accepted structure in the ledger."""
     prefix = next((one.prefix for one in tests if one.best is structure), "")
     return FAMILIES_OF[channel][prefix + structure.family.kind][0]
+
+
+def unknown_structure(channel: str, name: str, structure: AcceptedStructure, n_rows: int) -> Unknown:
+    """Describe accepted structure as a difference that no effect explains.
+
+    Parameters
+    ----------
+    name : Of its family in the ledger.
+    n_rows : Number of rows of the channel.
+    """
+    family, evidence, size = structure.family, structure.evidence, structure.size
+    return Unknown(
+        statement=f"{BOTH_SIDES[channel]} differ by {family.statement}, which no effect of the library explains; "
+        f"{size.sentence()}",
+        deviation=Deviation(
+            family="bias",
+            partition=family.kind,
+            label=f"by {family.statement}",
+            z=float(np.sqrt(2 * evidence)),
+            evidence_nats=evidence,
+            size=0.0,
+            n_rays=n_rows,
+            channel=channel,
+        ),
+        statistic=evidence,
+        size=size.to_dict(),
+        consequence=size.sentence(),
+        family=name,
+        families=(family.statement, *structure.rivals),
+        threshold=structure.threshold,
+    )
+
+
+def unseen_effects(variances: Mapping[Effect, float]) -> dict[str, str]:
+    """Return the effects that would not show at three times their materiality, with the reason.
+
+    Parameters
+    ----------
+    variances : Effect -> variance of its size, if it were in the model.
+    """
+    out = {}
+    for effect, variance in variances.items():
+        size = EVIDENCE.observable_size * next(iter(effect.sizes.values()))
+        expected = 0.5 * size**2 / max(variance, 1e-18)
+        if expected - EVIDENCE.price < EVIDENCE.threshold:
+            out[effect.name] = (
+                f"{effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is "
+                f"{expected:.0f}"
+            )
+    return out

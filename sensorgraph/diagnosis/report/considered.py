@@ -33,7 +33,8 @@ def considered_section(ledger: Ledger) -> str:
     weak = [one for one in order if one.decided_by is DecidedBy.WEAK]
     hidden = [one for one in order if one.decided_by is DecidedBy.NOT_OBSERVABLE]
     rest = [one for one in order if one.decided_by is DecidedBy.NOT_TRIED]
-    shown, more = [*told, *weak[:N_WEAK]], weak[N_WEAK:]
+    shown = [*told, *(one for one in weak[:N_WEAK] if (one.facts.evidence or 0.0) > 0.0)]
+    more = [one for one in weak if one not in shown]
     if not shown:
         return ""
     lead = (

@@ -10,7 +10,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.words import EFFECT_OF
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.report.tolerated import tolerated
-from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
+from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison
 from sensorgraph.effects import Amendment
@@ -26,9 +26,6 @@ QUIET_LASER = (
 )
 MAX_CHANGES = 5
 """Maximum number of changes of the building that are listed."""
-
-BOTH_SIDES = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}
-"""Motion channel -> the two signals that it compares."""
 
 
 class Outcome(StrEnum):

@@ -13,6 +13,7 @@ from sensorgraph.diagnosis.hypotheses import effect_entry
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin
 from sensorgraph.diagnosis.scan.model_selection import Explained, Step
+from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment
@@ -57,7 +58,7 @@ def effect_entries(
             continue
         facts = Facts(has_name=True, evidence=gain, threshold=threshold)
         entry = replace(effect_entry(a, facts, price=price(a, data)), alone=_alone(explained.steps, a))
-        entry = _with_winner(entry, explained.steps[round_])
+        entry = _with_winner(entry, a, explained.steps[round_])
         out.append(_with_size(entry, cast(few, (*model, a)), whole))
         names.add(name)
     for name, candidate in explained.expected.items():
@@ -84,14 +85,16 @@ def _alone(steps: Sequence[Step], a: Amendment) -> float | None:
     return max((gain for b, gain in first if (b.name, b.place) == (a.name, a.place)), default=None)
 
 
-def _with_winner(entry: Entry, step: Step) -> Entry:
+def _with_winner(entry: Entry, a: Amendment, step: Step) -> Entry:
     """Add the effect that a round of the search chose instead, or why it chose none."""
     if not step.chosen:
         return replace(entry, remark="the accepted effects are approximate, and may leave as much")
     if step.chosen == entry.name:
         return replace(entry, remark="effects that were found later explain the same data")
     won, gain = max((one for one in step.tried if one[0].name == step.chosen), key=lambda one: one[1])
-    return replace(entry, rival=Competitor(title=won.effect.title, evidence=gain))
+    return replace(
+        entry, rival=Competitor(title=won.effect.title, evidence=gain, separates=separation(a, won))
+    )
 
 
 def _expected(a: Amendment, gain: float, data: ScanData, threshold: float) -> Entry:

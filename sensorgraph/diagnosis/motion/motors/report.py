@@ -12,7 +12,7 @@ from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
-from sensorgraph.diagnosis.motion.considered import structure_entries
+from sensorgraph.diagnosis.motion.considered import structure_entries, unknown_structure, unseen_effects
 from sensorgraph.diagnosis.motion.families import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
@@ -22,9 +22,9 @@ from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, 
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
+from sensorgraph.diagnosis.motion.structure_test import TestedStructure
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown, Withdrawn
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Withdrawn
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -91,7 +91,9 @@ def drive_result(
         effects=tuple(a for a in steady if a.effect in material),
         within_tolerance=tuple(a for a in steady if a.effect not in material),
         withdrawn=tuple(Withdrawn(amendment=a, why=ABSORBED) for a in withdrawn),
-        unknown=None if structure is None else _unknown(model, structure),
+        unknown=None
+        if structure is None
+        else unknown_structure("drive", DRIVE_FAMILIES[kind][0], structure, rows.n_valid),
         rivals=tuple(rivals),
         deviations=deviations,
         gap=_gap(model, selected),
@@ -218,30 +220,6 @@ def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
     return tuple(sorted(out, key=lambda deviation: -abs(deviation.z)))
 
 
-def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
-    """Describe the structure that entered the model."""
-    family, evidence, size = structure.family, structure.evidence, structure.size
-    return Unknown(
-        statement=f"commands and odometry differ by {family.statement}, which no effect of the library explains; {size.sentence()}",
-        deviation=Deviation(
-            family="bias",
-            partition=family.kind,
-            label=f"by {family.statement}",
-            z=float(np.sqrt(2 * evidence)),
-            evidence_nats=evidence,
-            size=0.0,
-            n_rays=model.rows.n_valid,
-            channel="drive",
-        ),
-        statistic=evidence,
-        size=size.to_dict(),
-        consequence=size.sentence(),
-        family=DRIVE_FAMILIES[family.kind][0],
-        families=(family.statement, *structure.rivals),
-        threshold=structure.threshold,
-    )
-
-
 def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
     """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa.
 
@@ -285,17 +263,13 @@ def _quality(model: DriveModel, residual: Floats) -> FitQuality:
 
 def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[str, str]:
     """Return the effects that would not show at three times their materiality, with the reason."""
-    out = {}
-    for term in model.library_terms:
-        if term in terms or not term.effect.sizes:
-            continue
-        size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))
+
+    def variance(term: MotorTerm) -> float:
         covariance = fit.regression.solve(model.prior([*terms, term], fit.motors)).covariance
-        expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
-        if expected - EVIDENCE.price < EVIDENCE.threshold:
-            out[term.effect.name] = (
-                f"{term.effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is {expected:.0f}"
-            )
+        return float(covariance[term.column, term.column])
+
+    others = [term for term in model.library_terms if term not in terms and term.effect.sizes]
+    out = unseen_effects({term.effect: variance(term) for term in others})
     limit = model.robot.limits.v
     can_saturate = any(term.effect is SPEED_SATURATION for term in terms)
     if not can_saturate and model.top_speed < DRIVE.full_speed_share * limit:

@@ -11,7 +11,12 @@ from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
-from sensorgraph.diagnosis.motion.considered import name_of, structure_entries
+from sensorgraph.diagnosis.motion.considered import (
+    name_of,
+    structure_entries,
+    unknown_structure,
+    unseen_effects,
+)
 from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, ridge_solution
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
@@ -284,28 +289,10 @@ def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | No
     )
     if not found:
         return None
-    first = found[0]
-    family, evidence, size = first.family, first.evidence, first.size
-    rivals = [one.family.statement for one in found[1:]] + list(first.rivals)
-    return Unknown(
-        statement=f"odometry and reference pose differ by {family.statement}, which no effect of the library explains; {size.sentence()}",
-        deviation=Deviation(
-            family="bias",
-            partition=family.kind,
-            label=f"by {family.statement}",
-            z=float(np.sqrt(2 * evidence)),
-            evidence_nats=evidence,
-            size=0.0,
-            n_rays=int(model.rows.valid_rows.sum()),
-            channel="odometry",
-        ),
-        statistic=evidence,
-        size=size.to_dict(),
-        consequence=size.sentence(),
-        family=name_of("odometry", model.tested, first),
-        families=(family.statement, *rivals[:2]),
-        threshold=first.threshold,
-    )
+    first, rivals = found[0], [one.family.statement for one in found[1:]]
+    first = replace(first, rivals=[*rivals, *first.rivals][:2])
+    name = name_of("odometry", model.tested, found[0])
+    return unknown_structure("odometry", name, first, int(model.rows.valid_rows.sum()))
 
 
 def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
@@ -349,17 +336,12 @@ def _quality(model: WheelModel, residual: Floats) -> FitQuality:
 
 def _not_observable(model: WheelModel, terms: Sequence[WheelTerm]) -> dict[str, str]:
     """Return the effects that would not show at three times their materiality, with the reason."""
-    out = {}
-    for term in model.layout.terms:
-        if term in terms:
-            continue
-        size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))
+
+    def variance(term: WheelTerm) -> float:
         covariance = model.regression.solve(model.prior([*terms, term])).covariance
-        expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
-        if expected - EVIDENCE.price < EVIDENCE.threshold:
-            out[term.effect.name] = (
-                f"{term.effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is {max(expected, 0):.0f}"
-            )
+        return float(covariance[term.column, term.column])
+
+    out = unseen_effects({term.effect: variance(term) for term in model.layout.terms if term not in terms})
     slips = any(term.effect is WHEEL_SLIP for term in terms)
     if not slips and float(np.abs(model.wheels.distance).sum()) < ODOMETRY.min_distance:
         out[WHEEL_SLIP.name] = "the robot drove less than 1 m"
