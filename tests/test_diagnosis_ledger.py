@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.ledger import FAMILIES_OF_CHANNEL, ledger_of, not_obs
 from sensorgraph.diagnosis.report.considered import considered_section, unobservable_line
 from sensorgraph.diagnosis.report.data import plain, to_dict
 from sensorgraph.diagnosis.report.files import save_report
-from sensorgraph.diagnosis.result import ChannelResult, Rival, Withdrawn
+from sensorgraph.diagnosis.result import ChannelResult, Rival, Unknown, Withdrawn
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import parse_robot
@@ -152,6 +152,25 @@ def test_effects_that_lost_their_name_keep_the_reason() -> None:
     (entry,) = ledger_of({"odometry": open_}).of("wheel_base")
     assert entry.verdict is Verdict.UNDECIDED and "wheel radius" in entry.reason
     assert Withdrawn(amendment=a, why="").amendment is a
+
+
+def test_a_channel_that_tried_nothing_says_why() -> None:
+    elsewhere = ChannelResult(channel="scan", unknown=Unknown(statement="the arena is of another place"))
+    skipped = ChannelResult(channel="drive", skipped="the run has no commands")
+    calibrated = ChannelResult(channel="odometry", notes={"calibration": "from driving alone"})
+    ledger = ledger_of({one.channel: one for one in (elsewhere, skipped, calibrated)})
+    reasons = {
+        "scan": "not tried: the arena is of another place",
+        "drive": "not tried: the run has no commands",
+        "odometry": "not tried: the calibration from driving alone shows no material size",
+    }
+    (unknown,) = [one for one in ledger if one.verdict is Verdict.UNKNOWN]
+    assert unknown.estimate == "the arena is of another place" and unknown.channel == "scan"
+    assert unknown.reason == "no effect of the library explains it"
+    for one in ledger:
+        if one is not unknown:
+            assert one.reason == reasons[one.channel]
+    assert {effect.channel for effect in EFFECTS.values()} == set(reasons)
 
 
 def test_wheels_and_motors_are_explained_too() -> None:

@@ -94,7 +94,7 @@ def _not_accepted(result: ChannelResult, effect: Effect, entry: Entry | None) ->
     is_local = effect.place in ("wall", "obstacle") and ":" in why  # only at the places that it lists
     everywhere = "" if is_local else why
     if entry is None:
-        idle = result.skipped or "its search found no start in the residuals"
+        idle = _why_idle(result, "its search found no start in the residuals")
         facts = Facts(has_name=True, not_tried=idle, not_observable=everywhere)
         return Entry(
             name=effect.name,
@@ -104,6 +104,19 @@ def _not_accepted(result: ChannelResult, effect: Effect, entry: Entry | None) ->
             needs=needs_of(effect),
         )
     return replace(entry, facts=replace(entry.facts, not_observable=everywhere))
+
+
+def _why_idle(result: ChannelResult, usual: str) -> str:
+    """Return why a hypothesis was not tried: the usual reason, unless the channel tried none."""
+    if result.skipped or result.considered:
+        return result.skipped or usual
+    if result.unknown is not None:  # an arena of another place, odometry that counts backwards
+        return result.unknown.statement
+    return (
+        "the calibration from driving alone shows no material size"
+        if "calibration" in result.notes
+        else usual
+    )
 
 
 def _unlisted(result: ChannelResult) -> Entry:
@@ -127,7 +140,7 @@ def _unlisted(result: ChannelResult) -> Entry:
 
 def _untested(result: ChannelResult, name: str, title: str) -> Entry:
     """Return the entry of a family that was not tested."""
-    facts = Facts(has_name=False, not_tried=result.skipped or "nothing in this run suggests it")
+    facts = Facts(has_name=False, not_tried=_why_idle(result, "nothing in this run suggests it"))
     return Entry(name=name, channel=result.channel, title=title, facts=facts)
 
 

@@ -80,7 +80,7 @@ class Entry:
         facts, rival = self.facts, self.rival
         needs = f"it needs {nats(facts.threshold)}"
         match self.decided_by:
-            case DecidedBy.EVIDENCE:
+            case DecidedBy.EVIDENCE if facts.evidence is not None or not self.remark:
                 return f"its evidence is {nats(facts.evidence)}, and {needs}"
             case DecidedBy.CLOSE_RIVAL if rival is not None:
                 lead, required = nats(facts.lead), nats(facts.required_lead)
