@@ -28,9 +28,9 @@ from scipy.spatial import cKDTree
 
 import sensorgraph as sg
 from benchmarks.localize_in_map import Halves, halves, said
-from benchmarks.odometry_errors import Drive, Motion
+from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
-from logs.transforms import wrap
+from logs.transforms import compose, invert, wrap
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
 from sensorgraph.exporting.amcl_filter import (
     LASER_MODELS,
@@ -61,10 +61,10 @@ N_NEIGHBOURS, KERNEL, TURN_SCALE = 8, 0.5, 2.0
 NEAR = 0.25, 0.25, 0.1
 """[m, m, rad] Standard deviations of particles up to which their likelihoods are tabulated."""
 LEAST, MOST = 200, 1000
-"""Limits of the number of particles."""
+"""Smallest number of particles, and largest one but for those of a global start."""
 BIN, KLD = np.array([0.2, 0.2, np.radians(6.0)]), (0.05, 2.33)
 """[m, m, rad] Sizes of the bins of KLD-sampling; its largest divergence, and quantile of 99 % (Nav2's pf_err and pf_z)."""
-N_GLOBAL, N_FIRST, N_STARTS = (2000, 20_000), 10, 5
+N_GLOBAL, N_FIRST, N_STARTS = (2000, 8000), 10, 5
 """Numbers of particles of a global start; number of its updates, and of starts."""
 CONVERGED = 0.5
 """[m] Largest error of a filter that has converged."""
@@ -167,7 +167,7 @@ def number_of(particles: Floats) -> int:
         return LEAST
     part = 2.0 / (9.0 * bins)
     wanted = bins / (2.0 * KLD[0]) * (1.0 - part + np.sqrt(part) * KLD[1]) ** 3
-    return int(np.clip(wanted, LEAST, MOST))
+    return max(int(wanted), LEAST)
 
 
 def filtered(
@@ -175,15 +175,15 @@ def filtered(
     rng: np.random.Generator,
 ) -> Posterior:  # fmt: skip
     """Follow the second half from the particles at scan `first`; `n_updates` None: to its end."""
-    drive = Drive.of(data.second)
+    odometry = driven(data.second)
     rays = np.unique(np.linspace(0, data.second.sensor.n_rays - 1, N_RAYS).astype(int))
     poses, covariances = np.full_like(data.truth, np.nan), np.full((len(data.truth), 3, 3), np.nan)
     last, counts, began = first, [], time.process_time()
-    for k in [0, *updates(drive.odometry[first:])][:n_updates]:
+    for k in [0, *updates(odometry[first:])][:n_updates]:
         scan = first + k
         if scan != last:
-            particles = particles[rng.integers(len(particles), size=MOST)]
-            particles = motion.moved(particles, drive, (last, scan), rng)
+            particles = particles[rng.integers(len(particles), size=max(MOST, len(particles)))]
+            particles = motion.moved(particles, compose(invert(odometry[last]), odometry[scan]), rng)
             particles = particles[: number_of(particles)]
         particles = updated(particles, ScanLikelihood(graph, data.second.ranges[scan], rays), rng)
         n, last = len(particles), scan
@@ -257,7 +257,12 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
 
 
 def print_amcl(
-    data: Halves, numbers: Mapping[str, float], field: CellDistances, fitted: str, seeds: int
+    data: Halves,
+    numbers: Mapping[str, float],
+    field: CellDistances,
+    fitted: str,
+    seeds: int,
+    n_updates: int | None,
 ) -> None:
     """Print the rows of AMCL."""
     for label, parameters, laser_model in (
@@ -269,8 +274,9 @@ def print_amcl(
             poses = followed(
                 data.second, data.truth, field, parameters, np.random.default_rng(seed), laser_model
             )
-            done = np.isfinite(poses[:, 0]) & data.covered
-            rate = np.isfinite(poses[:, 0]).sum() / (time.process_time() - began)
+            scans = np.flatnonzero(np.isfinite(poses[:, 0]))
+            done = scans[:n_updates][data.covered[scans[:n_updates]]]
+            rate = len(scans) / (time.process_time() - began)
             print(
                 f"{label}, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s",
                 flush=True,
@@ -316,6 +322,7 @@ def main() -> None:
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, default=Path("runs/in_map"))
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--updates", type=int, help="only the first updates")
     parser.add_argument("--global-start", action="store_true", help="also starts without a pose")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
@@ -325,7 +332,7 @@ def main() -> None:
     numbers = chosen(estimate_amcl(data.first, arena, grid))
     compared = compare_laser_models(data.first, grid, numbers)
     field, fitted = CellDistances.of(grid), compared.name if compared else LASER_MODELS[0]
-    print_amcl(data, numbers, field, fitted, given.seeds)
+    print_amcl(data, numbers, field, fitted, given.seeds, given.updates)
     path = given.work / f"{given.log.name}.first_memory.sensorgraph"
     if not path.exists():
         sg.build(data.first, calibrate=False, memory=True).save(path)
@@ -336,7 +343,7 @@ def main() -> None:
     for seed in range(given.seeds):
         rng = np.random.default_rng(seed)
         start = data.truth[first] + rng.normal(size=(MOST, 3)) * START_SPREAD
-        found = filtered(graph, motion, data, start, first, None, rng)
+        found = filtered(graph, motion, data, start, first, given.updates, rng)
         done = np.isfinite(found.poses[:, 0]) & data.covered
         print(
             f"graph, {found.counts.mean():.0f} particles (median {np.median(found.counts):.0f}), seed {seed}: "
