@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from logs.run import Run
 from logs.transforms import compose
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.engine.ledger import Ledger
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import (
@@ -43,6 +45,12 @@ def pulled(run: Run, ahead: float) -> Run:
 def biased(room: Arena) -> Finding:
     """Return what is said of a run with a bias that has pulled its poses."""
     return diagnose(pulled(drive_in_room(room, bias=0.025), 0.015), room, ROBOT, plan_next=False)
+
+
+def test_the_ledger_of_located_poses_is_plain_data(biased: Finding) -> None:
+    """Tolerances of located poses come from the scans, as numbers of numpy."""
+    text = json.dumps(biased.ledger.to_list())
+    assert Ledger.from_list(json.loads(text)) == biased.ledger
 
 
 def test_poses_that_a_bias_has_pulled_make_no_mount(biased: Finding) -> None:

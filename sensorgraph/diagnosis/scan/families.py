@@ -45,7 +45,7 @@ def family_entries(fit: GoodnessOfFit, sigma: float) -> tuple[Entry, ...]:
     sigma : [m] Standard deviation of a reading.
     """
     best: dict[str, Doubt] = {}
-    for doubt in sorted(fit.tested, key=lambda d: (-d.is_sure, -d.misfit)):
+    for doubt in sorted(fit.tested, key=lambda d: (not d.is_sure, -d.misfit)):
         best.setdefault(doubt.family, doubt)
     names = [name for name in FAMILIES if name in best or (fit.is_doubted and fit.family == name)]
     return tuple(_entry(name, best.get(name), fit, sigma) for name in names)

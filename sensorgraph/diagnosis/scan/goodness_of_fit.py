@@ -201,7 +201,7 @@ def _beyond_tolerances(
     return [
         Doubt(
             family=family,
-            is_sure=scale >= limit,
+            is_sure=bool(scale >= limit),
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
             misfit=(scale - 1) * n_scans,
             statistic=scale,
@@ -297,7 +297,7 @@ def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
     return [
         Doubt(
             family="scans_differ",
-            is_sure=scatter.ratio > limit and not is_of_walls,
+            is_sure=bool(scatter.ratio > limit and not is_of_walls),
             statement=f"scans differ from each other {scatter.ratio:.1f} times more than the rays within a scan explain"
             + place,
             misfit=(scatter.ratio - 1) / 2 * view.data.n_scans,
@@ -346,7 +346,7 @@ def _deviating(view: FitResiduals, found: Sequence[Deviation], family: str, thre
     z = largest_z(found)[family]
     return Doubt(
         family=f"unexplained_{family}",
-        is_sure=z > threshold,
+        is_sure=bool(z > threshold),
         statement=worst.sentence(),
         misfit=float(sum(0.5 * d.z**2 for d in alike)),
         statistic=z,
