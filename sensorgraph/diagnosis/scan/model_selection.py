@@ -260,19 +260,13 @@ def is_rough(amendment: Amendment) -> bool:
 def searched(
     data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
 ) -> Fitted:
-    """Search the rough parameters of the last effect, then fit again.
-
-    Widened tolerances may hide the error of these parameters or absorb another effect. In this case, nuisances that
-    restart at zero are tried as well.
-    """
+    """Search the rough parameters of the last effect, then fit again."""
+    strained = got.state.stretch > SCAN.nuisance.stretched_scale
     for _ in range(turns):
-        is_strained = got.state.stretch > SCAN.nuisance.stretched_scale
-        states = [got.state, start_state(data, noise_bounds)] if is_strained else [got.state]
-        tried, last = [], len(got.model) - 1
-        for state in states:
-            polished = polish(data, got.model, last, state, noise_bounds, rounds=rounds, first=first)
-            tried.append(fit(data, polished, state, noise_bounds, outer=1, inner=4 if is_strained else 2))
-        better = max(tried, key=lambda one: one.j)
+        polished = polish(
+            data, got.model, len(got.model) - 1, got.state, noise_bounds, rounds=rounds, first=first
+        )
+        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=4 if strained else 2)
         gained = better.j - got.j
         if gained > 0:
             got = better
