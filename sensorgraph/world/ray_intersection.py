@@ -4,7 +4,7 @@ A ray o + r u meets the wall a + share d at
 
     r = (a-o)×d / (u×d),  share = (a-o)×u / (u×d).
 
-It is a hit if 0 <= share <= 1 and r >= 0.
+It is a hit if 0 <= share <= 1 and r >= 0; walls are longer by a share `CORNER` at both ends.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.wall_grid import grid_of, nearest_in_grid
+from sensorgraph.world.wall_grid import CORNER, grid_of, nearest_in_grid
 
 SAME_PLACE = 1e-6
 """[m] Maximum distance between a corner and the end of a wall at that corner."""
@@ -47,7 +47,7 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
             ax, ay = walls[at, 0, 0] - ox[k], walls[at, 0, 1] - oy[k]
             across = ux[k] * dy - uy[k] * dx
             share = (ax * uy[k] - ay * ux[k]) / across
-            if share >= 0.0 and share <= 1.0:  # false for a parallel ray: inf or nan
+            if share >= -CORNER and share <= 1.0 + CORNER:  # false for a parallel ray: inf or nan
                 r = (ax * dy - ay * dx) / across
                 if r >= 0.0 and r < ranges[k]:
                     ranges[k], wall[k] = r, at
@@ -63,7 +63,9 @@ def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: F
     with np.errstate(divide="ignore", invalid="ignore"):
         r = (ax * d[:, 1] - ay * d[:, 0]) / across
         share = (ax * uy[:, None] - ay * ux[:, None]) / across
-        r[~((share >= 0) & (share <= 1) & (r >= 0))] = np.inf  # nan (parallel) fails the comparison too
+        r[~((share >= -CORNER) & (share <= 1 + CORNER) & (r >= 0))] = (
+            np.inf
+        )  # nan (parallel) fails the comparison too
     wall = r.argmin(axis=1)
     found = r[np.arange(len(r)), wall]
     return found, np.where(np.isfinite(found), wall, -1)

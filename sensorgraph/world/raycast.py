@@ -1,8 +1,8 @@
 """Ray casting: exact range, incidence and wall of every ray of every scan.
 
 `cast` works wall by wall: it finds the rays between the bearings of the two ends of a wall and intersects
-only those. Its cost is walls + hits, instead of walls x rays. `cast_rays` intersects every ray with every
-wall, for rays without a common origin, as of a sensor that sweeps during motion.
+only those. Its cost is walls + hits, instead of walls x rays. With many walls, each ray traverses a grid of
+them instead (`wall_grid`). `cast_rays` is for rays without a common origin, as of a sensor that sweeps during motion.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from logs.transforms import compose
 from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_from_each
-from sensorgraph.world.wall_clusters import SECTORS, ClusterView, SectorReach, WallClusters
+from sensorgraph.world.wall_grid import WallGrid, nearest_in_grid
 
 POSES_PER_BATCH = 48  # poses per batch: the working set stays in the cache
-MAX_UNCLUSTERED_WALLS = 160  # number of walls up to which every wall is intersected from every pose
-CLUSTER_STAGES = (8, 32)  # clusters intersected, nearest first; after each stage hidden ones are dropped
+MAX_UNSORTED_WALLS = 160  # number of walls up to which every wall is intersected from every pose
 BEARING_PAD = 1e-12  # [rad] widens the bearings of a wall, so that no ray passes through a shared corner
 GRAZING_ANGLE = 1e-3  # [rad] angle between ray and wall below which the hit is limited to the wall's ends
 
@@ -146,23 +145,15 @@ class _CastBatch:
 
 
 class _Caster:
-    """Angular-interval method: for each pose and wall, the run of rays between the two ends of the wall.
-
-    With many walls, those near a pose come first; of the others, only clusters that can still shorten a ray
-    are intersected (see `wall_clusters`).
-    """
+    """Angular-interval method: for each pose and wall, the run of rays between the two ends of the wall."""
 
     def __init__(self, walls: _Walls, sensor: RangeSensor) -> None:
         self.vertices, self.ends = walls.vertices, walls.ends
-        self.along, self.length = walls.along, walls.length
-        self.clusters = walls.clusters
+        self.along = walls.along
+        self.walls, self.grid = walls.walls, walls.grid
         self.sensor = sensor
         self.bearings = bearings = sensor.bearings
         self.n_rays = sensor.n_rays
-        sector = ((bearings - bearings[0]) * (SECTORS / (2 * np.pi))).astype(np.intp)
-        self.sectors = np.unique(
-            np.minimum(sector, SECTORS - 1), return_index=True
-        )  # and the first ray of each sector
         step = np.diff(bearings)
         even = (
             len(step) > 0
@@ -177,8 +168,8 @@ class _Caster:
         for start in range(0, len(poses), POSES_PER_BATCH):
             part = slice(start, start + POSES_PER_BATCH)
             scans = _CastBatch(poses[part], self.bearings)
-            if self.clusters is not None:
-                self._staged(scans, self.clusters)
+            if self.grid is not None:
+                self._through_grid(scans, self.grid)
             elif self.along.size:
                 self._dense(scans)
             done = _apply_limits(self.along, scans.ux, scans.uy, scans.ranges, scans.wall, self.sensor)
@@ -196,36 +187,11 @@ class _Caster:
         pose, k = np.divmod(np.arange(len(poses) * n_walls), n_walls)
         self._meet(scans, pose, k, (ax, ay), angle[:, i].ravel(), angle[:, j].ravel())
 
-    def _staged(self, scans: _CastBatch, clusters: WallClusters) -> None:
-        """Intersect the clusters nearest to each pose, then those that are not hidden behind them."""
-        view = ClusterView(clusters, scans.poses, self.bearings)
-        n_poses, n_clusters = len(scans.poses), len(clusters.radius)
-        left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # not yet intersected
-        stages = [n for n in CLUSTER_STAGES if n < n_clusters]
-        borders = np.partition(view.distance, stages, axis=1)[:, stages] if stages else np.empty((n_poses, 0))
-        reach: SectorReach | None = None
-        for border in (*borders.T, np.full(n_poses, np.inf)):
-            chosen = left & (view.distance < border[:, None])
-            self._sparse(scans, *clusters.pairs(chosen), reach)
-            left &= ~chosen
-            if border[0] < np.inf:
-                reach = SectorReach(np.minimum(scans.ranges, self.sensor.range_max), *self.sectors)
-                left &= ~view.hidden(reach)
-
-    def _sparse(self, scans: _CastBatch, pose: Ints, walls: Ints, reach: SectorReach | None) -> None:
-        """Intersect pairs (pose, wall); `reach` is the range of the rays so far."""
-        px, py, turn = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
-        i, j = self.ends[0][walls], self.ends[1][walls]
-        ax, ay = self.vertices[0][i] - px, self.vertices[1][i] - py
-        bx, by = self.vertices[0][j] - px, self.vertices[1][j] - py
-        angle_i, angle_j = self._angle(ax, ay, turn), self._angle(bx, by, turn)
-        if reach is not None:
-            far = np.sqrt(np.minimum(ax * ax + ay * ay, bx * bx + by * by)) - self.length[walls]
-            low, high = np.minimum(angle_i, angle_j), np.maximum(angle_i, angle_j)
-            seen = np.flatnonzero((far <= reach.between(pose, low, high)) | (high - low > np.pi))
-            pose, walls, ax, ay = pose[seen], walls[seen], ax[seen], ay[seen]
-            angle_i, angle_j = angle_i[seen], angle_j[seen]
-        self._meet(scans, pose, walls, (ax, ay), angle_i, angle_j)
+    def _through_grid(self, scans: _CastBatch, grid: WallGrid) -> None:
+        """Let each ray traverse the cells of a grid of walls."""
+        ox, oy = np.repeat(scans.poses[:, :2].T, self.n_rays, axis=1)
+        ranges, wall = nearest_in_grid(self.walls, grid, ox, oy, scans.ux.ravel(), scans.uy.ravel())
+        scans.ranges, scans.wall = ranges.reshape(scans.ux.shape), wall.reshape(scans.ux.shape)
 
     @staticmethod
     def _angle(x: Floats, y: Floats, turn: Floats) -> Floats:
@@ -300,8 +266,8 @@ class _Walls:
         self.vertices = np.stack([points.real, points.imag])  # (2, n_vertices)
         self.ends = np.ascontiguousarray(ends.reshape(-1, 2).T)  # (2, n_walls)
         self.along = _unit_tangents(walls)  # (2, n_walls)
-        self.length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)  # (n_walls,) [m]
-        self.clusters = WallClusters(walls) if len(walls) > MAX_UNCLUSTERED_WALLS else None
+        self.walls = np.array(walls, order="C")  # writable: a kernel compiles read-only arrays once more
+        self.grid = WallGrid.of(walls) if len(walls) > MAX_UNSORTED_WALLS else None
 
 
 _PREPARED_WALLS: WeakKeyDictionary[Arena, _Walls] = WeakKeyDictionary()

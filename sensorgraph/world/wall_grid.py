@@ -17,6 +17,9 @@ from sensorgraph.types import Floats, Ints
 CELLS_PER_WALL = 2.0
 MAX_CELLS = 1_000_000
 PAD = 1e-6  # [m] a wall belongs to all cells within this distance, so that no ray passes between two cells
+CORNER = (
+    1e-9  # share of its length by which a wall is longer at each end, so that no ray passes through a corner
+)
 FAR = 1e6  # [m] maximum distance of a wall from the origin of the map
 
 
@@ -146,7 +149,7 @@ def _march(
                 across = u * dy - v * dx
                 share = (ax * v - ay * u) / across
                 r = (ax * dy - ay * dx) / across
-                is_met = 0.0 <= share <= 1.0 and r >= 0.0  # false for a parallel ray: inf or nan
+                is_met = -CORNER <= share <= 1.0 + CORNER and r >= 0.0  # false for a parallel ray: inf or nan
                 if is_met and (r < ranges[k] or (r == ranges[k] and at < wall[k])):
                     ranges[k], wall[k] = r, at
             next_x = ((i + ahead) * cell - x) / u if u != 0.0 else np.inf
