@@ -51,7 +51,7 @@ def listen():
             if self.open_calls:
                 self.open_calls[-1][2] += spent
             made = what.data["dispatcher"].py_func
-            columns = (len(self.open_calls), began, time.time(), spent - inside, f"{made.__module__}.{made.__qualname__}")
+            columns = (len(self.open_calls), began, time.time(), spent - inside, f"{made.__module__}.{made.__name__}")
             log.write("\\t".join(map(str, columns)) + "\\n")
 
     event.register("numba:compile", Compiling())

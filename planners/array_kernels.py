@@ -6,11 +6,11 @@ kernels take a tenth of that. A heap also runs faster when only the first entrie
 
 from __future__ import annotations
 
-from planners.kernel import inner_kernel, outer_kernel
+from planners.kernel import inner_kernel
 from planners.types import Bools, Floats, Ints
 
 
-@outer_kernel
+@inner_kernel
 def make_heap(heap: Ints, size: int, costs: Floats) -> None:
     """Fill `heap[:size]` with the indices of `costs[:size]`; `pop_least` then returns them in ascending order."""
     for o in range(size):
@@ -19,7 +19,7 @@ def make_heap(heap: Ints, size: int, costs: Floats) -> None:
         _sift_down(heap, top, size, costs)
 
 
-@outer_kernel
+@inner_kernel
 def pop_least(heap: Ints, size: int, costs: Floats) -> int:
     """Remove the index of the lowest cost from a heap of `size` entries and return it; ties: lowest index first."""
     least, moved, size = heap[0], heap[size - 1], size - 1
@@ -63,7 +63,7 @@ def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
     heap[hole] = moved
 
 
-@outer_kernel
+@inner_kernel
 def is_any(mask: Bools, first: int, last: int) -> bool:
     """Return whether any of mask[first] ... mask[last] is set."""
     found = False
@@ -72,7 +72,7 @@ def is_any(mask: Bools, first: int, last: int) -> bool:
     return found
 
 
-@outer_kernel
+@inner_kernel
 def set_all(mask: Bools, first: int, last: int) -> None:
     """Set mask[first] ... mask[last]."""
     for k in range(first, last + 1):

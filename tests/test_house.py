@@ -36,7 +36,7 @@ OWNERS = {
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
     "distributed": {"sensorgraph/building/dask_cluster.py"},
-    "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
+    "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py", "planners/compile_ahead.py"},
     "gtsam": {"sensorgraph/localization/pose_graph.py"},
     "mujoco": {"sensorgraph/data/export/drive_mujoco.py"},
     "irsim": {"sensorgraph/data/export/drive_irsim.py"},

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from planners.kernel import HELPER
+from planners.compile_ahead import HELPER
 from sensorgraph.cli import run as command
 from sensorgraph.termination import Terminated
 
@@ -189,3 +189,23 @@ def test_a_demo_ends_with_all_its_processes(number: signal.Signals, ready: str, 
         assert process.wait(PROMPT) == (143 if number == signal.SIGTERM else -signal.SIGKILL)
     if number == signal.SIGTERM:
         assert not [path for path in tmp_path.rglob("*") if ".part" in path.name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("seconds", [1.0, 8.0, 20.0])
+def test_compile_ends_with_all_its_processes_and_leaves_whole_files(
+    number: signal.Signals, code: int, seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernels that are being compiled may be completed first."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    with started(["-m", "sensorgraph", "compile"], tmp_path, "cache") as process:
+        time.sleep(seconds)
+        family = descendants(process.pid)
+        process.send_signal(number)
+        assert process.wait(30.0) == code
+        assert_all_end(family)
+    assert not list((tmp_path / "temporary").iterdir())
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.suffix not in {"", ".nbi", ".nbc"}]

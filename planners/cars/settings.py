@@ -4,8 +4,7 @@ All were set with `python benchmarks/coverage_planners.py --drive reeds_shepp` a
 arenas `square office` and for random offices (`--arena --random 10 --first 1`): driving time, coverage and
 processor time.
 
-Some are constants of compiled code. `planners.kernel` compiles again after a change of any file that names
-it, such as this one.
+Some are constants of compiled code. `planners.kernel` compiles again after a change of their values.
 """
 
 from __future__ import annotations

@@ -34,6 +34,7 @@ from planners.search.kernel_world import (
     lattice_key,
     trace_back,
     try_primitive,
+    wide,
 )
 from planners.search.workspace import BeamSettings, Workspace, beam_capacity_kernel
 from planners.types import Floats, Int32s, Ints
@@ -53,7 +54,7 @@ def _expand(
     """Add the children of a node to the pools of their layers, up to `capacity` each; return the number of nodes."""
     at, bins, fill = workspace.places, workspace.covered, workspace.pool_sizes
     covered = workspace.scratch.covered
-    x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
+    x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
     ny, n_phi = world.need.shape[1], world.need.shape[2]
     for j in range(primitives.next_mode.shape[1]):
         if primitives.next_mode[m, j] < 0 or primitives.is_fine[m, j]:
@@ -135,7 +136,13 @@ def beam_search(
                 break
             node = pool[layer, o]
             key = lattice_key(
-                at[node, 0], at[node, 1], hs[node], ms[node], world, primitives, settings.lattice
+                at[node, 0],
+                at[node, 1],
+                wide(hs[node]),
+                wide(ms[node]),
+                world,
+                primitives,
+                settings.lattice,
             )
             if find_slot(workspace.hash_keys, slots, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
                 continue  # a better node has the same key
@@ -155,8 +162,8 @@ def beam_search(
         if is_safe(
             at[node, 0],
             at[node, 1],
-            int(hs[node]),
-            int(ms[node]),
+            wide(hs[node]),
+            wide(ms[node]),
             settings,
             world,
             primitives,
@@ -205,5 +212,5 @@ def drive(
         elif spent >= units:
             return k, left
         spent += primitives.cost[int(state[3]), sequence[k]]
-        left -= apply_primitive(state, sequence[k], world, primitives, workspace.scratch.covered)
+        left -= apply_primitive(state, wide(sequence[k]), world, primitives, workspace.scratch.covered)
     return n, left

@@ -10,7 +10,7 @@ The offsets are those of the last sample of (h, m, j). A bin is covered if the r
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from planners.types import Bools, Floats, Int32s, Ints
 MAX_BINS_PER_PRIMITIVE = KERNELS.max_bins
 STOP_MARGIN = KERNELS.stop_margin
 MAX_ESCAPE_TRIES = KERNELS.max_escape_tries
+wide: Any = np.int64
+"""Numba compiles a kernel once for each type of integer; the callers of the large ones pass this one."""
 
 
 class SearchWorld(NamedTuple):

@@ -21,6 +21,7 @@ from planners.search.kernel_world import (
     lattice_key,
     trace_back,
     try_primitive,
+    wide,
 )
 from planners.search.workspace import GOAL_CAPACITY, BeamSettings, HeuristicBuffers, Workspace
 from planners.types import Floats
@@ -44,7 +45,7 @@ def _expand_nearest(
     The number of states, -1 if there are too many; and whether a child was dropped because its layer is full.
     """
     at, fill, ring = workspace.places, workspace.pool_sizes, primitives.max_cost + 1
-    x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
+    x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
     was_full = False
     for j in range(primitives.next_mode.shape[1]):
         if primitives.next_mode[m, j] < 0:
@@ -119,8 +120,8 @@ def nearest_goal_search(
             if gains[node] > top and is_safe(
                 at[node, 0],
                 at[node, 1],
-                int(hs[node]),
-                int(ms[node]),
+                wide(hs[node]),
+                wide(ms[node]),
                 settings,
                 world,
                 primitives,
@@ -132,7 +133,9 @@ def nearest_goal_search(
         for o in range(here):
             node = pool[row, o]
             if is_guided:
-                away[o] = time_to_goal(at[node, 0], at[node, 1], hs[node], ms[node], world, heuristic)
+                away[o] = time_to_goal(
+                    at[node, 0], at[node, 1], wide(hs[node]), wide(ms[node]), world, heuristic
+                )
             else:
                 away[o] = cell_distance(at[node, 0], at[node, 1], world, workspace.far)
         is_cut = is_cut or here > width

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.kernel import compile_for
+from planners.compile_ahead import compile_for
 from planners.rooms import NEIGHBOUR_STEPS
 from planners.search.area import SearchArea
 from planners.search.beam import beam_search, drive
@@ -183,14 +183,14 @@ class CoverageSearch:
         world = self.world
         workspace = workspace_for(settings, primitives, world.missing.shape)
         buffers = heuristic_buffers(self.settings, self.primitives, self.area)
-        compile_for(
+        compile_for(  # while one process begins with `cell_distances`, the other compiles what the large ones share
             (beam_search, (self.state, settings, world, primitives, workspace)),
+            (cell_distances, (world, workspace.far, workspace.cell_queue)),
+            (drive, (self.state, 0, 0, 0, settings, world, primitives, workspace)),
             (
                 nearest_goal_search,
                 (self.state, settings, world, primitives, 1, True, buffers, workspace),
             ),
-            (drive, (self.state, 0, 0, 0, settings, world, primitives, workspace)),
-            (cell_distances, (world, workspace.far, workspace.cell_queue)),
         )
 
     def _decide(

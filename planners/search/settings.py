@@ -1,7 +1,6 @@
 """Tuned parameters of the search, with the command that set each.
 
-Some are constants of compiled code. `planners.kernel` compiles again after a change of any file that names
-it, such as this one.
+Some are constants of compiled code. `planners.kernel` compiles again after a change of their values.
 """
 
 from __future__ import annotations

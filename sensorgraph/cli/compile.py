@@ -26,21 +26,27 @@ def compile_kernels() -> None:
     from tempfile import TemporaryDirectory
 
     import logs
+    from planners.kernel import can_cache
     from planners.maps import geojson
     from sensorgraph.building.build import build
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import BASELINE, demo
+    from sensorgraph.files import unfinished
     from sensorgraph.world.robot import load_robot
 
+    if not can_cache():  # which has given the reason
+        raise typer.Exit(2)
     began = time.monotonic()
     room = geojson.loads(ROOM)
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        unfinished.add(folder)
         demo(
-            Path(folder),
+            folder,
             room,
             load_robot(),
             seed=0,
             progress=progress,
             show=lambda stage, _: typer.echo(f"{time.monotonic() - began:4.0f} s  {stage}: compiled"),
         )
-        build([logs.read(Path(folder) / "coverage.mcap")], arena=room, model=BASELINE, progress=progress)
+        build([logs.read(folder / "coverage.mcap")], arena=room, model=BASELINE, progress=progress)

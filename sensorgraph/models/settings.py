@@ -1,6 +1,6 @@
 """Settings that all models share, with unit, meaning and the experiment that set them.
 
-They are constants of compiled code: `planners.kernel` recompiles after a change of any file that names it, as this one.
+They are constants of compiled code: `planners.kernel` recompiles after a change of their values.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Settings of calibration: every tuned number of `models/calibration` with unit, meaning and source.
 
 The modules use the instance `CALIBRATION`. Some settings are constants of compiled code: `planners.kernel` recompiles
-after a change of any file that names it, as this one.
+after a change of their values.
 
 The values were set on random offices, by the distance of the faces to the true readings of the laser. Perfect lasers
 must remain as specified. Both results are printed by

@@ -1,7 +1,7 @@
 """Settings of the model `cells`: every tuned number of `models/cells` with unit, meaning and source.
 
 `CellModelSettings` has one group per step, and the modules use its instance `CELLS`. Some settings are constants of
-compiled code: `planners.kernel` recompiles after a change of any file that names it, as this one.
+compiled code: `planners.kernel` recompiles after a change of their values.
 
 Unless a group states otherwise, the values were set on public logs of real floors. The criterion is the error on
 held-out stretches, as printed by

@@ -1,7 +1,7 @@
 """Settings of the model `faces`: every tuned number of `models/faces` with unit, meaning and source.
 
 `FacesSettings` has one group per step of the fit, and the modules use its instance `FACES`. Some settings are
-constants of compiled code: `planners.kernel` recompiles after a change of any file that names it, as this one.
+constants of compiled code: `planners.kernel` recompiles after a change of their values.
 
 Unless a group states otherwise, the values were set on random offices. The criteria are median error, share of wrong
 rays, time and file size, as printed by
