@@ -95,10 +95,12 @@ def _rival(entry: Entry) -> str:
 def _next(entry: Entry) -> str:
     """Return what the next run would have to show; of a named effect, what would confirm it against its rival."""
     separates = "" if entry.rival is None else entry.rival.separates
-    if entry.verdict is Verdict.NAMED:
-        return f"To separate the two: {separates}." if separates else ""
-    wanted = "; ".join(filter(None, [separates or entry.needs, _more_readings(entry)]))
-    return f"The next run would have to show: {wanted}." if wanted else ""
+    more = "" if entry.verdict is Verdict.NAMED else _more_readings(entry)
+    if separates:
+        return f"The next run can tell the two apart: {separates}.{more}"
+    if entry.verdict is Verdict.NAMED or not entry.needs:
+        return more.strip()
+    return f"The next run would have to show: {entry.needs}.{more}"
 
 
 def _more_readings(entry: Entry) -> str:
@@ -114,4 +116,4 @@ def _more_readings(entry: Entry) -> str:
     factor = (facts.threshold + price) / (facts.evidence + price)
     if not 1.0 < factor <= MAX_FACTOR:
         return ""
-    return f"if the size is right, {factor:.1f} times as many such readings would suffice"
+    return f" If the size is right, {factor:.1f} times as many such readings would suffice."

@@ -217,7 +217,10 @@ def _said_alike(a: Amendment, b: Amendment, correlation: float, nats: float) -> 
 def separation(a: Amendment, b: Amendment) -> str:
     """Return the observation that would distinguish two effects."""
     hint = a.effect.rivals.get(b.name) or b.effect.rivals.get(a.name)
-    return hint or f"{a.effect.title} varies with {a.effect.varies}, {b.effect.title} with {b.effect.varies}"
+    return (
+        hint
+        or f"{a.effect.title} varies with {a.effect.varies}; {b.effect.title} varies with {b.effect.varies}"
+    )
 
 
 def _look_alikes(exposure: RunExposure) -> list[Alike]:
