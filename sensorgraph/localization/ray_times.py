@@ -369,8 +369,8 @@ class _Pieces:
         lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
         own = (
             by
-            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, -1)[rows.frame])
-            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, -1)[rows.patch])
+            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, CLASSES)[rows.frame])
+            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, CLASSES)[rows.patch])
         )  # derivatives after projection on poses and lines
         ridge = np.diag(np.full(CLASSES, RAY_TIMES.delay_sd**-2.0))
         matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
