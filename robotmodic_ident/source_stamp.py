@@ -14,8 +14,8 @@ import numpy as np
 def source_stamp(module: str) -> str:
     """Return a hash of a module's source and of what it has imported and defined until now, when first called.
 
-    Constants count by value, named tuples by their fields, and kernels by their names: these end with the hash of their
-    own module, so the hash changes with every kernel that is called directly or indirectly.
+    Constants count by value, named tuples by their fields, and kernels by their names. A kernel's name ends with the
+    hash of its module, so the hash changes with every kernel that is called directly or indirectly.
     """
     names = dict(vars(sys.modules[module]))
     file = Path(names.get("__file__") or "-")

@@ -78,7 +78,7 @@ def _is_spread(lows: Floats, step: float) -> bool:
 def full_turns(topic: Topic) -> tuple[Topic, list[str]]:
     """Return a topic of LaserScan messages cut into full turns, with a note, or unchanged."""
     stream = _stream(topic)
-    if stream is None or len(stream.lows) < 3 or not _is_spread(stream.lows, abs(stream.step)):
+    if stream is None:
         return topic, []
     sign, step = np.sign(stream.step), abs(stream.step)
     n_rays = np.array([len(part) for part in stream.ranges])
@@ -97,13 +97,18 @@ def full_turns(topic: Topic) -> tuple[Topic, list[str]]:
 
 
 def _stream(topic: Topic) -> _Stream | None:
-    """Return the rays of a topic; None if its scans differ in frame or step, or the step is no angle [rad]."""
+    """Return the rays of a topic; None if its scans begin at one bearing, differ in frame or step, or are in degrees.
+
+    Ranges are decoded only if the scans begin elsewhere.
+    """
     blocks = list(cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding))
     if not blocks or len({block.strings["frame_id"] for block in blocks}) > 1:
         return None
     limits = np.concatenate([block["limits"].astype(np.float64) for block in blocks])
     step = float(limits[0, 2])
     if not 0 < abs(step) < 0.5 * np.pi or not np.allclose(limits[:, 2], step, rtol=1e-4, atol=0):
+        return None
+    if len(limits) < 3 or not _is_spread(limits[:, 0], abs(step)):
         return None
     stamps = np.concatenate([block.stamps_ns for block in blocks])
     index = np.concatenate([block.index for block in blocks])
@@ -113,6 +118,8 @@ def _stream(topic: Topic) -> _Stream | None:
     intensities = [row for block in blocks for row in block["intensities"].astype(np.float64)]
     order = np.lexsort((index, stamps))
     order = order[np.diff(stamps[order], prepend=stamps.min() - 1) > 0]
+    if len(order) < 3:
+        return None
     return _Stream(
         stamps[order], logged_times(topic)[index[order]], limits[order, 0],
         [ranges[i] for i in order], [intensities[i] for i in order], limits[order[0]],
