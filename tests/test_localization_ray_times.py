@@ -11,6 +11,8 @@ from conftest import further
 from localization_samples import ROOM, seen
 
 from logs.run import RangeSensor, Run
+from sensorgraph.diagnosis.motion.calibration.estimate import calibrate
+from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.locate import locate, located_run, summary
 from sensorgraph.localization.ray_times import TrackedRun, hypotheses, track_run
 from sensorgraph.localization.result import Localization
@@ -215,6 +217,37 @@ def test_a_drive_of_half_a_minute_shows_its_ray_times() -> None:
     kept = followed(run)
     assert kept.run.sensor.sweep_time == pytest.approx(-sweep, rel=0.05)
     assert "clockwise" in kept.notes[0] and "the log states 150.0 ms" in kept.notes[0]
+
+
+def test_opposite_times_of_a_slow_laser_are_mended_though_the_first_step_is_wide() -> None:
+    """A scan smeared by 0.2 s the wrong way hides most of the effect, so that the first step seems to confirm the log."""
+    sweep = 1 / RATE
+    run = stated(run_of(-sweep * np.arange(N_RAYS) / N_RAYS), sweep)
+    found = followed(run)
+    assert found.run.sensor.sweep_time == pytest.approx(-sweep)
+    assert "opposite to the log" in found.notes[0]
+
+
+def test_scans_without_wheels_keep_their_heading_where_the_turn_changes() -> None:
+    """Velocities from the differences of the poses at the stamps would alternate from scan to scan."""
+    sweep = 1 / RATE
+    run = stated(run_of(sweep * np.arange(N_RAYS) / N_RAYS), sweep)
+    found = followed(
+        replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+    )
+    assert found.run.sensor.sweep_time == sweep
+    off = np.unwrap(found.track.poses[:, 2]) - np.unwrap(path(run.stamps)[:, 2])
+    assert np.std(off) < np.radians(0.13)
+
+
+def test_wheels_are_compared_with_scans_that_have_the_times_which_the_run_shows() -> None:
+    run = run_of(-SWEEP * np.arange(N_RAYS) / N_RAYS)
+    located = replace(
+        stated(run, -SWEEP), pose_stamps=run.stamps, poses=path(run.stamps), pose_frame="base_link"
+    )
+    found = calibrate(laser_motion(run, located))
+    assert found.of("turn_scale")[0] == pytest.approx(1.0, abs=1e-3)
+    assert found.of("delay")[0] == pytest.approx(0.0, abs=0.002)
 
 
 def test_a_laser_that_sees_a_full_turn_and_a_ray_more_has_candidates() -> None:

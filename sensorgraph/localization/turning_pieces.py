@@ -1,0 +1,152 @@
+"""Estimate the times of the rays in track pieces with many turns: one Gauss-Newton step, with its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import Run
+from logs.transforms import compose, invert
+from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
+from sensorgraph.localization.pose_graph import PoseEdges
+from sensorgraph.localization.refinement import (
+    conjugate_gradients,
+    pose_graph_matrix,
+    reduced_system,
+    refine,
+)
+from sensorgraph.localization.scan_track import ScanTrack
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.settings import REFINEMENT
+from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
+from sensorgraph.localization.wheel_edges import WheelSteps
+from sensorgraph.types import Floats, Ints
+
+CLASSES = 4
+"""Number of ray classes, by ray number modulo this: the maximum number of interlaced sweeps."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TurningPieces:
+    """Short track pieces with many turns, placed far apart so that each has its own map."""
+
+    run: Run
+    """The run, reduced to the key frames of the pieces."""
+    piece: Ints
+    """(n_frames,)"""
+    poses: Floats
+    """(n_frames, 3)"""
+    wheels: WheelSteps
+    graph: PoseEdges
+
+    @staticmethod
+    def of(
+        run: Run, odometry: Floats | None, tracked: ScanTrack, settings: RayTimeSettings
+    ) -> TurningPieces | None:
+        """Choose the pieces with the fastest turns; None if the robot hardly turned.
+
+        In a short log the pieces are shorter, as their number determines the standard errors.
+        """
+        keys = tracked.key_frames
+        m = min(settings.frames, len(keys) // settings.min_pieces)
+        if m < settings.min_frames:
+            return None
+        heading = np.unwrap(tracked.poses[:, 2]) if odometry is None else odometry[:, 2]
+        rate = np.abs(np.gradient(heading, np.arange(len(heading))))[keys] * run.sensor.rate
+        starts = [k for k in range(0, len(keys) - m + 1, m) if tracked.piece[k] == tracked.piece[k + m - 1]]
+        turning = np.array([(np.minimum(rate[k : k + m], settings.max_rate) ** 2).mean() for k in starts])
+        chosen = np.sort(np.argsort(-turning)[: settings.pieces])
+        if len(chosen) < settings.min_pieces or np.sqrt(np.median(turning[chosen])) < settings.min_rate:
+            return None
+        index = np.array([starts[k] for k in chosen])[:, None] + np.arange(m)
+        frames, piece = index.ravel(), np.repeat(np.arange(len(chosen)), m)
+        poses = tracked.poses[keys[frames]].copy()
+        origin = poses[::m][piece]
+        poses[:, :2] -= origin[:, :2]
+        poses[:, 0] += settings.piece_offset * piece
+        inner = np.flatnonzero(np.diff(piece) == 0)
+        relative = compose(invert(poses[inner]), poses[inner + 1])
+        steps = np.zeros((len(inner), 3))
+        if odometry is not None:
+            at = keys[frames[inner]], keys[frames[inner + 1]]
+            steps = compose(invert(odometry[at[0]]), odometry[at[1]])
+        return TurningPieces(
+            run=replace(
+                run,
+                stamps=run.stamps[keys[frames]],
+                ranges=run.ranges[keys[frames]],
+            ),
+            piece=piece,
+            poses=poses,
+            wheels=WheelSteps(first=inner, steps=steps, has_odometry=odometry is not None),
+            graph=PoseEdges(
+                first=inner,
+                second=inner + 1,
+                relative=relative,
+                information=tracked.edge_information[frames[inner]],
+            ),
+        )
+
+    def estimate(self, delays: Floats, motion: Motion) -> tuple[Floats, Floats]:
+        """Return the change of the delays (n_rays,) [s] as sweep time and class delays (4,), with its covariance.
+
+        The covariance is cluster-robust over the pieces.
+        """
+        s = REFINEMENT
+        scans = scan_points(self.run, motion, delays=delays)
+        keys = np.arange(scans.n_scans)
+        frames = FramePoints.of(scans, keys)
+        graph = (self.graph, PoseEdges.of([]))
+        refined = refine(frames, self.poses, self.wheels, graph, lambda done, total: None)
+        poses = refined.poses
+        rows = point_rows(frames, poses, s.last_side, s.last_gate, s.last_sigma)
+        system = reduced_system(rows, poses, self.wheels.at(poses))
+        by = self._time_derivatives(rows, poses, scans.rays[rows.index], motion)
+        n, m, weight = len(poses), rows.n_patches, rows.weight
+        columns = range(CLASSES)
+        by_pose = np.column_stack([
+            np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
+            for j in columns
+        ])  # fmt: skip
+        by_line = np.column_stack([
+            np.column_stack([sums_by(rows.patch, weight * rows.by_line[:, i] * by[:, j], m) for i in range(2)]).ravel()
+            for j in columns
+        ])  # fmt: skip
+        rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
+        moved, _ = conjugate_gradients(
+            system, rhs, pose_graph_matrix(system, poses, graph), s.tolerance, s.max_steps
+        )
+        lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
+        own = (
+            by
+            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, CLASSES)[rows.frame])
+            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, CLASSES)[rows.patch])
+        )  # derivatives after projection on poses and lines
+        ridge = np.diag(np.full(CLASSES, RAY_TIMES.delay_sd**-2.0))
+        matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
+        change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
+        left = weight * (rows.residual + own @ change)
+        scores = np.stack(
+            [sums_by(self.piece[rows.frame], left * own[:, j], int(self.piece[-1]) + 1) for j in columns]
+        )
+        inverse = np.linalg.inv(matrix)
+        pieces = scores.shape[1]
+        return change, inverse @ (scores @ scores.T * pieces / (pieces - 1) + ridge) @ inverse
+
+    def _time_derivatives(self, rows: PointRows, poses: Floats, rays: Ints, motion: Motion) -> Floats:
+        """Return the derivatives (n, 4) [m/s] of the residuals with respect to sweep time and class delays."""
+        stamps, velocity_interval = self.run.stamps, RAY_TIMES.velocity_interval
+        velocity = (
+            compose(invert(motion.at(stamps)), motion.at(stamps + velocity_interval)) / velocity_interval
+        )
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        in_map = np.column_stack([
+            cos * velocity[:, 0] - sin * velocity[:, 1], sin * velocity[:, 0] + cos * velocity[:, 1], velocity[:, 2]
+        ])  # fmt: skip
+        speed = np.einsum("ni,ni->n", rows.by_pose, in_map[rows.frame])
+        classes = rays % CLASSES
+        share = rays / self.run.sensor.n_rays
+        by_class = [np.asarray(classes == k, dtype=np.float64) for k in range(1, CLASSES)]
+        return np.asarray(speed[:, None] * np.column_stack([share, *by_class]))
