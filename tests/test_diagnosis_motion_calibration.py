@@ -232,7 +232,7 @@ def test_a_reference_that_is_no_image_of_the_scans_is_left_to_the_odometry_chann
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({}, "the run: the run has no odometry;"),
+        ({}, "the run: the run has no odometry;.*; give an arena to diagnose the laser alone"),
         ({"second": "same"}, "the first run: the run has no odometry;"),
         ({"simulation": "same"}, "keeps no arena; give the arena in which it was recorded"),
         ({"commissioning": ["same"]}, "keeps no arena; give the arena in which it was recorded"),

@@ -78,7 +78,7 @@ def check_odometry(run: Run, *, name: str = "the run") -> None:
     try:
         with_moving_odometry(run)
     except SensorgraphError as exc:
-        raise SensorgraphError(f"{name}: {exc}") from exc
+        raise SensorgraphError(f"{name}: {exc}; give an arena to diagnose the laser alone") from exc
 
 
 def diagnose_driving(
@@ -101,7 +101,7 @@ def diagnose_driving(
         try:
             motion = laser_motion(run, located, progress=progress)
         except SensorgraphError as exc:
-            raise SensorgraphError(f"{name}: {exc}") from exc
+            raise SensorgraphError(f"{name}: {exc}; give an arena to diagnose the laser alone") from exc
         with progress("calibrating wheels and mount", ""):
             found[name] = calibrate(motion)
             changes[name] = change_within(motion, found[name])

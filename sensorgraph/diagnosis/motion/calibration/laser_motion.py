@@ -7,7 +7,7 @@ depends on the scans alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,13 +80,14 @@ def laser_motion(
     Parameters
     ----------
     run : As it was logged, with its odometry.
-    located : The same run with the poses of `locate`, at which the fit starts.
+    located : The same run with the poses of `locate`, at which the fit starts, and with the ray times that it shows.
 
     Raises
     ------
     SensorgraphError : The run has no odometry.
     """
     run, odometry = with_moving_odometry(run)
+    run = replace(run, sensor=replace(located.sensor, mount=run.sensor.mount))
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     paired = pair(located)
     length = _lengths(odometry, settings)
