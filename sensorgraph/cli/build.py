@@ -30,7 +30,7 @@ from sensorgraph.cli.options import (
     Slice,
     Topics,
 )
-from sensorgraph.cli.progress import progress
+from sensorgraph.cli.progress import progress, reading_bar
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -143,7 +143,7 @@ def _open(
     from sensorgraph.cli.inputs import with_poses, with_robot
     from sensorgraph.errors import SensorgraphError
 
-    with progress("reading", "bytes") as tick:
+    with reading_bar() as tick:
         log = open_log(path, **reading, progress=tick)
     log = replace(log, head=with_robot(log.head, str(path), robot))
     run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=log.n_scans, options=reading)
