@@ -7,10 +7,12 @@ sensor must therefore keep its size when the suppressed local effects are in the
 
 from __future__ import annotations
 
+from sensorgraph.diagnosis.scan.candidate_fits import is_rough, searched
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
-from sensorgraph.diagnosis.scan.model_selection import is_rough, searched, shortlist
 from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.shortlist import shortlist
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.effects import Amendment
@@ -32,7 +34,7 @@ def local_rival(fitted: Fitted, index: int, bounds: NoiseBounds) -> Amendment | 
     rest = without(model, index)
     others = fit(data, rest, fitted.state, bounds, outer=2, inner=4)
     best: dict[str, Candidate] = {}
-    for c in sorted(shortlist(data, others, set(), 0.0), key=lambda c: -c.gain):
+    for c in sorted(shortlist(data, others, 0.0, SearchMemory()), key=lambda c: -c.gain):
         if c.amendment.effect.place is not None and clutter_floor(c.amendment, data) > 0:
             best.setdefault(c.amendment.name, c)
     for candidate in best.values():

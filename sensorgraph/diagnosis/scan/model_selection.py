@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
+from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, searched
+from sensorgraph.diagnosis.scan.first_gains import name_at_place
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
     fit,
-    polish,
     start_state,
-    thin,
-    thin_state,
 )
-from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.merging import fewer_effects
-from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.ranking import ranked
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
+from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import surely_stands
+from sensorgraph.diagnosis.scan.shortlist import is_same, least_gain, shortlist
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
-from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.diagnosis.scan.worth import led_on_plain_walls, price, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
-from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.types import Progress, ProgressBars, no_progress
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,14 +68,16 @@ def explain(
     current, n_small = null, 0
     steps: list[Step] = []
     rivals: dict[str, tuple[Amendment, float]] = {}
-    struck, first = set[tuple[str, str]](), FirstGains()
+    memory = SearchMemory()
     while len(current.model) < most:
         begun = current.j
         with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
-            tried, also = _try(data, current, noise_bounds, struck, first, current.j - null.j, tick)
+            tried, also = _try(data, current, noise_bounds, memory, current.j - null.j, tick)
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
-            break
+            if not memory.repeat_in_full():
+                break
+            continue
         order = ranked(data, led_on_plain_walls(data, tried, current), threshold)
         best, gain = order[0]
         if gain >= threshold:
@@ -93,8 +86,8 @@ def explain(
                 current = again
                 null = null if current.model else current
             gain = worth(data, best.model[-1], best, current)
-        stood = first.still_has(best.model[-1])
-        enough = gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j, stood))
+        stood = memory.first.still_has(best.model[-1])
+        enough = gain >= max(threshold, least_gain(current.model, best.model[-1], current.j - null.j, stood))
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
@@ -104,15 +97,17 @@ def explain(
         if not enough and current.j > begun + SCAN.selection.min_refit_gain:
             continue  # the gains refer to a fit that had not converged
         if not enough:
-            break
-        mine = best.model[-1]
+            if not memory.repeat_in_full():
+                break
+            continue
+        memory.is_lazy = True
+        mine = name_at_place(best.model[-1])
         others = [*((f.model[-1], g) for f, g in order[1:]), *also]
-        others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
+        others = [(a, order[0][1] - g) for a, g in others if name_at_place(a) != mine]
         if others:
-            rival, nats = max(others, key=lambda t: t[1])
-            rivals[name_at_place(mine)] = (rival, order[0][1] - nats)
+            rivals[mine] = min(others, key=lambda t: t[1])
         before, small = current, best.model[-1].ratio < current.state.map_scale
-        pruned = _pruned(data, best, noise_bounds, threshold, struck)
+        pruned = _pruned(data, best, noise_bounds, threshold, memory.struck)
         current = _merged(data, pruned, noise_bounds)
         if current is not pruned:
             steps[-1] = replace(steps[-1], became=current.model)
@@ -136,7 +131,7 @@ def explain(
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(
-        null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept, expected=first.latest
+        null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept, expected=memory.first.latest
     )
 
 
@@ -160,194 +155,30 @@ def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amend
     return tuple(out.values())
 
 
-def _least(model: Sequence[Amendment], candidate: Amendment, gained: float, stood: bool) -> float:
-    """Return the gain [nats] below which a candidate is only a remainder of the effects in the model.
-
-    Parameters
-    ----------
-    stood : Whether the same gain was expected in the bare model. The candidate is then not a remainder, except of an
-        effect with a coarse model.
-    """
-    known = [a.effect.diagnostics for a in model]
-    by_name = [0.0 if stood and not d.leftover_share else d.leftovers.get(candidate.name, 0.0) for d in known]
-    shares = [max(d.leftover_share, share) for d, share in zip(known, by_name, strict=True)]
-    return max(shares, default=0.0) * gained
-
-
 def _try(
     data: ScanData,
     current: Fitted,
     noise_bounds: NoiseBounds,
-    struck: set[tuple[str, str]],
-    first: FirstGains,
+    memory: SearchMemory,
     gained: float,
     tick: Progress,
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
-    """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
-
-    All candidates are fitted to a part of the scans. The rough parameters of the best ones are searched, and only those
-    that come close to the best are fitted to all scans.
-    """
-    noise = current.state.noise
-    stretched = current.state.stretch > SCAN.nuisance.stretched_scale
-    strained = noise_bounds.max_scale > 1.0 and (
-        stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
-    )
-    short = shortlist(data, current, struck, gained, first)
-    if strained:  # widened tolerances may hide an effect, so search again with the specified ones
-        told = replace(noise_bounds, max_scale=1.0)
-        tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
-        more = shortlist(data, tight, struck, gained, first)
-        short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][
-            : SCAN.selection.max_candidates // 2
-        ]
-    if not short:
-        return [], []
-    every = max(1, data.n_scans // SCAN.selection.n_scans, -(-data.ranges.size // SCAN.selection.n_readings))
-    few = thin(data, every)
-    base = fit(few, current.model, thin_state(current.state, every), noise_bounds, outer=1, inner=2)
-    fresh = start_state(few, noise_bounds) if strained else base.state
-    quick: list[tuple[float, Fitted]] = []
-    for done, candidate in enumerate(short):
-        tick(done, len(short))
-        got = fit(
-            few,
-            (*current.model, candidate.amendment),
-            fresh,
-            noise_bounds,
-            outer=3,
-            inner=3 if strained else 2,
-        )
-        if data.grain > 0 and is_short_of_pixels(data, got.model[-1]):
-            continue
-        gain = evidence(few, got.model[-1], got, base) * every
-        quick.append((gain - price(candidate.amendment, data), got))
-    if not quick:
-        return [], []
-    quick.sort(key=lambda pair: -pair[0])
-    for k, (gain, got) in enumerate(quick[: SCAN.selection.max_searched]):
-        if gain > SCAN.selection.searched_share * quick[0][0] - SCAN.selection.gain_margin and is_rough(
-            got.model[-1]
-        ):
-            better = searched(
-                few, got, noise_bounds, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
-            )
-            quick[k] = (gain + (better.j - got.j) * every, better)
-    quick.sort(key=lambda pair: -pair[0])
-    logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in quick])
-    finalists = quick[: SCAN.selection.max_finalists]
-    plain = [q for q in quick if not q[1].model[-1].effect.absorber]
-    if finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
-        finalists.append(plain[0])
-    out, also = [], []
-    for gain, got in finalists:
-        if gain < SCAN.selection.finalist_share * finalists[0][0] - SCAN.selection.gain_margin:
-            also.append((got.model[-1], gain))
-            continue
-        begin = start_state(data, noise_bounds) if strained else current.state
-        full = fit(data, got.model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
-        if is_rough(full.model[-1]):
-            full = searched(data, full, noise_bounds, rounds=2, first=0.25, turns=1)
-        out.append((full, worth(data, full.model[-1], full, current)))
-    return out, also
-
-
-def is_rough(amendment: Amendment) -> bool:
-    """Return whether an effect has parameters that are found by search instead of the linear solve."""
-    return bool(amendment.search_steps)
-
-
-def searched(
-    data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
-) -> Fitted:
-    """Search the rough parameters of the last effect, then fit again."""
-    strained = got.state.stretch > SCAN.nuisance.stretched_scale
-    for _ in range(turns):
-        polished = polish(
-            data, got.model, len(got.model) - 1, got.state, noise_bounds, rounds=rounds, first=first
-        )
-        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=4 if strained else 2)
-        gained = better.j - got.j
-        if gained > 0:
-            got = better
-        if gained < 2:
-            break
-    return got
-
-
-def shortlist(
-    data: ScanData,
-    current: Fitted,
-    struck: set[tuple[str, str]],
-    gained: float,
-    first: FirstGains | None = None,
-) -> list[Candidate]:
-    """Return the candidates to fit, best first.
-
-    Parameters
-    ----------
-    struck : Effects and places that were removed from the model.
-    gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
-    first : Gains expected in the bare model. They are stored there, and dropped when they change.
-    """
-    smooth = smooth_candidates(data, current)
-    sharp = [c for c in smooth if c.gain > SCAN.selection.min_expected_gain]
-    broad = [
-        c
-        for c in smooth_candidates(data, current, broad=True)
-        if c.gain > 2 * SCAN.selection.min_expected_gain
-    ]
-    rough = proposed_candidates(FitResiduals(data, current))
-    if data.clutter_nats:
-        rough.sort(key=lambda c: not surely_stands(c.amendment, data))
-    first = FirstGains() if first is None else first
-    first.compare((*sharp, *rough, *broad), is_first=not current.model)
-    first.note((*smooth, *rough))
-    present = {name_at_place(a) for a in current.model}
-    out: list[Candidate] = []
-    seen: dict[str, int] = {}
-    for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
-        taken = 0
-        for c in group:
-            key = name_at_place(c.amendment)
-            single = c.amendment.effect.place is None
-            if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
-                continue
-            if (c.amendment.name, c.amendment.place) in struck:
-                continue
-            if not data.may_show(c.amendment.effect, c.amendment.place):
-                continue
-            if data.from_scans and _stretches(c.amendment) and any(map(_stretches, current.model)):
-                continue  # the poses have been scaled with the map, so the scales of map and laser are equivalent
-            if c.gain < _least(current.model, c.amendment, gained, first.has(c)):
-                continue
-            if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
-                continue
-            second_start = c.amendment.effect.diagnostics.second_start
-            if second_start is not None:
-                other = c.amendment.moved_to(second_start(data.span))
-                out.append(Candidate(amendment=other, gain=c.gain))
-            out.append(c)
-            seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
-            taken += 1
-            if taken == most:
-                break
-    return out[: SCAN.selection.max_candidates]
-
-
-def _stretches(amendment: Amendment) -> bool:
-    return amendment.effect.diagnostics.telltale == STRETCHED
-
-
-def _same(a: Amendment, b: Amendment) -> bool:
-    """Return whether two starts are so close that a single fit is sufficient."""
-    if a.name != b.name or a.place != b.place:
-        return False
-    sizes = a.effect.sizes
-    if not sizes:
-        return True
-    apart = sum(((a[k] - b[k]) / m) ** 2 for k, m in sizes.items()) ** 0.5
-    return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
+    """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind."""
+    memory.begin()
+    candidates = shortlist(data, current, gained, memory)
+    fits = CandidateFits(data, current, noise_bounds, memory, gained)
+    fits.add(candidates, tick)
+    if fits.is_strained:  # widened tolerances may hide an effect, so search again with the specified ones
+        if memory.at_specified is not None and fits.has_sure_winner():
+            memory.has_passed = True
+        else:
+            told = replace(noise_bounds, max_scale=1.0)
+            tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
+            memory.at_specified = shortlist(data, tight, gained, memory)
+        more = [c for c in memory.specified(current.model) if not any(is_same(c, o) for o in candidates)]
+        fits.add(more[: SCAN.selection.max_candidates // 2], tick)
+    fits.search()
+    return fits.to_all_scans(), fits.behind
 
 
 def _pruned(

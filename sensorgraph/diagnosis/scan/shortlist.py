@@ -1,0 +1,105 @@
+"""The candidates of a round, from the score test and the proposals of effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sensorgraph.diagnosis.scan.first_gains import name_at_place
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.propose import proposed_candidates
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_clutter import surely_stands
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.shared import STRETCHED
+
+
+def shortlist(
+    data: ScanData,
+    current: Fitted,
+    gained: float,
+    memory: SearchMemory,
+) -> list[Candidate]:
+    """Return the candidates to fit, best first.
+
+    Parameters
+    ----------
+    gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
+    memory : Gains expected in the bare model are stored there, and dropped when they change.
+    """
+    smooth = smooth_candidates(data, current)
+    sharp = [c for c in smooth if c.gain > SCAN.selection.min_expected_gain]
+    broad = [
+        c
+        for c in smooth_candidates(data, current, broad=True)
+        if c.gain > 2 * SCAN.selection.min_expected_gain
+    ]
+    rough = proposed_candidates(FitResiduals(data, current))
+    if data.clutter_nats:
+        rough.sort(key=lambda c: not surely_stands(c.amendment, data))
+    first = memory.first
+    first.compare((*sharp, *rough, *broad), is_first=not current.model)
+    first.note((*smooth, *rough))
+    present = {name_at_place(a) for a in current.model}
+    out: list[Candidate] = []
+    seen: dict[str, int] = {}
+    for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
+        taken = 0
+        for c in group:
+            key = name_at_place(c.amendment)
+            single = c.amendment.effect.place is None
+            if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
+                continue
+            if (c.amendment.name, c.amendment.place) in memory.struck:
+                continue
+            if not data.may_show(c.amendment.effect, c.amendment.place):
+                continue
+            if data.from_scans and _stretches(c.amendment) and any(map(_stretches, current.model)):
+                continue  # the poses have been scaled with the map, so the scales of map and laser are equivalent
+            if c.gain < least_gain(current.model, c.amendment, gained, first.has(c)):
+                continue
+            if any(is_same(c, o) for o in out) or seen.get(c.amendment.name, 0) >= 3:
+                continue
+            second_start = c.amendment.effect.diagnostics.second_start
+            if second_start is not None:
+                other = c.amendment.moved_to(second_start(data.span))
+                out.append(Candidate(amendment=other, gain=c.gain))
+            out.append(c)
+            seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
+            taken += 1
+            if taken == most:
+                break
+    return out[: SCAN.selection.max_candidates]
+
+
+def _stretches(amendment: Amendment) -> bool:
+    return amendment.effect.diagnostics.telltale == STRETCHED
+
+
+def is_same(candidate: Candidate, other: Candidate) -> bool:
+    """Return whether two starts are so close that a single fit is sufficient."""
+    a, b = candidate.amendment, other.amendment
+    if a.name != b.name or a.place != b.place:
+        return False
+    sizes = a.effect.sizes
+    if not sizes:
+        return True
+    apart = sum(((a[k] - b[k]) / m) ** 2 for k, m in sizes.items()) ** 0.5
+    return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
+
+
+def least_gain(model: Sequence[Amendment], candidate: Amendment, gained: float, stood: bool) -> float:
+    """Return the gain [nats] below which a candidate is only a remainder of the effects in the model.
+
+    Parameters
+    ----------
+    stood : Whether the same gain was expected in the bare model. The candidate is then not a remainder, except of an
+        effect with a coarse model.
+    """
+    known = [a.effect.diagnostics for a in model]
+    by_name = [0.0 if stood and not d.leftover_share else d.leftovers.get(candidate.name, 0.0) for d in known]
+    shares = [max(d.leftover_share, share) for d, share in zip(known, by_name, strict=True)]
+    return max(shares, default=0.0) * gained
