@@ -19,7 +19,7 @@ from sensorgraph.cli import run as cli
 from sensorgraph.diagnosis import engine
 from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 from sensorgraph.diagnosis.engine.why import paragraph, why
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import FAMILIES_OF_CHANNEL, ledger_of, not_observable
@@ -108,7 +108,15 @@ def test_a_verdict_is_a_function_of_its_facts() -> None:
         replace(NAMED, lead=2.0, required_lead=3.0): (Verdict.UNDECIDED, DecidedBy.CLOSE_RIVAL),
         replace(NAMED, lead=4.0, required_lead=3.0): (Verdict.NAMED, DecidedBy.EVIDENCE),
         replace(NAMED, is_material=False): (Verdict.SILENT, DecidedBy.IMMATERIAL),
-        replace(NAMED, objection="clutter"): (Verdict.SILENT, DecidedBy.OBJECTION),
+        replace(NAMED, material_probability=0.6, required_probability=0.65): (
+            Verdict.SILENT,
+            DecidedBy.IMMATERIAL,
+        ),
+        replace(NAMED, material_probability=0.7, required_probability=0.65): (
+            Verdict.NAMED,
+            DecidedBy.EVIDENCE,
+        ),
+        replace(NAMED, objection=Objection("clutter", "people pass")): (Verdict.SILENT, DecidedBy.OBJECTION),
         replace(NAMED, has_name=False): (Verdict.UNKNOWN, DecidedBy.EVIDENCE),
         replace(NAMED, accepted=False): (Verdict.SILENT, DecidedBy.BEATEN),
         replace(NAMED, accepted=False, is_significant=False): (Verdict.SILENT, DecidedBy.WEAK),
@@ -143,7 +151,9 @@ def test_the_runner_up_and_the_missing_readings_are_said() -> None:
 
 def test_effects_that_lost_their_name_keep_the_reason() -> None:
     a = replace(EFFECTS["wheel_base"](s=0.02), evidence=30.0)
-    taken = ChannelResult(channel="odometry", effects=(a,)).without({0: "the floor may imitate it"})
+    taken = ChannelResult(channel="odometry", effects=(a,)).without(
+        {0: Objection("floor", "the floor may imitate it")}
+    )
     assert taken.effects == () and [one.amendment for one in taken.withdrawn] == [a]
     (entry,) = ledger_of({"odometry": taken}).of("wheel_base")
     assert entry.verdict is Verdict.SILENT and entry.reason == "the floor may imitate it"
@@ -151,7 +161,7 @@ def test_effects_that_lost_their_name_keep_the_reason() -> None:
     open_ = ChannelResult(channel="odometry", undecided=(a,), rivals=(rival,))
     (entry,) = ledger_of({"odometry": open_}).of("wheel_base")
     assert entry.verdict is Verdict.UNDECIDED and "wheel radius" in entry.reason
-    assert Withdrawn(amendment=a, why="").amendment is a
+    assert Withdrawn(amendment=a, objection=Objection("floor", "")).amendment is a
 
 
 def test_a_channel_that_tried_nothing_says_why() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from sensorgraph.diagnosis.naming import beside_shown_reference, without_echoes_of_doubted_wheels
+from sensorgraph.diagnosis.motion.naming import beside_shown_reference, without_echoes_of_doubted_wheels
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.effects import EFFECTS
 

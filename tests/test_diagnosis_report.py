@@ -22,13 +22,20 @@ from sensorgraph.demo_effect import HiddenEffect
 from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.naming import without_close_calls
 from sensorgraph.diagnosis.report import comparison
 from sensorgraph.diagnosis.report.data import to_dict
 from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.diagnosis.report.files import save_report
 from sensorgraph.diagnosis.report.summary import summarise
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
+from sensorgraph.diagnosis.result import (
+    ChannelResult,
+    Deviation,
+    FitQuality,
+    Gap,
+    Rival,
+    Unknown,
+    without_close_calls,
+)
 from sensorgraph.diagnosis.stages import STAGES as DIAGNOSIS_STAGES
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.types import Progress

@@ -9,9 +9,9 @@ from typing import Any, cast
 import pytest
 from scan_samples import data_of, drive, hall_arena
 
-from sensorgraph.diagnosis import naming
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
+from sensorgraph.diagnosis.scan import naming
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import told_by_tolerances
 from sensorgraph.diagnosis.scan.model_selection import Explained

@@ -11,10 +11,10 @@ from conftest import polygon_arena
 from scan_samples import data_of, drive, hall_arena
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.naming import is_material
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
+from sensorgraph.diagnosis.scan.naming import is_material
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS

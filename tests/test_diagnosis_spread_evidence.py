@@ -10,8 +10,7 @@ from test_diagnosis_commissioning import ARENA, ROBOT, site_run
 
 from benchmarks.planted_site import scans_alone
 from planners.types import Floats
-from sensorgraph.diagnosis.naming import without_close_calls
-from sensorgraph.diagnosis.result import ChannelResult, Rival
+from sensorgraph.diagnosis.result import ChannelResult, Rival, without_close_calls
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.ranking import ranked
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans

@@ -16,13 +16,13 @@ from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, diagnose_driving
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
-from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
-from sensorgraph.diagnosis.naming import (
+from sensorgraph.diagnosis.motion.naming import (
     as_one_doubt,
     beside_shown_reference,
     name_motion_effects,
     without_echoes_of_doubted_wheels,
 )
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure

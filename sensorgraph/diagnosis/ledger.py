@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
@@ -19,6 +19,7 @@ FAMILIES_OF_CHANNEL: Mapping[str, Mapping[str, str]] = {
     **{channel: dict(families.values()) for channel, families in FAMILIES_OF.items()},
 }
 """Channel -> its families without a name, each with a noun phrase."""
+EXPLAINED = Objection("explained_otherwise", "the same difference is explained otherwise")
 UNLISTED = "unexplained"
 """Name of a difference that belongs to no family, as two logs that do not belong together."""
 
@@ -61,25 +62,20 @@ def _entries(result: ChannelResult) -> Iterator[Entry]:
 def _accepted(result: ChannelResult) -> Iterator[Entry]:
     """Yield the effects whose evidence is sufficient, with the facts that decided about their names."""
     known = {_key(one): one for one in result.considered if one.facts.accepted}
-    withdrawn = [(one.amendment, one.why) for one in result.withdrawn]
-    listed = [(a, "") for a in (*result.effects, *result.undecided, *result.within_tolerance)]
+    withdrawn = [(one.amendment, one.objection) for one in result.withdrawn]
+    listed = [(a, None) for a in (*result.effects, *result.undecided, *result.within_tolerance)]
     for a, objection in (*listed, *withdrawn):
-        facts = Facts(
-            has_name=True,
-            accepted=True,
-            evidence=a.evidence,
-            is_material=all(a is not one for one in result.within_tolerance),
-            objection=objection,
-        )
-        plain = effect_entry(a, facts)
+        plain = effect_entry(a, Facts(has_name=True, accepted=True, evidence=a.evidence))
         entry = known.get(_key(plain), plain)
-        facts = replace(facts, threshold=entry.facts.threshold)
+        facts = replace(entry.facts, objection=objection or entry.facts.objection)
+        if facts.material_probability is None and facts.objection is None:
+            facts = replace(facts, is_material=all(a is not one for one in result.within_tolerance))
         rival = next((one for one in result.rivals if one.instead_of == a.name), None)
         if rival is not None:
             is_open = any(a is one for one in result.undecided)
             lead = abs((a.evidence or 0.0) - rival.evidence_nats)
             facts = replace(facts, lead=lead, required_lead=rival.required_nats if is_open else 0.0)
-        if not facts.is_material and a.effect.sizes:
+        if judge(facts)[1] is DecidedBy.IMMATERIAL and a.effect.sizes:
             entry = replace(entry, needs=f"a size of at least {least_size(a.effect)}")
         yield replace(entry, facts=facts, rival=entry.rival if rival is None else competitor(rival))
 
@@ -152,9 +148,7 @@ def _judged(result: ChannelResult, family: Entry) -> Entry:
         return replace(family, needs=f"which of these is the cause: {causes}" if causes else "")
     if family.verdict is not Verdict.UNKNOWN:
         return family
-    return replace(
-        family, facts=replace(family.facts, objection="the same difference is explained otherwise")
-    )
+    return replace(family, facts=replace(family.facts, objection=EXPLAINED))
 
 
 def not_observable(ledger: Ledger) -> list[Entry]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sensorgraph.diagnosis.engine.ledger import Entry
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
@@ -149,8 +150,7 @@ class Withdrawn:
     """An effect that lost its name."""
 
     amendment: Amendment
-    why: str
-    """Reason, as a clause."""
+    objection: Objection
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,13 +192,30 @@ class ChannelResult:
     motion: MotionDifference | None = None
     """From the odometry channel, for the other channels."""
 
-    def without(self, why: Mapping[int, str]) -> ChannelResult:
+    def without(self, why: Mapping[int, Objection]) -> ChannelResult:
         """Return the result without some named effects.
 
         Parameters
         ----------
-        why : Index in `effects` -> reason.
+        why : Index in `effects` -> the rule that takes its name.
         """
-        gone = tuple(Withdrawn(amendment=self.effects[i], why=words) for i, words in why.items())
+        gone = tuple(Withdrawn(amendment=self.effects[i], objection=rule) for i, rule in why.items())
         kept = tuple(a for i, a in enumerate(self.effects) if i not in why)
         return replace(self, effects=kept, withdrawn=(*self.withdrawn, *gone))
+
+
+def without_close_calls(result: ChannelResult) -> ChannelResult:
+    """Move effects with an equally likely rival to the undecided ones, unless the rival is named itself."""
+    names = {a.name for a in result.effects}
+    rivals = [rival for rival in result.rivals if rival.name not in names]
+    close = [a for a in result.effects if any(_is_close(a, rival) for rival in rivals)]
+    named = tuple(a for a in result.effects if a not in close)
+    return replace(result, effects=named, undecided=(*result.undecided, *close))
+
+
+def _is_close(a: Amendment, rival: Rival) -> bool:
+    """Tell whether the evidence does not decide between an effect and its rival.
+
+    A rival that is far ahead was rejected for another reason, and is not close.
+    """
+    return rival.instead_of == a.name and abs((a.evidence or 0.0) - rival.evidence_nats) < rival.required_nats

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFERENCE
-from sensorgraph.diagnosis.naming import ScanNames, located, name_scan_effects
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
 from sensorgraph.diagnosis.scan.considered import effect_entries
@@ -19,6 +18,7 @@ from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
+from sensorgraph.diagnosis.scan.naming import ScanNames, located, name_scan_effects
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -87,7 +87,7 @@ def diagnose_scans(
     with clock.stage("observable"):
         unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
         considered = (
-            *effect_entries(train, explained, names.complete, names.small, threshold),
+            *effect_entries(train, explained, names.complete, names.small, names.chances, threshold),
             *family_entries(goodness, train.sensor.sigma),
         )
         result = replace(names.result, gap=gap, not_observable=unseen_effects, considered=considered)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -115,7 +116,7 @@ def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[
 def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
     """Remove the effects that robot and simulation share."""
     shared = shared_with(result, simulated)
-    why = "the simulation shows it with the same size"
+    why = Objection("in_the_simulation", "the simulation shows it with the same size")
     return result.without(
         {i: why for i, a in enumerate(result.effects) if counterpart(a, shared) is not None}
     )

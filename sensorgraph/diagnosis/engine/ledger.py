@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +93,8 @@ class Entry:
                 return f"not tried: {facts.not_tried or 'no start was found'}"
             case DecidedBy.WEAK if facts.is_significant or not self.remark:
                 return f"its evidence is {nats(facts.evidence)}, but {needs}"
-            case DecidedBy.OBJECTION:
-                return facts.objection
+            case DecidedBy.OBJECTION if facts.objection is not None:
+                return facts.objection.words
             case DecidedBy.IMMATERIAL:
                 return self.remark or "too small to matter"
             case DecidedBy.WEAK:
@@ -104,6 +104,11 @@ class Entry:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain data, for report.json."""
         facts = asdict(self.facts)
+        objection = self.facts.objection
+        facts |= {
+            "objection": "" if objection is None else objection.words,
+            "rule": "" if objection is None else objection.rule,
+        }
         location = {"name": self.place, "xy": None if self.xy is None else list(self.xy)}
         return {
             "name": self.name,
@@ -131,12 +136,14 @@ class Entry:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Entry:
         """Return the entry of plain data; the verdict follows from its facts."""
-        location, rival = data["location"] or {}, data["rival"]
+        location, rival, facts = data["location"] or {}, data["rival"], dict(data["facts"])
+        words, rule = facts.pop("objection"), facts.pop("rule")
+        facts["objection"] = Objection(rule, words) if words else None
         xy = location.get("xy")
         return cls(
             **{key: data[key] for key in ("name", "channel", "title", "parameters", "stderr", "estimate")},
             **{key: data[key] for key in ("size", "consequence", "needs", "remark")},
-            facts=Facts(has_name=data["named_effect"], evidence=data["evidence_nats"], **data["facts"]),
+            facts=Facts(has_name=data["named_effect"], evidence=data["evidence_nats"], **facts),
             place=location.get("name", ""),
             xy=None if xy is None else (xy[0], xy[1]),
             price=data["price_nats"],

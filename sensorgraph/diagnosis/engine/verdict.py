@@ -1,12 +1,13 @@
 """The verdict on a hypothesis, as a function of facts that the ledger keeps.
 
-    named      accepted, has a name,  size >= materiality,  no objection,  |E - E_rival| >= required lead
+    named      accepted, has a name,  P(size is material) >= required,  no objection,  |E - E_rival| >= required lead
     undecided  as named, but  |E - E_rival| < required lead
-    unknown    accepted, has no name, and a simulation without it is off by a material amount
+    unknown    accepted, has no name, is material, and no objection
     silent     otherwise
 
 E is the evidence [nats]. A hypothesis is accepted if the search added it to the model, which requires E >= threshold
-beside the others.
+beside the others. An objection is a rule that takes a name away; it has a name itself, so that
+`benchmarks.ablation` can count the answers that depend on it.
 """
 
 from __future__ import annotations
@@ -40,6 +41,16 @@ class DecidedBy(StrEnum):
     IMMATERIAL = "immaterial"
 
 
+@dataclass(frozen=True)
+class Objection:
+    """Why an accepted hypothesis is not reported."""
+
+    rule: str
+    """Name of the rule, the same in all runs."""
+    words: str
+    """Reason in this run, as a clause."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Facts:
     """What the verdict on a hypothesis depends on."""
@@ -55,9 +66,13 @@ class Facts:
     is_significant: bool = True
     """Whether a second test supports it: simulated replicates, or the scatter between parts of the run."""
     is_material: bool = True
-    """Whether its size matters to a user, with sufficient probability."""
-    objection: str = ""
-    """Reason why an accepted hypothesis is not reported; empty without one."""
+    """Whether its size matters to a user."""
+    material_probability: float | None = None
+    """Probability that its size matters; None if `is_material` states it."""
+    required_probability: float = 0.0
+    """Minimum of this probability."""
+    objection: Objection | None = None
+    """Rule that takes its name away."""
     lead: float | None = None
     """[nats] Distance of the evidence from that of its rival; None without a rival that could replace it."""
     required_lead: float = 0.0
@@ -72,9 +87,10 @@ def judge(facts: Facts) -> tuple[Verdict, DecidedBy]:
     """Return the verdict on a hypothesis, and the fact that decided it."""
     if not facts.accepted:
         return Verdict.SILENT, _why_not_accepted(facts)
-    if facts.objection:
+    if facts.objection is not None:
         return Verdict.SILENT, DecidedBy.OBJECTION
-    if not facts.is_material:
+    chance = facts.material_probability
+    if not facts.is_material or (chance is not None and chance < facts.required_probability):
         return Verdict.SILENT, DecidedBy.IMMATERIAL
     if not facts.has_name:
         return Verdict.UNKNOWN, DecidedBy.EVIDENCE

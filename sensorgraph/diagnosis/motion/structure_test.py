@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
@@ -85,7 +86,7 @@ class TestedStructure:
     """The family with sufficient evidence; None without one."""
     is_material: bool = True
     """Whether it matters to a user."""
-    objection: str = ""
+    objection: Objection | None = None
     """Another reason why it is not reported."""
     prefix: str = ""
     """Of the names in the ledger, where two tests have families of the same kind."""

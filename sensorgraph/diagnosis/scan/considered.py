@@ -8,13 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import effect_entry
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin
+from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.diagnosis.scan.model_selection import Explained, Step
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
@@ -29,7 +31,8 @@ def effect_entries(
     data: ScanData,
     explained: Explained,
     complete: Sequence[Amendment],
-    small: Mapping[int, str],
+    small: Mapping[int, Objection],
+    chances: Sequence[float],
     threshold: float,
 ) -> tuple[Entry, ...]:
     """Return the entries of all effects that the search fitted, or whose gain it predicted.
@@ -38,6 +41,7 @@ def effect_entries(
     ----------
     complete : Effects of the model with their evidence, in the order of the model.
     small : Index in the model -> why the effect is within tolerance.
+    chances : Probability that each effect is material.
     threshold : [nats] Evidence that a name requires.
     """
     few = thin(data, max(1, data.n_scans // N_SCANS))
@@ -45,11 +49,20 @@ def effect_entries(
     whole = cast(few, model)
     out = []
     for index, a in enumerate(complete):
-        facts = Facts(has_name=True, accepted=True, evidence=a.evidence, threshold=threshold)
+        why = small.get(index)
+        is_size = why is not None and why.rule == SURELY_MATERIAL
+        facts = Facts(
+            has_name=True,
+            accepted=True,
+            evidence=a.evidence,
+            threshold=threshold,
+            material_probability=chances[index],
+            required_probability=SCAN.naming.min_material_probability,
+            objection=None if is_size else why,
+        )
+        entry = effect_entry(a, facts, price=price(a, data))
         entry = replace(
-            effect_entry(a, facts, price=price(a, data)),
-            alone=_alone(explained.steps, a),
-            remark=small.get(index, ""),
+            entry, alone=_alone(explained.steps, a), remark=why.words if why is not None and is_size else ""
         )
         out.append(_with_size(entry, whole, cast(few, without(model, index))))
     names = {a.name for a in model}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.diagnosis.engine.ledger import Entry
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.effect_laws import Doubt
@@ -66,7 +66,7 @@ def _entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: float) -> 
         threshold=max(least, SCAN.selection.threshold) if price else least,
         is_significant=is_told or is_sure,
         is_material=is_material,
-        objection="" if is_told or not is_material else _objection(fit),
+        objection=None if is_told or not is_material else _objection(fit),
     )
     return Entry(
         name=name,
@@ -81,11 +81,12 @@ def _entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: float) -> 
     )
 
 
-def _objection(fit: GoodnessOfFit) -> str:
+def _objection(fit: GoodnessOfFit) -> Objection:
     """Return why a significant difference is not reported."""
     if not fit.is_doubted:
-        return "the known-good runs of the site show as much"
-    return f"{FAMILIES.get(fit.family, 'a difference')}, which explains more, may cause it"
+        return Objection("site_baseline", "the known-good runs of the site show as much")
+    cause = FAMILIES.get(fit.family, "a difference")
+    return Objection("weaker_than_unknown", f"{cause}, which explains more, may cause it")
 
 
 def _unlike(doubt: Doubt, evidence: float) -> str:

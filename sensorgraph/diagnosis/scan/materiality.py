@@ -14,6 +14,9 @@ from sensorgraph.effects.places import obstacles
 from sensorgraph.world.pixel_walls import MAX_STEP
 from sensorgraph.world.robot import Tolerances
 
+SURELY_MATERIAL = "surely_material"
+"""Name of the rule that a size exceeds its materiality with sufficient probability."""
+
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     """Return whether a change of the building is within the errors of the map.

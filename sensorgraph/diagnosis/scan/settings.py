@@ -656,7 +656,7 @@ class SiteSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class NamingSettings:
-    """Conditions for naming an effect of the accepted model (`diagnosis/naming.py`).
+    """Conditions for naming an effect of the accepted model (`diagnosis/scan/naming.py`).
 
     A named effect is reported as the cause of a difference.
     """

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Entry
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.considered import structure_entries, unknown_structure, unseen_effects
@@ -32,8 +32,8 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
-ABSORBED = "a difference that no effect explains absorbs it"
-"""Reason why an effect beside structure is not named."""
+ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
+"""Why an effect beside structure is not named."""
 FAST, MODERATE = 0.85, 0.4
 """Shares of the maximum commanded speed that separate the listed ranges of speed."""
 CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
@@ -90,7 +90,7 @@ def drive_result(
         channel="drive",
         effects=tuple(a for a in steady if a.effect in material),
         within_tolerance=tuple(a for a in steady if a.effect not in material),
-        withdrawn=tuple(Withdrawn(amendment=a, why=ABSORBED) for a in withdrawn),
+        withdrawn=tuple(Withdrawn(amendment=a, objection=ABSORBED) for a in withdrawn),
         unknown=None
         if structure is None
         else unknown_structure("drive", DRIVE_FAMILIES[kind][0], structure, rows.n_valid),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
@@ -32,6 +33,8 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
+BY_WAITS = Objection("waits_of_the_base", "waits for the control loop of the base may cause it")
+"""Why structure at the starts of commands is not reported."""
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
 
@@ -174,7 +177,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
         model.tested,
         best=found_one,
         is_material=is_material or is_large,
-        objection="waits for the control loop of the base may cause it" if is_by_waits else "",
+        objection=BY_WAITS if is_by_waits else None,
     )
     if is_by_waits:
         return _without_smaller(model, selected, family, sure_change)

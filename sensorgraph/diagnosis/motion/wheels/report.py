@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Entry
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.considered import (
@@ -42,8 +42,8 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-ABSORBED = "a difference that no effect explains absorbs it"
-"""Reason why an effect beside structure is not named."""
+ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
+"""Why an effect beside structure is not named."""
 RMSE_WINDOW = 1.0
 """[s] averaging time of the speeds in the gap."""
 
@@ -78,7 +78,7 @@ def odometry_result(
         channel="odometry",
         effects=tuple(named),
         within_tolerance=tuple(a for a in found if not _is_material(a)),
-        withdrawn=tuple(Withdrawn(amendment=a, why=ABSORBED) for a in absorbed),
+        withdrawn=tuple(Withdrawn(amendment=a, objection=ABSORBED) for a in absorbed),
         unknown=_unknown(model, aside),
         rivals=tuple(_rivals(model, terms, named, rng)),
         deviations=deviations,

@@ -1,0 +1,282 @@
+"""Name the effects of an accepted model, with a probability each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import expit
+
+from sensorgraph.diagnosis.engine.verdict import Objection
+from sensorgraph.diagnosis.report.quantities import brief
+from sensorgraph.diagnosis.result import (
+    ChannelResult,
+    Deviation,
+    Rival,
+    Unknown,
+    Withdrawn,
+    without_close_calls,
+)
+from sensorgraph.diagnosis.scan.families import FAMILIES
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.materiality import (
+    SURELY_MATERIAL,
+    changes_too_few,
+    is_map_error,
+    required_ratio,
+)
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.observability import separation
+from sensorgraph.diagnosis.scan.ranking import n_parameters
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
+from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import size_ratio
+
+AT_MOST = 0.99
+"""Share of the maximum scale of map and poses, above which they count as widened to the limit."""
+IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")
+"""Why an effect with sufficient evidence is not named."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanNames:
+    """Result of the scan channel, and the effects that it accepts."""
+
+    result: ChannelResult
+    complete: tuple[Amendment, ...] = ()
+    """All effects of the model with evidence and probability, in its order."""
+    small: Mapping[int, Objection] = field(default_factory=dict)
+    """Index in `complete` -> why the effect is within tolerance; those that are not are left out."""
+    chances: tuple[float, ...] = ()
+    """Probability that each effect of `complete` is material."""
+    accepted: tuple[Amendment, ...]
+    """Fitted effects that are material and not contradicted by unmodelled structure, in the order of the model."""
+    rivals: tuple[Amendment, ...]
+    """The second-best explanations, in the order of `result.rivals`."""
+
+    @property
+    def named(self) -> list[Amendment]:
+        """Accepted effects without an equally likely rival."""
+        undecided = {(a.name, a.place) for a in self.result.undecided}
+        return [a for a in self.accepted if (a.name, a.place) not in undecided]
+
+
+def name_scan_effects(
+    data: ScanData,
+    explained: Explained,
+    fit: GoodnessOfFit,
+    deviations: Sequence[Deviation],
+    *,
+    echoes: Set[int] = frozenset(),
+) -> ScanNames:
+    """Sort an accepted model into named effects, effects within tolerance, rivals and unmodelled structure.
+
+    An effect is *named* if it is reported as the cause of a difference.
+
+    Parameters
+    ----------
+    fit : Goodness of fit of the accepted model.
+    deviations : From the simulator without any effect.
+    echoes : Indices in the model of whole-sensor effects that only reflect something local.
+    """
+    final = explained.final
+    complete = [
+        replace(
+            located(amendment, data),
+            evidence=explained.gains[index],
+            probability=probability(explained, index, fit),
+        )
+        for index, amendment in enumerate(final.model)
+    ]
+    why = [_why_small(explained, i, data, echoes) for i in range(len(final.model))]
+    small = {i: objection for i, objection in enumerate(why) if objection is not None}
+    material = set(range(len(final.model))) - set(small)
+    # the mean error of a drifting reference is a rival as well
+    margin = SCAN.naming.rival_margin
+    imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
+    material -= imitated
+    doubted = {i for i in material if is_doubted(explained, i, fit)}
+    accepted = sorted(material - doubted)
+    order = sorted(accepted, key=lambda i: -explained.gains[i])
+    rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
+    result = ChannelResult(
+        channel="scan",
+        effects=tuple(complete[i] for i in order),
+        within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
+        withdrawn=tuple(
+            Withdrawn(
+                amendment=complete[i],
+                objection=IMITATED if i in imitated else _why_doubted(explained, fit),
+            )
+            for i in sorted(imitated | doubted)
+        ),
+        not_observable={
+            a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
+            for a in (complete[i] for i in sorted(imitated))
+        },
+        unknown=_unknown(fit),
+        rivals=tuple(
+            Rival(
+                name=rival.name,
+                instead_of=complete[i].name,
+                evidence_nats=explained.gains[i] - short,
+                separates=separation(complete[i], rival),
+                required_nats=_margin(data, complete[i], rival),
+            )
+            for i, rival, short in rivals
+        ),
+        deviations=tuple(deviations),
+        notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
+    )
+    return ScanNames(
+        result=without_close_calls(result),
+        complete=tuple(complete),
+        small=small,
+        chances=tuple(material_chance(final, a) for a in final.model),
+        accepted=tuple(final.model[i] for i in accepted),
+        rivals=tuple(rival for _, rival, _ in rivals),
+    )
+
+
+def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
+    """Return the lead [nats] that an effect needs over its rival.
+
+    At a commissioned site, the lead must also exceed the evidence that clutter brings.
+    """
+    usual = data.baseline_intervals.get(rival.name)
+    is_special = n_parameters(rival) > n_parameters(a)  # as a warm-up, which is a bias if it ends at once
+    if a.name not in data.clutter_leads or usual is None or usual.contains(rival, usual.stderr) or is_special:
+        return SCAN.naming.rival_margin
+    return max(SCAN.naming.rival_margin, data.clutter_leads[a.name], data.clutter_leads.get(rival.name, 0.0))
+
+
+def located(amendment: Amendment, data: ScanData) -> Amendment:
+    """Return an effect at the place that its fitted parameters give."""
+    values = amendment.parameters
+    if amendment.effect.place == "spot":
+        return amendment.at("", (values["x"], values["y"]))
+    if {"a", "b"} <= set(values) and amendment.place in data.arena.names:
+        start, end = data.arena.walls[data.arena.names.index(amendment.place)]
+        along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
+        return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
+    return amendment
+
+
+def _why_small(explained: Explained, index: int, data: ScanData, echoes: Set[int]) -> Objection | None:
+    """Return why an effect of the model is within tolerance; None if it is not."""
+    a = explained.final.model[index]
+    if index in echoes:
+        return Objection("echo_of_local", "it only reflects something local")
+    if objection := why_immaterial(explained.final, a):
+        return objection
+    if explained.gains[index] <= data.clutter_leads.get(a.name, 0.0):
+        return Objection("site_clutter", "the known-good runs of the site bring it as much evidence")
+    return None
+
+
+def is_material(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an effect is large enough to be named, with sufficient probability."""
+    return not why_immaterial(fitted, amendment)
+
+
+def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
+    """Return why an effect is not surely large enough to be named; None if it is."""
+    if _is_blurred_corner(amendment):
+        length = f"{100 * SCAN.naming.min_part:.0f} cm"
+        return Objection("blurred_corner", f"it is shorter than {length}, as a blurred corner is")
+    if is_within_baseline(fitted, amendment):
+        return Objection("site_baseline", "it is within what the known-good runs of the site show")
+    if not is_measured(amendment):
+        return Objection("undetermined_size", "the run does not determine its size")
+    if is_map_error(fitted, amendment):
+        return Objection("map_error", "it is within the errors of the map")
+    if changes_too_few(fitted, amendment):
+        return Objection("few_readings", "it changes too few readings")
+    chance, required = material_chance(fitted, amendment), SCAN.naming.min_material_probability
+    if chance >= required:
+        return None
+    return Objection(
+        SURELY_MATERIAL,
+        f"the probability that it exceeds {required_ratio(fitted, amendment):.2g} times its materiality is "
+        f"{100 * chance:.0f} %, and {100 * required:.0f} % is required",
+    )
+
+
+def material_chance(fitted: Fitted, amendment: Amendment) -> float:
+    """Return the probability that the size of an effect matters."""
+    return float(material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
+
+
+def _is_blurred_corner(amendment: Amendment) -> bool:
+    """Tell whether a part of a wall is so short that it may be a blurred corner."""
+    values = amendment.parameters
+    return amendment.effect.on_part_of_wall and values["b"] - values["a"] < SCAN.naming.min_part
+
+
+def is_measured(amendment: Amendment) -> bool:
+    """Tell whether the run determines the size of an effect: the size exceeds its standard error."""
+    sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
+    error = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
+    return not sizes or error < size_ratio(amendment.effect, amendment.parameters)
+
+
+def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
+    """Tell whether an effect loses its name to unmodelled structure, of the same kind or of the whole room."""
+    if index in fit.failed or _fits_nowhere(explained.final):
+        return True
+    if explained.final.model[index].effect.diagnostics.is_lattice:
+        return False
+    naming, is_coarse = SCAN.naming, explained.final.solver.data.grain > 0
+    share = naming.max_pixel_share if is_coarse else naming.max_unexplained_share
+    if fit.is_of_building:
+        share = naming.max_building_share
+    return fit.is_doubted and fit.misfit > share * explained.gains[index]
+
+
+def _why_doubted(explained: Explained, fit: GoodnessOfFit) -> Objection:
+    """Return why effects lose their names (`is_doubted`)."""
+    if _fits_nowhere(explained.final):
+        return Objection("fits_nowhere", "map and reference poses are both far less accurate than specified")
+    if not fit.is_doubted:
+        return Objection(
+            "failed_law", "it is a fringe of the readings of another effect, or a bulge of a wall"
+        )
+    cause = FAMILIES.get(fit.family, fit.statement)
+    return Objection("part_of_unknown", f"it may be a part of what no effect explains: {cause}")
+
+
+def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
+    """Return the probability that a name is right and its size material, calibrated on development cases."""
+    naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
+    margin = explained.rivals[index][1] if index in explained.rivals else gain
+    p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
+    if fit.is_doubted and not fit.is_of_building:
+        p *= naming.doubted_factor
+    return float(p * material_chance(fitted, fitted.model[index]))
+
+
+def _fits_nowhere(fitted: Fitted) -> bool:
+    """Tell whether map and poses were both widened to the limit, so that no effect can be named."""
+    return min(fitted.state.pose_scale, fitted.state.map_scale) > AT_MOST * SCAN.noise.max_scale
+
+
+def _unknown(fit: GoodnessOfFit) -> Unknown | None:
+    if not fit.is_doubted:
+        return None
+    size = "" if fit.size is None else f"; {fit.size.sentence()}"
+    return Unknown(
+        statement=f"something no effect of the library explains: {fit.statement}{size}",
+        deviation=fit.deviation,
+        statistic=fit.statistic,
+        threshold=fit.threshold,
+        size={} if fit.size is None else fit.size.to_dict(),
+        consequence="" if fit.size is None else fit.size.sentence(),
+        families=fit.causes,
+        family=fit.family,
+        profile=fit.profile,
+    )
