@@ -71,3 +71,34 @@ class Arena:
         """Return whether each point (..., 2) [m] lies in free space, as bool of shape (...)."""
         points = np.asarray(points, dtype=np.float64)
         return np.asarray(shapely.contains_xy(self.free, points[..., 0], points[..., 1]), dtype=np.bool_)
+
+    def contains_grid(self, x: Floats, y: Floats) -> Bools:
+        """Return `contains` of each node of a grid with ascending x (nx,) and y (ny,) [m], as bool (nx, ny).
+
+        Each row of the grid is cut with the edges of the free space; a node is inside if an odd number of cuts lies before
+        it (scan conversion; Foley and van Dam 1990). Nodes on an edge are outside.
+        """
+        ends, ring = shapely.get_coordinates(
+            shapely.get_rings(shapely.get_parts(self.free)), return_index=True
+        )
+        is_edge = ring[1:] == ring[:-1]
+        start, end = ends[:-1][is_edge], ends[1:][is_edge]
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        first, last = np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1], side="right")
+        edge = np.repeat(np.arange(len(start)), last - first)  # of each row that an edge touches
+        row = np.arange(len(edge)) - np.repeat(np.cumsum(last - first) - last, last - first)
+        rise = end[edge, 1] - start[edge, 1]
+        is_level = rise == 0.0
+        along = (y[row] - start[edge, 1]) / np.where(is_level, 1.0, rise)
+        cut = start[edge, 0] + along * (end[edge, 0] - start[edge, 0])
+        cut = np.where(is_level, low[edge, 0], np.clip(cut, low[edge, 0], high[edge, 0]))
+        column = np.searchsorted(x, cut)
+        counts = y[row] < high[edge, 1]  # a corner belongs to the edge above it
+        cuts = np.zeros((len(x) + 1, len(y)), dtype=np.uint8)
+        np.add.at(cuts, (column[counts], row[counts]), 1)
+        inside = np.asarray(np.bitwise_xor.accumulate(cuts & 1, axis=0)[:-1], dtype=np.bool_)
+        touched = np.searchsorted(x, np.where(is_level, high[edge, 0], cut), side="right") - column
+        touch = np.repeat(np.arange(len(edge)), touched)  # nodes on an edge
+        number = np.arange(len(touch)) - np.repeat(np.cumsum(touched) - touched, touched)
+        inside[column[touch] + number, row[touch]] = False
+        return inside

@@ -54,7 +54,8 @@ class Barriers:
             window = np.s_[i[0, k] : i[1, k], j[0, k] : j[1, k]]
             px, py = x[window[0], None] - start[0], y[None, window[1]] - start[1]
             ux, uy = end - start
-            share = np.clip((px * ux + py * uy) / (ux * ux + uy * uy), 0.0, 1.0)
+            share = (px * ux + py * uy) / (ux * ux + uy * uy)
+            np.maximum(np.minimum(share, 1.0, out=share), 0.0, out=share)
             np.minimum(square[window], (px - share * ux) ** 2 + (py - share * uy) ** 2, out=square[window])
         return np.asarray(np.sqrt(square), dtype=np.float64)
 

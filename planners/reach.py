@@ -139,8 +139,7 @@ def reach(
     x: Floats = x0 + (np.arange(nx * per_cell, dtype=np.float64) + 0.5) * step
     y: Floats = y0 + (np.arange(ny * per_cell, dtype=np.float64) + 0.5) * step
     distance = barriers.field(x, y, clearance + REACH.distance_cap)
-    inside = arena.contains(np.stack(np.broadcast_arrays(x[:, None], y[None, :]), axis=-1))
-    distance[~inside] = 0.0
+    distance[~arena.contains_grid(x, y)] = 0.0
     fits = distance >= clearance
     if not fits.any():
         raise PlanError(

@@ -104,3 +104,23 @@ def test_a_cell_far_too_small_is_refused() -> None:
     arena = shipped("office")
     with pytest.raises(PlanError, match="choose a larger cell"):
         reach(arena, Barriers(arena), clearance=0.22, cell=0.001)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_grid_is_inside_where_its_nodes_are(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arena = random_arena(rng)
+    x0, y0, x1, y1 = arena.bounds
+    x = np.sort(np.append(rng.uniform(x0 - 1, x1 + 1, 180), arena.walls[:5, 0, 0]))  # some nodes on edges
+    y = np.sort(np.append(rng.uniform(y0 - 1, y1 + 1, 150), arena.walls[:5, 0, 1]))
+    nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    assert (arena.contains_grid(x, y) == arena.contains(nodes)).all()
+
+
+def test_nodes_on_the_edges_of_pixels_are_outside() -> None:
+    pixels = np.random.default_rng(3).random((12, 9)) < 0.6
+    free = shapely.unary_union([shapely.box(i, j, i + 1, j + 1) for i, j in np.argwhere(pixels)])
+    arena = Arena(free=free, walls=np.zeros((0, 2, 2)), names=(), surfaces=())
+    x, y = np.arange(-1.0, 14.0, 0.5), np.arange(-1.0, 11.0, 0.5)
+    nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    assert (arena.contains_grid(x, y) == arena.contains(nodes)).all()

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import shapely
 
 from logs.run import OccupancyMap, RangeSensor, Run
 from planners.arena import Arena, wrap
@@ -116,12 +115,14 @@ def occupancy_map(
     resolution = max(resolution, float(np.sqrt((x1 - x0) * (y1 - y0) / most)))
     x0, y0 = x0 - 2.5 * resolution, y0 - 2.5 * resolution  # the outermost walls in the middle of their cells
     nx, ny = int((x1 - x0) / resolution) + 3, int((y1 - y0) / resolution) + 3
-    x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * resolution, y0 + (np.arange(ny) + 0.5) * resolution)
-    shapely.prepare(arena.free)
-    data = np.where(arena.contains(np.stack([x, y], axis=-1)), 0, -1).astype(np.int8)  # (ny, nx)
-    for a, b in arena.walls:
-        n = int(np.hypot(*(b - a)) / resolution * 4) + 2
-        points = a + np.linspace(0, 1, n)[:, None] * (b - a)
-        column, row = ((points - [x0, y0]) / resolution).astype(np.intp).T
-        data[row.clip(0, ny - 1), column.clip(0, nx - 1)] = 100
+    x: Floats = np.asarray(x0 + (np.arange(nx) + 0.5) * resolution, dtype=np.float64)
+    y: Floats = np.asarray(y0 + (np.arange(ny) + 0.5) * resolution, dtype=np.float64)
+    data = np.where(arena.contains_grid(x, y).T, 0, -1).astype(np.int8)  # (ny, nx)
+    start, step = arena.walls[:, 0], arena.walls[:, 1] - arena.walls[:, 0]
+    n = (np.hypot(*step.T) / resolution * 4).astype(np.intp) + 2  # points of a wall, four to a cell
+    wall = np.repeat(np.arange(len(n)), n)
+    share = (np.arange(len(wall)) - np.repeat(np.cumsum(n) - n, n)) / (n[wall] - 1)
+    points = start[wall] + share[:, None] * step[wall]
+    column, row = ((points - [x0, y0]) / resolution).astype(np.intp).T
+    data[row.clip(0, ny - 1), column.clip(0, nx - 1)] = 100
     return OccupancyMap(data=data, resolution=resolution, origin=np.array([x0, y0, 0.0]))

@@ -13,7 +13,18 @@ from planners import Plan
 from planners.arena import Arena
 from planners.holes import unmet
 from sensorgraph.show.figures.plan import REASONS, legend_above, title_flush_left
-from sensorgraph.show.figures.style import ALARM, FLOOR, INK, SMALL, TEAL, fill_solid, new_figure, save_figure
+from sensorgraph.show.figures.style import (
+    ALARM,
+    FLOOR,
+    INK,
+    SMALL,
+    TEAL,
+    draw_walls,
+    fill_solid,
+    new_figure,
+    save_figure,
+    solid_outline,
+)
 from sensorgraph.types import Floats
 
 MAX_HEADINGS = 16
@@ -48,7 +59,7 @@ LABEL_AND_COLOUR = {
 
 def headings_picture(plan: Plan, arena: Arena, path: Path) -> None:
     """Draw for each heading the state of its cells; of many headings, draw evenly spaced ones."""
-    from matplotlib.collections import LineCollection
+    from matplotlib.transforms import Affine2D
 
     grid = plan.coverage
     shown = np.unique(
@@ -62,13 +73,14 @@ def headings_picture(plan: Plan, arena: Arena, path: Path) -> None:
     figure = new_figure(SHEET_WIDTH, float(SHEET_WIDTH * sheet[1] / sheet[0]) + 0.75)
     axes = figure.subplots()
     states = _bin_states(plan)
-    walls: list[Floats] = []
+    walls, solid = list[Floats](), solid_outline(arena)
     for number, heading in enumerate(shown.tolist()):
         shift = step * [number % columns, -(number // columns)] - np.array(arena.bounds[:2])
-        _map(axes, arena, plan, states[:, :, heading], shift)
+        _map(axes, plan, states[:, :, heading], shift)
+        fill_solid(axes, solid.transformed(Affine2D().translate(*shift)), zorder=2)
         _name(axes, plan, heading, shift + np.array(arena.bounds)[[0, 3]], label)
-        walls += list(arena.walls + shift)
-    axes.add_collection(LineCollection(walls, colors=INK, linewidths=0.7, zorder=4))
+        walls.append(arena.walls + shift)
+    draw_walls(axes, np.concatenate(walls), 0.7)
     pad = 0.02 * size.max()
     axes.set(xlim=(-pad, sheet[0] - step[0] + size[0] + pad), ylim=(step[1] - sheet[1] - pad, step[1]))
     axes.set_aspect("equal")
@@ -108,7 +120,7 @@ def _bin_states(plan: Plan) -> NDArray[np.int64]:
     return np.asarray(states, dtype=np.int64)
 
 
-def _map(axes: Any, arena: Arena, plan: Plan, states: NDArray[np.int64], shift: Floats) -> None:
+def _map(axes: Any, plan: Plan, states: NDArray[np.int64], shift: Floats) -> None:
     """Draw one map, its lower left corner at `shift` [m]."""
     from matplotlib.colors import to_rgb
 
@@ -119,7 +131,6 @@ def _map(axes: Any, arena: Arena, plan: Plan, states: NDArray[np.int64], shift: 
     x, y, _ = plan.coverage.edges
     extent = (x[0] + shift[0], x[-1] + shift[0], y[0] + shift[1], y[-1] + shift[1])
     axes.imshow(paint[states.T], origin="lower", extent=extent, interpolation="nearest", zorder=1)
-    fill_solid(axes, arena, shift, zorder=2)
 
 
 def _name(axes: Any, plan: Plan, heading: int, corner: Floats, label: float) -> None:

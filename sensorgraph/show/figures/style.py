@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from logs.files import atomic_file
 from planners.arena import Arena
@@ -54,44 +55,44 @@ def save_figure(figure: Any, path: Path) -> None:
 
 def draw_floor(axes: Any, arena: Arena, *, solid: int = -1) -> None:
     """Draw free space, solid space and walls; `solid` is the zorder of solid space."""
-    from matplotlib.collections import LineCollection
-
     x0, y0, x1, y1 = arena.bounds
     pad = 0.02 * max(x1 - x0, y1 - y0)
     axes.set_facecolor(FLOOR)
-    fill_solid(axes, arena, pad=pad, zorder=solid)
-    axes.add_collection(LineCollection(list(arena.walls), colors=INK, linewidths=1.3, zorder=4))
+    fill_solid(axes, solid_outline(arena, pad), zorder=solid)
+    draw_walls(axes, arena.walls, 1.3)
     axes.set_xlabel("x [m]", color=INK)
     axes.set_ylabel("y [m]", color=INK)
     axes.set(xlim=(x0 - pad, x1 + pad), ylim=(y0 - pad, y1 + pad), aspect="equal")
     reduce_frame(axes)
 
 
-def fill_solid(
-    axes: Any,
-    arena: Arena,
-    shift: Floats | tuple[float, float] = (0.0, 0.0),
-    *,
-    pad: float = 0.0,
-    zorder: int,
-) -> None:
-    """Fill the space that is not free within the bounds of the arena plus `pad` [m], moved by `shift` (2,) [m]."""
+def draw_walls(axes: Any, walls: Floats, width: float) -> None:
+    """Draw walls (n, 2, 2) [m] as one line with gaps, because a building has thousands of them."""
+    with_gaps = np.full((len(walls), 3, 2), np.nan)
+    with_gaps[:, :2] = walls
+    x, y = with_gaps.reshape(-1, 2).T
+    axes.plot(x, y, color=INK, linewidth=width, solid_capstyle="butt", zorder=4)
+
+
+def fill_solid(axes: Any, outline: Any, *, zorder: int) -> None:
+    """Fill an outline of solid space."""
     from matplotlib.patches import PathPatch
+
+    axes.add_artist(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
+
+
+def solid_outline(arena: Arena, pad: float = 0.0) -> Any:
+    """Return the space that is not free within the bounds of the arena plus `pad` [m], as one path of matplotlib."""
     from matplotlib.path import Path as Outline
 
     frame = arena.free.envelope.buffer(pad, join_style="mitre") if pad else arena.free.envelope
-    solid = frame.difference(arena.free)
-    polygons = getattr(solid, "geoms", [solid])
-    rings = [
-        ring for polygon in polygons for ring in (polygon.exterior, *polygon.interiors) if len(ring.coords)
-    ]
-    if rings:  # one patch, because the unobserved space of a building has thousands of polygons
-        outline = Outline.make_compound_path(*(Outline(_moved(r, shift), closed=True) for r in rings))
-        axes.add_artist(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
-
-
-def _moved(ring: Any, shift: Floats | tuple[float, float]) -> Floats:
-    return np.asarray(ring.coords)[:, :2] + shift
+    solid = shapely.get_parts(frame.difference(arena.free))
+    rings = shapely.get_rings(solid[shapely.get_type_id(solid) == shapely.GeometryType.POLYGON])
+    corners, ring = shapely.get_coordinates(rings, return_index=True)
+    codes = np.full(len(corners), Outline.LINETO, dtype=Outline.code_type)
+    codes[np.searchsorted(ring, np.arange(len(rings)))] = Outline.MOVETO
+    codes[np.searchsorted(ring, np.arange(len(rings)), side="right") - 1] = Outline.CLOSEPOLY
+    return Outline(corners, codes)
 
 
 def reduce_frame(axes: Any) -> None:
