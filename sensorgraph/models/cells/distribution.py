@@ -7,11 +7,16 @@ with |r_i - m| <= d are multiplied by a and the others by b, such that
     a A + b B = A + B,  a A' + b B' = p (A + B).
 
 A and B are the weights of both groups, A' and B' the parts of them that lie further than d from the mode.
+
+Errors of a reading about its face are a scale mixture of normals (Andrews and Mallows 1974), since some places and poses
+are worse than others: with the standard deviation s_i of a candidate, (1 - q) N(0, u² s_i²) + q N(0, v² s_i²). The scans
+set aside tell q, u and v (`fit_tails`); (1 - q) u² + q v² = 1, so that s_i remains the standard deviation.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,16 +24,20 @@ import numpy as np
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE
-from sensorgraph.models.cells.grid import max_cells_met
-from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
+from sensorgraph.models.cells.grid import max_cells_met, per_ray
+from sensorgraph.models.cells.learning import SetAside
+from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
-from sensorgraph.models.distribution import SQRT_HALF, TAIL, count_of, total_of
+from sensorgraph.models.distribution import DENSITY_AT_0, SQRT_HALF, TAIL, count_of, density_at, total_of
 from sensorgraph.models.likelihood import MIN_DENSITY, log_density_of
 from sensorgraph.models.mixture import MIN_WEIGHT, densest, median_of
 from sensorgraph.types import Bools, Floats
 
-KNOTS = np.array(CELLS.answers.knots)
-OUTLIER_DENSITY, MAX_UNSEEN_LENGTH = CELLS.answers.outlier_density, CELLS.answers.max_unseen_length
+ANSWERS = CELLS.answers
+KNOTS = np.array(ANSWERS.knots)
+NORMAL_TAILS = np.array([0.0, 1.0, 1.0])
+"""Tails of normal errors: share of wide ones, and factors of the standard deviation."""
+OUTLIER_DENSITY, MAX_UNSEEN_LENGTH = ANSWERS.outlier_density, ANSWERS.max_unseen_length
 
 
 @inner_kernel
@@ -43,55 +52,92 @@ def calibrated(p: float, reliability: Floats) -> float:
 
 
 @inner_kernel
-def scale_weights(r: Floats, w: Floats, s: Floats, n: int, farthest: float, reliability: Floats) -> float:
-    """Scale the weights w (n or more,) in place so that a return is off the mode with the observed chance.
+def chance_off(x: float, s: float) -> float:
+    """Return the chance that a reading about a candidate at a distance x [m] from the mode is off; s [m] is its spread."""
+    below, above = (OFF_DISTANCE - x) / s, (OFF_DISTANCE + x) / s
+    if below < -TAIL:
+        return 1.0
+    if below >= TAIL:
+        return 0.0
+    off = 0.5 * math.erfc(below * SQRT_HALF)
+    return off + 0.5 * math.erfc(above * SQRT_HALF) if above < TAIL else off
 
-    `reliability` (n_knots,) holds the observed chances at `KNOTS`. Return the mode [m], `farthest` if nothing has weight.
+
+@inner_kernel
+def shape_mixture(
+    r: Floats, w: Floats, s: Floats, n: int, farthest: float, reliability: Floats, tails: Floats
+) -> tuple[float, int]:
+    """Split candidates and scale their weights in place so that a return is off the mode with the observed chance.
+
+    A candidate becomes a narrow one, and a wide one after all others; merged ones stay as they are.
+
+    Parameters
+    ----------
+    r, w, s : (2 n or more,) Range [m], weight and standard deviation [m] of the candidates.
+    farthest : [m] Mode if nothing has weight.
+    reliability : (n_knots,) Observed chances at `KNOTS`.
+    tails : (3,) Share q of wide candidates, and factors u and v of the standard deviations.
+
+    Returns
+    -------
+    mode [m], number of candidates
     """
-    if total_of(w, n) <= MIN_WEIGHT:
-        return farthest
+    total = total_of(w, n)
+    if total <= MIN_WEIGHT:
+        return farthest, n
+    share, narrow, wide = tails
     first, last = densest(r, w, s, n)
     mode = median_of(r, w, s, first, last)
-    near, far, near_off, far_off = 0.0, 0.0, 0.0, 0.0
+    near, near_off, far_off, predicted = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         x = abs(r[i] - mode)
-        below, above = (OFF_DISTANCE - x) / s[i], (OFF_DISTANCE + x) / s[i]
-        off = 0.0
-        if below < -TAIL:
-            off = 1.0
-        elif below < TAIL:
-            off = 0.5 * math.erfc(below * SQRT_HALF)
-            off += 0.5 * math.erfc(above * SQRT_HALF) if above < TAIL else 0.0
+        off = chance_off(x, s[i])
+        predicted += w[i] * off
+        if 0.0 < off < 1.0 and share > 0.0 and w[i] >= MAX_MERGED:
+            off = (1.0 - share) * chance_off(x, narrow * s[i]) + share * chance_off(x, wide * s[i])
         if x <= OFF_DISTANCE:
             near += w[i]
             near_off += w[i] * off
         else:
-            far += w[i]
             far_off += w[i] * off
-    total = near + far
-    p_off = calibrated((near_off + far_off) / total, reliability)
+    far = total - near
+    p_off = calibrated(predicted / total, reliability)
     determinant = near_off * far - far_off * near
-    if near <= 0.0 or far <= 0.0 or determinant >= 0.0:  # one group alone cannot be shifted
-        return mode
-    b = (near_off - p_off * near) * total / determinant
-    b = min(max(b, 0.0), total / far)
-    a = (total - b * far) / near
+    a, b = 1.0, 1.0
+    if near > 0.0 and far > 0.0 and determinant < 0.0:  # one group alone cannot be shifted
+        b = min(max((near_off - p_off * near) * total / determinant, 0.0), total / far)
+        a = (total - b * far) / near
+    end = n
     for i in range(n):
+        is_split = share > 0.0 and w[i] >= MAX_MERGED
         w[i] *= a if abs(r[i] - mode) <= OFF_DISTANCE else b
-    return mode
+        if is_split:
+            r[end], w[end], s[end] = r[i], w[i] * share, s[i] * wide
+            w[i], s[i] = w[i] * (1.0 - share), s[i] * narrow
+            end += 1
+    return mode, end
 
 
 @kernel
-def scale_all_weights(r: Floats, w: Floats, sigma: Floats, reach: float, reliability: Floats) -> None:
-    """Scale the weights of candidates as `list_candidates` returns them, in place, as `scale_weights` does."""
+def shape_mixtures(
+    r: Floats, w: Floats, sigma: Floats, reach: float, reliability: Floats, tails: Floats
+) -> None:
+    """Shape candidates (n_poses, n_rays, n_most) in place as `shape_mixture` does, and sort them by range again.
+
+    Half of the entries are unused, so that all can be split.
+    """
     for p in range(r.shape[0]):
         for q in range(r.shape[1]):
-            scale_weights(r[p, q], w[p, q], sigma[p, q], count_of(w[p, q]), reach, reliability)
+            n = count_of(w[p, q])
+            _, n = shape_mixture(r[p, q], w[p, q], sigma[p, q], n, reach, reliability, tails)
+            order = np.argsort(r[p, q, :n])
+            for values in (r[p, q], w[p, q], sigma[p, q]):
+                values[:n] = values[order]
 
 
 @kernel
 def fill_log_likelihoods(
-    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats, beyond: Any,
+    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats, tails: Floats, beyond: Any,
     ranges: Floats, range_min: float, out: Floats, supported: Bools,
 ) -> None:  # fmt: skip
     """Fill out (n_poses, n_rays, n_readings) with log-likelihoods, and whether rays crossed the space before the mode.
@@ -104,7 +150,8 @@ def fill_log_likelihoods(
     """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
-    ends, r, w, s, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    ends, unseen = np.empty(size), np.empty(size)
+    r, w, s = np.empty(2 * size), np.empty(2 * size), np.empty(2 * size)
     nothing, density_beyond = beyond
     nearest = max(range_min, MIN_RANGE)
     for p in range(len(poses)):
@@ -113,8 +160,8 @@ def fill_log_likelihoods(
             n, survival = stop_candidates(
                 poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends, r, w, s, unseen
             )
-            mode = scale_weights(r, w, s, n, table.reach, reliability)
             length = 0.0
+            mode, n_parts = shape_mixture(r, w, s, n, table.reach, reliability, tails)
             for k in range(n):
                 if r[k] <= mode:
                     length = unseen[k]
@@ -125,4 +172,59 @@ def fill_log_likelihoods(
                     value = survival * (1.0 - nothing) * density_beyond
                     out[p, q, m] = math.log(max(value, MIN_DENSITY))
                 else:
-                    out[p, q, m] = log_density_of(z, r, w, s, n, survival * nothing, nearest, OUTLIER_DENSITY)
+                    out[p, q, m] = log_density_of(
+                        z, r, w, s, n_parts, survival * nothing, nearest, OUTLIER_DENSITY
+                    )
+
+
+@kernel
+def _add_parts(
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, reliability: Floats, tails: Floats, sums: Floats
+) -> None:  # fmt: skip
+    """Add to sums (2, 2) the responsibilities of narrow and wide candidates, and their squared residuals in units of s_i².
+
+    Poses (n, n_rays or 1, 3) are those of the laser. Merged candidates and outliers count nothing.
+    """
+    size = max_cells_met(table.reach, table.cell)
+    at = np.empty((size, 2), dtype=np.int64)
+    ends, unseen = np.empty(size), np.empty(size)
+    r, w, s = np.empty(2 * size), np.empty(2 * size), np.empty(2 * size)
+    is_split = np.empty(size, dtype=np.bool_)
+    for p in range(len(poses)):
+        for q in range(len(bearings)):
+            z = ranges[p, q]
+            if not (z > MIN_RANGE and z < table.reach):
+                continue
+            pose = poses[p, min(q, poses.shape[1] - 1)]
+            angle = pose[2] + bearings[q]
+            n, _ = stop_candidates(
+                pose[0], pose[1], math.cos(angle), math.sin(angle), table, at, ends, r, w, s, unseen
+            )
+            for i in range(n):
+                is_split[i] = w[i] >= MAX_MERGED
+            _, n_parts = shape_mixture(r, w, s, n, table.reach, reliability, tails)
+            total = density_at(z, r, w, s, n_parts) + OUTLIER_DENSITY
+            for i in range(n_parts):
+                e = (z - r[i]) / s[i]
+                if abs(e) < TAIL and (i >= n or is_split[i]):
+                    k = 1 if i >= n else 0
+                    share = w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / s[i] / total
+                    sums[k, 0] += share
+                    sums[k, 1] += share * (e * tails[1 + k]) ** 2
+
+
+def fit_tails(set_aside: Sequence[SetAside], tables: Sequence[CellTable], reliability: Floats) -> Floats:
+    """Return q, u and v (3,) from set-aside returns, by EM; each step scales u and v to (1 - q) u² + q v² = 1.
+
+    Each fold of set-aside scans has a table of the other scans. The prior is `knot_weight` returns of normal errors.
+    """
+    prior = ANSWERS.knot_weight
+    tails = np.array(ANSWERS.first_tails)
+    for _ in range(ANSWERS.tail_steps):
+        sums = np.zeros((2, 2))
+        for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
+            _add_parts(per_ray(poses), ranges, bearings, table, reliability, tails, sums)
+        counts, squares = sums.T + 0.5 * prior
+        variances = squares / counts * counts.sum() / squares.sum()
+        tails = np.array([counts[1] / counts.sum(), *np.sqrt(variances)])
+    return tails

@@ -7,11 +7,8 @@ stretches of the log that the evidence omits. A prediction traverses the cells a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -20,18 +17,12 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, TrainingScans
-from sensorgraph.models.cells.distribution import fill_log_likelihoods, scale_all_weights
+from sensorgraph.models.cells.distribution import NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
-from sensorgraph.models.cells.grid import per_ray
-from sensorgraph.models.cells.learning import (
-    SetAside,
-    fit_logistic,
-    is_set_aside,
-    n_folds_of,
-    training_samples,
-)
-from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
-from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
+from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
+from sensorgraph.models.cells.probability_calibration import KNOTS
+from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, tabulate
+from sensorgraph.models.cells.set_aside import learn_visibility, summarise_poses
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.distribution import Mixture
@@ -41,20 +32,6 @@ from sensorgraph.types import Bools, Floats, Ints, Progress
 
 MIN_CELL, MAX_CELL = 0.01, 0.5
 """[m] Limits of the cell size."""
-
-
-@cache
-def shipped_visibility() -> tuple[float, ...]:
-    """Return the shipped coefficients, which were learned from several buildings.
-
-    Raises
-    ------
-    ValueError : The terms in visibility.json differ from those of the polynomial.
-    """
-    table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
-    if tuple(table) != TERMS:
-        raise ValueError("the terms in visibility.json differ from those of the polynomial; learn it again")
-    return tuple(table.values())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +49,8 @@ class CellModel:
     """(n_terms,) coefficients of the visibility polynomial."""
     reliability: Floats
     """(3, n_knots) observed probability of being off at the predicted ones in `KNOTS`, for each of `POINTS`."""
+    tails: Floats
+    """(3,) Share of wide errors about a face, and factors of the standard deviation of narrow and wide ones."""
     nothing: float
     """Share of missing returns among the readings beyond reach; the others are longer ranges."""
     counts: Mapping[str, int]
@@ -103,7 +82,7 @@ class CellModel:
                 f"no ray of any training scan returned between {MIN_RANGE} and {reach:g} m"
             )
         report = progress or (lambda done, total: None)
-        beta, spread, reliability = learn_visibility(poses, ranges, bearings, cell, reach, report)
+        beta, spread, reliability, tails = learn_visibility(poses, ranges, bearings, cell, reach, report)
         evidence = CellEvidence.of(poses, ranges, bearings, cell=cell, reach=reach)
         table = tabulate(evidence.widened(), beta, spread)
         report(5, 5)
@@ -116,7 +95,7 @@ class CellModel:
         }
         return cls(
             sensor=scans.sensor, mount=mount, table=table, beta=beta, reliability=reliability,
-            nothing=none / max(far, 1), counts=counts,
+            tails=tails, nothing=none / max(far, 1), counts=counts,
         )  # fmt: skip
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
@@ -135,10 +114,10 @@ class CellModel:
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:
         """Return the mixtures of rays (n_rays,) at poses (n_poses, 3), within reach; the arrays are large."""
         means, weights, widths, survival = list_candidates(
-            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays]
+            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays], room=2
         )
         reliability = self.reliability[which_of("mode")]
-        scale_all_weights(means, weights, widths, self.table.reach, reliability)
+        shape_mixtures(means, weights, widths, self.table.reach, reliability, self.tails)
         none = survival * self.nothing
         total = np.maximum(weights.sum(axis=2) + none, 1e-300)
         return Mixture(
@@ -161,7 +140,7 @@ class CellModel:
         longest = max(self.sensor.range_max - self.table.reach, self.table.cell)
         fill_log_likelihoods(
             laser_poses(poses, self.mount), self.sensor.bearings[rays], self.table,
-            self.reliability[which_of("mode")], (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
+            self.reliability[which_of("mode")], self.tails, (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
             self.sensor.range_min, out, supported,
         )  # fmt: skip
         return out, supported
@@ -172,7 +151,7 @@ class CellModel:
         """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture.
 
         `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings. The uniform
-        number selects the outcome. Outcomes are ordered: no return, candidates off the mode from far to near, readings
+        number selects the outcome and whether its error is wide. Outcomes are ordered: no return, candidates off the mode from far to near, readings
         that only noise moves off the mode, and readings near the mode. Their probabilities are those of `predict`, with
         the calibrated p_off. A reading near the mode has the spread `sigma` of the cells, within `OFF_DISTANCE`.
         """
@@ -186,11 +165,12 @@ class CellModel:
         quantiles = ndtr(normal)
         for i, pose in enumerate(lasers):
             r, w, sigma, survival = (part[0] for part in list_candidates(self.table, pose[None], bearings))
-            mode, quantile = summaries[i, :, MODE], quantiles[i]
+            mode = summaries[i, :, MODE]
             here = _spread_near(mode, r, w, sigma, self.table.rough)
-            by_noise = np.maximum(2.0 * ndtr(-OFF_DISTANCE / here), 1e-300)
-            near = here * ndtri(0.5 * by_noise + (1.0 - by_noise) * quantile)
-            far = here * np.sign(quantile - 0.5) * -ndtri(by_noise * np.minimum(quantile, 1.0 - quantile))
+            width = self.tails[1:, None] * here  # (2, n_rays) of narrow and wide errors
+            exceeds = np.maximum(2.0 * ndtr(-OFF_DISTANCE / width), 1e-300)
+            of_width = self.tails[0] * exceeds[1]
+            by_noise = (1.0 - self.tails[0]) * exceeds[0] + of_width
             # the other readings beyond reach are longer ranges, which are unknown
             beyond = survival * self.nothing
             nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
@@ -206,6 +186,19 @@ class CellModel:
             rows = np.flatnonzero(share < by_cells)
             k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
             moved_by_noise, is_on = is_off & ~(share < by_cells), is_there & ~is_off
+            left = np.where(
+                is_on,
+                (number - p_off[i]) * (1.0 - by_noise) - (1.0 - p_off[i]) * (self.tails[0] - of_width),
+                (share - by_cells) * by_noise - (all_off - by_cells) * of_width,
+            )
+            which = (left < 0).astype(np.intp), np.arange(len(left))
+            far_end, quantile = exceeds[which], quantiles[i]
+            near = width[which] * ndtri(0.5 * far_end + (1.0 - far_end) * quantile)
+            far = (
+                width[which]
+                * np.sign(quantile - 0.5)
+                * -ndtri(far_end * np.minimum(quantile, 1.0 - quantile))
+            )
             out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
             out[i, moved_by_noise] = mode[moved_by_noise] + far[moved_by_noise]
             out[i, is_on] = mode[is_on] + near[is_on]
@@ -221,6 +214,7 @@ class CellModel:
             f"l_k: length in the cell, g = {self.table.cell:g} m",
             f"a mixture of Gaussians with variance {self.table.sigma:.4f}^2 + {self.table.across:.4f}^2 tan^2(incidence) m^2 about "
             f"a line, {self.table.rough:.4f}^2 m^2 without a line; the remaining weight is no return within {self.table.reach:g} m",
+            f"of these errors, {100 * self.tails[0]:.0f} % are {self.tails[2]:.2f} times as wide, the others {self.tails[1]:.2f} times",
             "",
             f"logit a = sum of {len(TERMS)} terms; counts enter as log(1 + 3 count)",
         ]
@@ -260,6 +254,7 @@ class CellModel:
             "is_seen": t.is_seen,
             "beta": self.beta,
             "said": self.reliability,
+            "tails": self.tails,
             "mount": self.mount,
         }
         return header, arrays
@@ -297,6 +292,10 @@ class CellModel:
             check_positive(name, header[name])
         check_positive("rough", header.get("rough", header["sigma"]))
         check_range("across", header.get("across", 0.0), 0)
+        tails = arrays.get("tails", NORMAL_TAILS)  # graphs of earlier versions have normal errors
+        check_shape("tails", tails, NORMAL_TAILS.shape, "f")
+        check_range("share of wide errors", tails[0], 0, 1)
+        check_range("factors of tails", tails[1:], 0)
         table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
@@ -305,7 +304,7 @@ class CellModel:
         )  # fmt: skip
         return cls(
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
-            nothing=float(header["nothing"]), counts=header["counts"],
+            tails=tails, nothing=float(header["nothing"]), counts=header["counts"],
         )  # fmt: skip
 
 
@@ -342,53 +341,3 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
     x = poses[..., 0] + cos * mount[0] - sin * mount[1]
     y = poses[..., 1] + sin * mount[0] + cos * mount[1]
     return np.stack([x, y, poses[..., 2] + mount[2]], axis=-1)
-
-
-def learn_visibility(
-    poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
-) -> tuple[Floats, tuple[float, float, float], Floats]:
-    """Learn beta (n_terms,), the spread [m] and the calibration (3, n_knots) on stretches that the evidence omits."""
-    beta = np.array(shipped_visibility())
-    first = CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma
-    folds = []
-    for fold in range(n_folds_of(len(poses))):
-        aside = is_set_aside(len(poses), fold)
-        evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
-        folds.append((evidence, SetAside(poses[aside], ranges[aside], bearings)))
-    if not folds:
-        return beta, first, np.tile(KNOTS, (len(POINTS), 1))
-    report(1, 5)
-    samples = [
-        training_samples(evidence, *scans, tabulate(evidence, beta, first)) for evidence, scans in folds
-    ]
-    report(2, 5)
-    phi, label, weight = (np.concatenate(parts) for parts in zip(*samples, strict=True))
-    beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
-    report(3, 5)
-    tables = [tabulate(evidence, beta, first) for evidence, _ in folds]
-    spread = fit_spread([scans for _, scans in folds], tables)
-    report(4, 5)
-    summaries, measured = [], []
-    for (_, scans), table in zip(folds, tables, strict=True):
-        table = table._replace(sigma=spread[0], across=spread[1], rough=spread[2])
-        summaries.append(
-            [summarise_poses(table, scans.poses, bearings, point)[0] for point in ("mode", "median", "mean")]
-        )
-        measured.append(scans.ranges)
-    z = np.concatenate(measured)
-    return beta, spread, calibrate_p_off(np.concatenate(summaries, axis=1), z, (z > MIN_RANGE) & (z < reach))
-
-
-def summarise_poses(
-    table: CellTable, poses: Floats, bearings: Floats, point: Point
-) -> tuple[NDArray[np.float64], Floats, Floats]:
-    """Traverse the cells along all rays from poses (n, 3) or (n, n_rays, 3).
-
-    Returns
-    -------
-    summaries (n_poses, n_rays, 6), probability of a return near the median, length [m] through unobserved cells
-    """
-    shape = (len(poses), len(bearings))
-    out, near, unobserved = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
-    summarise_rays(per_ray(poses), bearings, table, which_of(point), out, near, unobserved)
-    return out, near, unobserved

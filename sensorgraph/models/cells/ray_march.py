@@ -282,17 +282,18 @@ def fill_candidates(
 
 
 def list_candidates(
-    table: CellTable, poses: Floats, bearings: Floats
+    table: CellTable, poses: Floats, bearings: Floats, *, room: int = 1
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the candidates of every ray: r, w, sigma (n_poses, n_rays, n_most) and survival (n_poses, n_rays).
 
-    Candidates are sorted by range. Unused entries have r = inf and w = 0. The arrays are large, so pass few poses at a time.
+    Candidates are sorted by range. Unused entries have r = inf and w = 0; n_most is `room` times the largest number of
+    candidates. The arrays are large, so pass few poses at a time.
     """
     shape = (len(poses), len(bearings))
-    size = max_cells_met(table.reach, table.cell)
+    size = room * max_cells_met(table.reach, table.cell)
     r, w, sigma = (np.empty((*shape, size)) for _ in range(3))
     survival = np.empty(shape)
-    n = fill_candidates(poses, bearings, table, r, w, sigma, survival)
+    n = room * fill_candidates(poses, bearings, table, r, w, sigma, survival)
     return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), survival
 
 

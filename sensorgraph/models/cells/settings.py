@@ -89,7 +89,7 @@ class VisibilityFeatureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilityLearningSettings:
-    """Learning of the visibility coefficients (`learning`, `model.learn_visibility`)."""
+    """Learning of the visibility coefficients (`learning`, `set_aside.learn_visibility`)."""
 
     min_set_aside: int = 50
     """Number of key frames to set aside; a short log sets aside several folds in turn to reach it."""
@@ -147,6 +147,10 @@ class CellAnswerSettings:
     """Number of EM steps of the spread; later ones change it by less than 2 %."""
     n_incidences: int = 8
     """Number of classes of the angle of incidence."""
+    first_tails: tuple[float, float, float] = (0.2, 0.7, 1.7)
+    """Initial share of wide errors, and factors of the standard deviation of narrow and wide ones."""
+    tail_steps: int = 12
+    """Number of EM steps of the tails."""
     outlier_density: float = 1e-3
     """[1/m] Density of outliers: returns that no face explains."""
     knots: tuple[float, ...] = (0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0)
