@@ -28,7 +28,7 @@ from logs import pair, read
 from logs.motion import ray_poses
 from logs.transforms import wrap
 from sensorgraph.building.build import build
-from sensorgraph.building.split import held_out
+from sensorgraph.building.split import N_STRETCHES, held_out
 from sensorgraph.models.cells.model import is_key_frame, laser_poses
 from sensorgraph.show.figures.style import new_figure, save_figure
 
@@ -50,6 +50,8 @@ class Scored:
     name: str
     coverage: tuple[float, ...]
     """Shares within the intervals of LEVELS."""
+    stretches: Floats
+    """(5,) Share within the first of these intervals in each held-out stretch."""
     pit: Floats
     """(n,) Distribution function at the measured ranges."""
     chances: Floats
@@ -127,7 +129,10 @@ def score(path: Path, most: int, dither: float) -> Scored:
     inside = []
     for level in LEVELS:
         low, high = found.interval(level)
-        inside.append(float(((ranges >= low) & (ranges <= high))[use].mean()))
+        inside.append(((ranges >= low) & (ranges <= high))[use])
+    stretch = np.broadcast_to((N_STRETCHES * test // run.n_scans)[:, None], use.shape)[use]
+    counts = np.bincount(stretch, minlength=N_STRETCHES)
+    stretches = np.bincount(stretch, inside[0], N_STRETCHES) / np.where(counts > 0, counts, np.nan)
     own = graph.log_likelihood(ranges, each, correlated=False, per_ray=True)[use]
     to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: laser_poses(p, run.sensor.mount))
     grid_args = to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
@@ -159,7 +164,7 @@ def score(path: Path, most: int, dither: float) -> Scored:
         [np.bincount(bins, values, minlength=10) / np.maximum(count, 1) for values in (stated, off)] + [count]
     )
     return Scored(
-        name=path.name.split(".")[0], coverage=tuple(inside), pit=found.cdf(ranges)[use], chances=chances, scores=scores
+        name=path.name.split(".")[0], coverage=tuple(float(each.mean()) for each in inside), stretches=stretches, pit=found.cdf(ranges)[use], chances=chances, scores=scores
     )  # fmt: skip
 
 
@@ -198,6 +203,11 @@ def main() -> None:
         shares = " / ".join(f"{100 * share:.1f}" for share in one.coverage)
         print(
             f"{one.name}: within 50 / 90 / 99 % intervals {shares} % of {len(one.pit):,} returns", flush=True
+        )
+        print(
+            "  within 50 % intervals in each stretch:",
+            *(f"{100 * share:.0f}" for share in one.stretches),
+            "%",
         )
         print("  mean log score:", ", ".join(f"{name} {value:.3f}" for name, value in one.scores.items()))
         for stated, seen, count in one.chances:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, TrainingScans
+from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.distribution import NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
+from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
 from sensorgraph.models.cells.probability_calibration import KNOTS
@@ -26,7 +27,7 @@ from sensorgraph.models.cells.set_aside import learn_visibility, summarise_poses
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.distribution import Mixture
-from sensorgraph.models.mixture import MODE, NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
@@ -148,61 +149,11 @@ class CellModel:
     def draw(
         self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
     ) -> Floats:
-        """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture.
-
-        `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings. The uniform
-        number selects the outcome and whether its error is wide. Outcomes are ordered: no return, candidates off the mode from far to near, readings
-        that only noise moves off the mode, and readings near the mode. Their probabilities are those of `predict`, with
-        the calibrated p_off. A reading near the mode has the spread `sigma` of the cells, within `OFF_DISTANCE`.
-        """
-        out = np.full(uniform.shape, np.inf)
-        bearings = self.sensor.bearings[rays]
-        lasers = laser_poses(poses, self.mount)
-        summaries, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
-        from scipy.special import ndtr, ndtri  # imported here, since it takes long and only drawing needs it
-
-        p_off = np.interp(summaries[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
-        quantiles = ndtr(normal)
-        for i, pose in enumerate(lasers):
-            r, w, sigma, survival = (part[0] for part in list_candidates(self.table, pose[None], bearings))
-            mode = summaries[i, :, MODE]
-            here = _spread_near(mode, r, w, sigma, self.table.rough)
-            width = self.tails[1:, None] * here  # (2, n_rays) of narrow and wide errors
-            exceeds = np.maximum(2.0 * ndtr(-OFF_DISTANCE / width), 1e-300)
-            of_width = self.tails[0] * exceeds[1]
-            by_noise = (1.0 - self.tails[0]) * exceeds[0] + of_width
-            # the other readings beyond reach are longer ranges, which are unknown
-            beyond = survival * self.nothing
-            nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
-            off = np.where(np.abs(r - mode[:, None]) > OFF_DISTANCE, w, 0.0)
-            # (n_rays, n_most) of this candidate and all farther ones
-            to_end = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]
-            by_cells = to_end[:, 0]
-            all_off = by_cells + by_noise * np.maximum(w.sum(axis=1) - by_cells, 0.0)
-            number = (uniform[i] - nothing) / np.maximum(1.0 - nothing, 1e-300)
-            is_there = (number >= 0) & (w > 0).any(axis=1)
-            is_off = is_there & (number < p_off[i]) & (all_off > 0)
-            share = np.where(is_off, all_off * number / np.maximum(p_off[i], 1e-300), np.inf)
-            rows = np.flatnonzero(share < by_cells)
-            k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
-            moved_by_noise, is_on = is_off & ~(share < by_cells), is_there & ~is_off
-            left = np.where(
-                is_on,
-                (number - p_off[i]) * (1.0 - by_noise) - (1.0 - p_off[i]) * (self.tails[0] - of_width),
-                (share - by_cells) * by_noise - (all_off - by_cells) * of_width,
-            )
-            which = (left < 0).astype(np.intp), np.arange(len(left))
-            far_end, quantile = exceeds[which], quantiles[i]
-            near = width[which] * ndtri(0.5 * far_end + (1.0 - far_end) * quantile)
-            far = (
-                width[which]
-                * np.sign(quantile - 0.5)
-                * -ndtri(far_end * np.minimum(quantile, 1.0 - quantile))
-            )
-            out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
-            out[i, moved_by_noise] = mode[moved_by_noise] + far[moved_by_noise]
-            out[i, is_on] = mode[is_on] + near[is_on]
-        return out
+        """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture, as `draw_readings` does."""
+        return draw_readings(
+            self.table, (self.reliability[which_of("mode")], self.tails, self.nothing),
+            laser_poses(poses, self.mount), self.sensor.bearings[rays], uniform, normal,
+        )  # fmt: skip
 
     def equation(self, ray: int) -> str:
         """Return the equations of a ray's range and the coefficients of the visibility polynomial as text."""
@@ -295,7 +246,7 @@ class CellModel:
         tails = arrays.get("tails", NORMAL_TAILS)  # graphs of earlier versions have normal errors
         check_shape("tails", tails, NORMAL_TAILS.shape, "f")
         check_range("share of wide errors", tails[0], 0, 1)
-        check_range("factors of tails", tails[1:], 0)
+        check_positive("the smaller factor of tails", tails[1:].min())
         table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
@@ -306,15 +257,6 @@ class CellModel:
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
             tails=tails, nothing=float(header["nothing"]), counts=header["counts"],
         )  # fmt: skip
-
-
-def _spread_near(mode: Floats, r: Floats, w: Floats, sigma: Floats, otherwise: float) -> Floats:
-    """Return the spread [m] of the readings near the mode (n_rays,), over candidates (n_rays, n_most)."""
-    on = np.where(np.abs(r - mode[:, None]) <= OFF_DISTANCE, w, 0.0)
-    total = on.sum(axis=1)
-    return np.where(
-        total > 0, np.sqrt((on * sigma**2).sum(axis=1) / np.where(total > 0, total, 1.0)), otherwise
-    )
 
 
 def is_key_frame(poses: Floats, run: Ints) -> Bools:
