@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
 from planners.errors import PlanError
@@ -102,3 +103,16 @@ class Arena:
         number = np.arange(len(touch)) - np.repeat(np.cumsum(touched) - touched, touched)
         inside[column[touch] + number, row[touch]] = False
         return inside
+
+    def solid_rings(self, pad: float = 0.0) -> tuple[Floats, NDArray[np.int64]]:
+        """Return the closed rings around the space that is not free, within the bounds plus `pad` [m].
+
+        Returns
+        -------
+        Corners (n, 2) [m], the last of a ring equal to its first; and the number (n,) of the ring of each.
+        """
+        frame = self.free.envelope.buffer(pad, join_style="mitre") if pad else self.free.envelope
+        parts = shapely.get_parts(frame.difference(self.free))
+        areas = parts[shapely.get_type_id(parts) == shapely.GeometryType.POLYGON]
+        corners, ring = shapely.get_coordinates(shapely.get_rings(areas), return_index=True)
+        return np.asarray(corners, dtype=np.float64), np.asarray(ring, dtype=np.int64)

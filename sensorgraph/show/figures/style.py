@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 
 from logs.files import atomic_file
 from planners.arena import Arena
@@ -85,13 +84,10 @@ def solid_outline(arena: Arena, pad: float = 0.0) -> Any:
     """Return the space that is not free within the bounds of the arena plus `pad` [m], as one path of matplotlib."""
     from matplotlib.path import Path as Outline
 
-    frame = arena.free.envelope.buffer(pad, join_style="mitre") if pad else arena.free.envelope
-    solid = shapely.get_parts(frame.difference(arena.free))
-    rings = shapely.get_rings(solid[shapely.get_type_id(solid) == shapely.GeometryType.POLYGON])
-    corners, ring = shapely.get_coordinates(rings, return_index=True)
+    corners, ring = arena.solid_rings(pad)
     codes = np.full(len(corners), Outline.LINETO, dtype=Outline.code_type)
-    codes[np.searchsorted(ring, np.arange(len(rings)))] = Outline.MOVETO
-    codes[np.searchsorted(ring, np.arange(len(rings)), side="right") - 1] = Outline.CLOSEPOLY
+    codes[np.diff(ring, prepend=-1) != 0] = Outline.MOVETO
+    codes[np.diff(ring, append=-1) != 0] = Outline.CLOSEPOLY
     return Outline(corners, codes)
 
 
