@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.blurred_edges import blur_edges
 from sensorgraph.models.faces.ray_march import (
     CANDIDATE_SLOTS,
@@ -229,9 +229,7 @@ def _without_weak_cuts(cuts: Ints, stop: Floats, weight: Floats, penalty: float)
     """Remove cuts whose gain is below the penalty; they occur in stretches with more runs than the partition allows."""
 
     def cost(first: int, last: int) -> float:
-        s, w = sums[last] - sums[first]
-        p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
-        return float(-s * np.log(p) - (w - s) * np.log(1 - p))
+        return float(_cost(*(sums[last] - sums[first])))
 
     sums = np.zeros((len(stop) + 1, 2))
     np.cumsum(np.column_stack([stop * weight, weight]), axis=0, out=sums[1:])
@@ -247,9 +245,21 @@ def _without_weak_cuts(cuts: Ints, stop: Floats, weight: Floats, penalty: float)
     return np.array(kept, dtype=np.intp)
 
 
+@inner_kernel
+def _cost(s: Any, w: Any) -> Any:
+    """Return the cost C [nats] of a stretch with the sums s of stops and w of weights."""
+    p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
+    return -s * np.log(p) - (w - s) * np.log(1 - p)
+
+
 @kernel
 def _partition(stop: Any, weight: Any, penalty: Any) -> Any:
-    """Partition outcomes by dynamic programming; return the first crossing of every stretch and the number n."""
+    """Partition outcomes by dynamic programming; return the first crossing of every stretch and the number n.
+
+    F(a) + C(a, b) never falls with b, so its last value is a bound that excludes most starts a. A start is dropped where
+    this exceeds F(b): to start at b is then better for every later end (PELT, Killick et al. 2012). Both hold up to the
+    effect of the priors on C, which is below `PRIOR_CROSSINGS`.
+    """
     n = len(stop)
     starts = np.empty(n + 1, np.int64)  # of runs of equal outcome; edges lie between runs
     n_runs = 0
@@ -266,16 +276,28 @@ def _partition(stop: Any, weight: Any, penalty: Any) -> Any:
             w += weight[i]
         ones[a + 1], all_[a + 1] = ones[a] + s, all_[a] + w
     best, since = np.empty(n_runs + 1), np.zeros(n_runs + 1, np.int64)
-    for b in range(n_runs + 1):
-        best[b] = np.inf
     best[0] = -penalty
+    open_, so_far, n_open = np.empty(n_runs + 1, np.int64), np.empty(n_runs + 1), 1
+    open_[0], so_far[0] = 0, -penalty
     for b in range(1, n_runs + 1):
-        for a in range(max(0, b - MAX_RUNS), b):
-            s, w = ones[b] - ones[a], all_[b] - all_[a]
-            p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
-            cost = best[a] + penalty - s * np.log(p) - (w - s) * np.log(1 - p)
-            if cost < best[b]:
-                best[b], since[b] = cost, a
+        first = since[b - 1]  # likely the best start again
+        best[b] = np.inf
+        if first >= b - MAX_RUNS:
+            best[b] = best[first] + penalty + _cost(ones[b] - ones[first], all_[b] - all_[first])
+            since[b] = first
+        n_kept = 0
+        for m in range(n_open):
+            a = open_[m]
+            if a < b - MAX_RUNS:
+                continue
+            if so_far[m] + penalty < best[b] + PRIOR_CROSSINGS:
+                so_far[m] = best[a] + _cost(ones[b] - ones[a], all_[b] - all_[a])
+                if so_far[m] + penalty < best[b]:
+                    best[b], since[b] = so_far[m] + penalty, a
+            open_[n_kept], so_far[n_kept] = a, so_far[m]
+            n_kept += so_far[m] < best[b] + PRIOR_CROSSINGS
+        open_[n_kept], so_far[n_kept] = b, best[b]
+        n_open = n_kept + 1
     cuts = np.empty(n_runs + 1, np.int64)
     m, b = 0, n_runs
     while b > 0:
