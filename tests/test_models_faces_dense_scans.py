@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
-from sensorgraph.models.faces.change_points import Crossings, fit_stretches
+from sensorgraph.models.faces.blurred_edges import _pooled
+from sensorgraph.models.faces.change_points import Crossings, _cost, _partition, fit_stretches
 from sensorgraph.models.faces.fit import _thinned
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.visibility import Rays
@@ -61,6 +64,41 @@ def test_a_leg_narrower_than_a_few_errors_is_seen_as_often_as_it_is() -> None:
 def test_exact_places_are_cut_as_they_stand() -> None:
     found = fit_stretches(FACE, crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0))
     assert found.edges[1] == pytest.approx(0.4, abs=0.002)  # 2,000 crossings on a metre
+
+
+@pytest.mark.parametrize("chances", [(0.5, 0.5), (0.02, 0.9, 0.3)])
+def test_a_partition_costs_no_more_than_any_other(chances: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(2)
+    n, penalty = 240, 5.0
+    weight = rng.uniform(0.2, 1.0, n)
+    stop = (rng.uniform(size=n) < np.repeat(chances, n // len(chances))).astype(float)
+    stops, weights = (np.concatenate([[0.0], np.cumsum(x)]) for x in (stop * weight, weight))
+
+    def cost(a: int, b: int) -> float:
+        return float(_cost(stops[b] - stops[a], weights[b] - weights[a]))
+
+    least = [-penalty]
+    for b in range(1, n + 1):
+        least.append(min(least[a] + penalty + cost(a, b) for a in range(b)))
+    cuts = _partition(stop, weight, penalty)
+    found = sum(cost(a, b) for a, b in itertools.pairwise(cuts)) + penalty * (len(cuts) - 2)
+    assert found == pytest.approx(least[-1], abs=1e-9)
+
+
+def test_pooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
+    few, many = (crossed(n, np.array([0.0, 0.998]), [0.4], 0.004) for n in (200_000, 800_000))
+    short, long = (_pooled(*one.at(0)) for one in (few, many))
+    assert len(long[0]) < 1.1 * len(short[0]) < 0.05 * 200_000
+    t, stop, weight, error = long
+    assert (np.diff(t) >= 0).all()
+    assert weight.sum() == pytest.approx(many.weight.sum())
+    for mean, each in ((t, many.t), (stop, many.stop), (error, many.error)):
+        assert weight @ mean == pytest.approx(many.weight @ each)
+
+
+def test_crossings_with_exact_places_are_not_pooled() -> None:
+    one = crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0)
+    np.testing.assert_allclose(_pooled(*one.at(0))[0], one.t, atol=1e-12)  # m, rounding
 
 
 def test_drafts_keep_places_that_were_passed_once() -> None:

@@ -5,6 +5,9 @@ P(stop | t) = before + (after - before) Φ((t - s) / τ) for a crossing at t wit
 With noisy poses, rays on both sides of a sharp edge stop and pass. A partition that neglects this cuts the edge into
 several spurious stretches, and their number grows with the length of the log. Here a stretch is kept only if it gains
 more log likelihood over one blurred edge than its complexity penalty.
+
+Crossings with similar standard errors at positions that these cannot distinguish are pooled, so the time depends on the
+length of a face in standard errors, not on the length of the log.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.settings import FACES
 
@@ -24,6 +28,12 @@ MIN_CHANCE = EDGES.min_visibility
 PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
 MIN_ERROR = 1e-7
 """[m] Standard error below which the position of a crossing is exact."""
+POOL_WIDTH, POOL_RATIO = 0.25, 1.25
+"""Width of a pool, in standard errors, and ratio of the largest to the smallest standard error in it.
+
+Both widen the blur: in terms of its variance by POOL_WIDTH² / 12 = 0.5 %, which no edge resolves."""
+N_POOLS = int(math.log(1e3 / MIN_ERROR) / math.log(POOL_RATIO))
+"""Number of classes of the standard error, up to 1 km."""
 
 
 @kernel
@@ -47,6 +57,10 @@ def blur_edges(
     """
     e, level, se = edges.copy(), levels.copy(), errors.copy()
     n = len(e)
+    places, spreads, sums = t, error, np.zeros((len(t) + 1, 2))
+    for i in range(len(t)):
+        sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + stop[i] * weight[i], sums[i, 1] + weight[i]
+    t, stop, weight, error = _pooled(t, stop, weight, error)
     _fit_levels(t, stop, weight, error, e, level, n)
     is_kept = np.zeros(n, np.bool_)
     while True:
@@ -57,16 +71,23 @@ def blur_edges(
         if j < 0:
             break
         is_kept[j] = True
-        spread = _mean_error(t, error, 0.5 * (e[j] + e[j + 1]))
+        spread = _mean_error(places, spreads, 0.5 * (e[j] + e[j + 1]))
         if width > MAX_ERRORS * spread:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 2], e[j + 1] + WINDOW * spread)
         a, b = np.searchsorted(t, low), np.searchsorted(t, high)
         before, own, after = level[j - 1], level[j], level[j + 1]
-        two_edges = max(
-            _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 1.0),
-            _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 0.0),
-        )
+        exact = 0.0
+        for k in range(j - 1, j + 2):
+            first, last = (
+                np.searchsorted(places, max(e[k], low)),
+                np.searchsorted(places, min(e[k + 1], high)),
+            )
+            crossed = sums[last, 1] - sums[first, 1]
+            exact += _log_likelihood(
+                (sums[last, 0] - sums[first, 0]) / max(crossed, 1e-300), crossed, level[k]
+            )
+        two_edges = max(exact, _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1]))
         place, one_edge = _best_place(t, stop, weight, error, a, b, before, after, e[j], e[j + 1])
         if one_edge + penalty < two_edges:
             continue
@@ -79,7 +100,7 @@ def blur_edges(
         is_kept[j - 1] = is_kept[j] = False
         _fit_levels(t, stop, weight, error, e, level, n)
     for j in range(1, n - 1):
-        spread = _mean_error(t, error, e[j])
+        spread = _mean_error(places, spreads, e[j])
         if spread < MIN_ERROR:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 1], e[j] + WINDOW * spread)
@@ -91,6 +112,36 @@ def blur_edges(
         se[j] = min(math.sqrt(se[j] ** 2 + 1.0 / max(known, 1e-12)), spread)
     _fit_levels(t, stop, weight, error, e, level, n)
     return e[:n], level[:n], se[:n]
+
+
+@kernel
+def _pooled(t: Any, stop: Any, weight: Any, error: Any) -> Any:
+    """Pool crossings whose positions and standard errors are alike; return the same four arrays, shorter and sorted."""
+    n = 0
+    rows = np.zeros((4, len(t)))  # sums of w t, w y, w and w error
+    start, own = np.empty(N_POOLS), np.full(N_POOLS, -1)
+    for i in range(len(t)):
+        k = min(
+            max(int(math.log(max(error[i], MIN_ERROR) / MIN_ERROR) / math.log(POOL_RATIO)), 0), N_POOLS - 1
+        )
+        if own[k] < 0 or t[i] - start[k] > POOL_WIDTH * max(error[i], MIN_ERROR):
+            own[k], start[k] = n, t[i]
+            n += 1
+        row, w = own[k], weight[i]
+        rows[0, row] += w * t[i]
+        rows[1, row] += w * stop[i]
+        rows[2, row] += w
+        rows[3, row] += w * error[i]
+    for row in range(n):
+        for c in (0, 1, 3):
+            rows[c, row] /= rows[2, row]
+    heap, out = np.empty(n, np.int64), np.empty((4, n))
+    make_heap(heap, n, rows[0])
+    for i in range(n):
+        row = pop_least(heap, n - i, rows[0])
+        for c in range(4):
+            out[c, i] = rows[c, row]
+    return out[0], out[1], out[2], out[3]
 
 
 @inner_kernel
@@ -119,12 +170,12 @@ def _log_likelihood(y: Any, w: Any, p: Any) -> Any:
 @inner_kernel
 def _two_edges(
     t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, own: Any, after: Any,
-    first: Any, second: Any, blur: Any,
+    first: Any, second: Any,
 ) -> Any:  # fmt: skip
-    """Return the log likelihood of crossings a ... b - 1 for two edges; with `blur` 0 their positions are exact."""
+    """Return the log likelihood of crossings a ... b - 1 for two blurred edges."""
     total = 0.0
     for i in range(a, b):
-        tau = max(blur * error[i], MIN_ERROR)
+        tau = max(error[i], MIN_ERROR)
         p = before + (own - before) * _normal_cdf((t[i] - first) / tau)
         p += (after - own) * _normal_cdf((t[i] - second) / tau)
         total += _log_likelihood(stop[i], weight[i], p)
@@ -170,14 +221,17 @@ def _information(t: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, a
 def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, n: Any) -> Any:
     """Set the visibility of n - 1 stretches by EM; a crossing near an edge may belong to the adjacent stretch."""
     stopped, crossed = np.zeros(n), np.zeros(n)
-    near, count = np.empty(len(t), np.int64), 0
+    near, shares, count = np.empty(len(t), np.int64), np.empty((len(t), 2)), 0
     j = 0
     for i in range(len(t)):
         while j < n - 2 and t[i] >= e[j + 1]:
             j += 1
         reach = WINDOW * error[i]
         if (j > 0 and t[i] - e[j] < reach) or (j < n - 2 and e[j + 1] - t[i] < reach):
+            tau = max(error[i], MIN_ERROR)
             near[count] = i
+            shares[count, 0] = _normal_cdf((e[j] - t[i]) / tau) if j > 0 else 0.0
+            shares[count, 1] = _normal_cdf((t[i] - e[j + 1]) / tau) if j < n - 2 else 0.0
             count += 1
         else:
             stopped[j] += stop[i] * weight[i]
@@ -193,9 +247,7 @@ def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, 
             i = near[m]
             while j < n - 2 and t[i] >= e[j + 1]:
                 j += 1
-            tau = max(error[i], MIN_ERROR)
-            left = _normal_cdf((e[j] - t[i]) / tau) if j > 0 else 0.0
-            right = _normal_cdf((t[i] - e[j + 1]) / tau) if j < n - 2 else 0.0
+            left, right = shares[m]
             share = max(1.0 - left - right, 0.0)
             p = share * level[j]
             if j > 0:
