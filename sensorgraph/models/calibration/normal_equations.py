@@ -175,45 +175,55 @@ def _forward(matrix: Any, rhs: Any, penalties: Any) -> Any:
 
     Each step takes the unknown with the largest gain and eliminates it from all others.
     """
-    n = len(rhs)
-    remaining, residual_rhs, diagonal = np.empty(n), np.empty(n), np.empty(n)
-    for i in range(n):
-        remaining[i] = diagonal[i] = matrix[i, i]
-        residual_rhs[i] = rhs[i]
-    chosen = np.zeros(n, np.bool_)
+    chosen = np.zeros(len(rhs), np.bool_)
+    place = np.empty(
+        len(rhs), np.int64
+    )  # unknowns that may still be selected; the arrays below have their order
+    n = 0
+    for i in range(len(rhs)):
+        if penalties[i] < np.inf and matrix[i, i] > 0:
+            place[n] = i
+            n += 1
+    remaining, residual_rhs, least = np.empty(n), np.empty(n), np.empty(n)
+    for p in range(n):
+        remaining[p], residual_rhs[p] = matrix[place[p], place[p]], rhs[place[p]]
+        least[p] = MIN_REMAINING * remaining[p]
     rows = np.zeros((n, n))  # of the Cholesky factor, one for each selected unknown
     total_gain = 0.0
     for step in range(n):
         best, at = 0.0, -1
-        for i in range(n):
-            if (
-                chosen[i]
-                or remaining[i] < MIN_REMAINING * diagonal[i]
-                or remaining[i] <= 0
-                or penalties[i] == np.inf
-            ):
+        for p in range(n):
+            if remaining[p] < least[p] or remaining[p] <= 0:
                 continue
-            gain = (
-                1e300 if penalties[i] == -np.inf else 0.5 * residual_rhs[i] ** 2 / remaining[i] - penalties[i]
-            )
+            penalty = penalties[place[p]]
+            gain = 1e300 if penalty == -np.inf else 0.5 * residual_rhs[p] ** 2 / remaining[p] - penalty
             if gain > best:
-                best, at = gain, i
+                best, at = gain, p
         if at < 0:
             break
+        own, scale, penalty = place[at], np.sqrt(remaining[at]), penalties[place[at]]
+        amount = residual_rhs[at] / scale
+        total_gain += 0.5 * amount**2 - (penalty if penalty > -1e300 else 0.0)
+        chosen[own] = True
+        n -= 1  # the last unknown takes the place of the selected one
+        place[at], remaining[at], residual_rhs[at], least[at] = (
+            place[n],
+            remaining[n],
+            residual_rhs[n],
+            least[n],
+        )
         row = rows[step]
-        for i in range(n):
-            row[i] = matrix[at, i]
+        for p in range(n):
+            row[p] = matrix[own, place[p]]
         for k in range(step):
-            for i in range(n):
-                row[i] -= rows[k, at] * rows[k, i]
-        for i in range(n):
-            row[i] /= np.sqrt(remaining[at])
-        amount = residual_rhs[at] / np.sqrt(remaining[at])
-        total_gain += 0.5 * amount**2 - (penalties[at] if penalties[at] > -1e300 else 0.0)
-        chosen[at] = True
-        for i in range(n):
-            remaining[i] -= row[i] ** 2
-            residual_rhs[i] -= row[i] * amount
+            factor, earlier = rows[k, at], rows[k]
+            earlier[at] = earlier[n]
+            for p in range(n):
+                row[p] -= factor * earlier[p]
+        for p in range(n):
+            row[p] /= scale
+            remaining[p] -= row[p] ** 2
+            residual_rhs[p] -= row[p] * amount
     return chosen, total_gain
 
 

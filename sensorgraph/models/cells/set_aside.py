@@ -56,8 +56,9 @@ def learn_visibility(
     if not folds:
         return beta, first, np.tile(KNOTS, (len(POINTS), 1)), NORMAL_TAILS
     report(1, 5)
+    most = CELLS.learning.max_passed_samples // len(folds)
     samples = [
-        training_samples(evidence, *scans, tabulate(evidence, beta, first)) for evidence, scans in folds
+        training_samples(evidence, *scans, tabulate(evidence, beta, first), most) for evidence, scans in folds
     ]
     report(2, 5)
     phi, label, weight = (np.concatenate(parts) for parts in zip(*samples, strict=True))

@@ -110,7 +110,7 @@ class VisibilityLearningSettings:
     newton_steps: int = 4
     """Number of Newton steps, starting from the shipped polynomial."""
     max_passed_samples: int = 60_000
-    """Maximum number of samples of passed cells; they are weighted to represent all of them."""
+    """Maximum number of samples of passed cells, of all folds; they are weighted to represent all of them."""
     min_label: float = 0.01
     """Probability of a stop above which a cell does not count as passed."""
     samples_per_ray: int = 150
