@@ -12,6 +12,7 @@ import yaml
 import logs
 import sensorgraph
 from sensorgraph.cli import COMMANDS
+from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.effects.effects_file import loads
 
 ROOT = Path(__file__).parent.parent
@@ -74,6 +75,14 @@ def test_the_page_of_effects_is_the_registry() -> None:
     assert (SITE / "reference" / "effects.md").read_text() == printed, (
         "python docs/effects_table.py > docs/pages/reference/effects.md"
     )
+
+
+def test_every_rule_that_takes_a_name_is_on_the_page_of_rules() -> None:
+    text = (SITE / "reference" / "diagnosis.md").read_text()
+    listed = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", text, re.MULTILINE))))
+    code = "\n".join(path.read_text() for path in (ROOT / "sensorgraph" / "diagnosis").rglob("*.py"))
+    rules = {SURELY_MATERIAL, *re.findall(r'Objection\(\s*"(\w+)"', code)}
+    assert len(rules) > 15 and rules <= listed
 
 
 def test_the_picture_of_the_architecture_is_what_its_script_draws() -> None:

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.motion.considered import structure_entries, unknown_s
 from sensorgraph.diagnosis.motion.families import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
-from sensorgraph.diagnosis.motion.motors.selection import TIMING, MotorSelection
+from sensorgraph.diagnosis.motion.motors.selection import BY_WAITS, TIMING, MotorSelection
 from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
 from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, column_of_jump
 from sensorgraph.diagnosis.motion.regression import Regression
@@ -66,9 +66,12 @@ def drive_result(
             evidence=evidence[term],
         )
         found.append((amendment, term))
-        entries.append(_entry_of(model, amendment, term, selected))
-        if _is_material(model, amendment, float(np.hypot(error, term.blur))):
-            material.add(term.effect)
+        entry = _entry_of(model, amendment, term, selected)
+        objection = None
+        if _is_material(model, amendment):
+            objection = _objection(model, amendment, float(np.hypot(error, term.blur)))
+            material |= {term.effect} if objection is None else set()
+        entries.append(replace(entry, facts=replace(entry.facts, objection=objection)))
         rival = strongest_rival(term.effect, alternatives, EVIDENCE)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
@@ -163,21 +166,26 @@ def _late_clock(evidence: float) -> Rival:
     )
 
 
-def _is_material(model: DriveModel, a: Amendment, error: float) -> bool:
-    """Tell whether an effect exceeds its materiality, and what waits for the control loop can cause.
+def _is_material(model: DriveModel, a: Amendment) -> bool:
+    """Return whether an effect exceeds its materiality."""
+    if a.effect is SPEED_SATURATION:
+        return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
+    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+
+
+def _objection(model: DriveModel, a: Amendment, error: float) -> Objection | None:
+    """Return what the control loop of the base causes that looks like a delay or a lag; None if the size exceeds it.
 
     Parameters
     ----------
     error : [unit of its parameter] Standard error of the fit.
     """
-    if a.effect is SPEED_SATURATION:
-        return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
     if a.effect is DEAD_TIME and abs(a["L"]) - 2 * error < longest_wait(model.robot):
-        return False
+        return BY_WAITS
     smear = stated_smear(model.robot)
     if a.effect is ACTUATOR_LAG and smear and 0 < a["tau"] < smear + 2 * error:
-        return False
-    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+        return Objection("smear_of_odometry", "the odometry smears its speeds over as long a time")
+    return None
 
 
 # criticism -----------------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
 BY_WAITS = Objection("waits_of_the_base", "waits for the control loop of the base may cause it")
-"""Why structure at the starts of commands is not reported."""
+"""Why structure at the starts of commands, or a dead time, is not reported."""
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
 
