@@ -114,3 +114,11 @@ def test_drafts_keep_places_that_were_passed_once() -> None:
     draft = _thinned(rays, 2_000)
     assert 1_900 < len(draft) <= 2_000
     assert (draft.origins[:, 0] > 5).sum() == 50
+
+
+def test_crossings_without_weight_are_not_in_a_pool() -> None:
+    t, error = np.array([0.0, 0.1, 0.5]), np.full(3, 0.004)
+    place, stop, weight, _ = _pooled(t, np.array([1.0, 0.0, 1.0]), np.array([1.0, 0.0, 2.0]), error)
+    np.testing.assert_array_equal(place, [0.0, 0.5])
+    np.testing.assert_array_equal(stop, [1.0, 1.0])
+    np.testing.assert_array_equal(weight, [1.0, 2.0])

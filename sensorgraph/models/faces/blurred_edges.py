@@ -121,6 +121,8 @@ def _pooled(t: Any, stop: Any, weight: Any, error: Any) -> Any:
     rows = np.zeros((4, len(t)))  # sums of w t, w y, w and w error
     start, own = np.empty(N_POOLS), np.full(N_POOLS, -1)
     for i in range(len(t)):
+        if not weight[i] > 0.0:
+            continue
         k = min(
             max(int(math.log(max(error[i], MIN_ERROR) / MIN_ERROR) / math.log(POOL_RATIO)), 0), N_POOLS - 1
         )
