@@ -206,7 +206,7 @@ def main() -> None:
         )
         print(
             "  within 50 % intervals in each stretch:",
-            *(f"{100 * share:.0f}" for share in one.stretches),
+            *("-" if np.isnan(share) else f"{100 * share:.0f}" for share in one.stretches),  # no returns
             "%",
         )
         print("  mean log score:", ", ".join(f"{name} {value:.3f}" for name, value in one.scores.items()))
