@@ -61,8 +61,8 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Effect:
-    """How many answers a change moves."""
+class Comparison:
+    """Answers with and without a rule, hypothesis or limit."""
 
     what: str
     changed: int
@@ -157,7 +157,9 @@ def changes(ledgers: Iterable[Ledger]) -> Iterator[tuple[str, Change]]:
             yield f"{words} x {factor:g}", partial(with_facts, partial(scaled, key, factor))
 
 
-def compared(what: str, cases: Sequence[Case], before: Sequence[Answer], after: Sequence[Answer]) -> Effect:
+def compared(
+    what: str, cases: Sequence[Case], before: Sequence[Answer], after: Sequence[Answer]
+) -> Comparison:
     """Compare the answers before and after a change."""
     kinds = [(a.kind(c), b.kind(c)) for c, a, b in zip(cases, before, after, strict=True)]
     lost = sum(a == "right" != b for a, b in kinds)
@@ -165,7 +167,7 @@ def compared(what: str, cases: Sequence[Case], before: Sequence[Answer], after: 
     wrong = Counter(b for _, b in kinds)["wrong"] - Counter(a for a, _ in kinds)["wrong"]
     low, high = paired_interval(lost, gained, len(cases))
     changed = sum(a != b for a, b in kinds)
-    return Effect(what, changed, lost, gained, wrong, (gained - lost) / len(cases), (low, high))
+    return Comparison(what, changed, lost, gained, wrong, (gained - lost) / len(cases), (low, high))
 
 
 def paired_interval(lost: int, gained: int, n: int) -> tuple[float, float]:
@@ -188,7 +190,7 @@ def read(folders: Sequence[Path], entrant: str) -> tuple[list[Case], list[Ledger
     return cases, [Ledger.from_list((c.report or {})["ledger"]) for c in cases]
 
 
-def ablate(cases: Sequence[Case], ledgers: Sequence[Ledger]) -> list[Effect]:
+def ablate(cases: Sequence[Case], ledgers: Sequence[Ledger]) -> list[Comparison]:
     """Return what each change does, the most effective first."""
     before = [answer(ledger) for ledger in ledgers]
     found = [
@@ -207,7 +209,7 @@ def disagreements(cases: Sequence[Case], ledgers: Sequence[Ledger]) -> list[str]
     ]
 
 
-def report(cases: Sequence[Case], ledgers: Sequence[Ledger], found: Sequence[Effect]) -> str:
+def report(cases: Sequence[Case], ledgers: Sequence[Ledger], found: Sequence[Comparison]) -> str:
     """Return the tables as text."""
     kinds = Counter(answer(ledger).kind(c) for c, ledger in zip(cases, ledgers, strict=True))
     differ = disagreements(cases, ledgers)
