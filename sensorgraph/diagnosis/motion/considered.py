@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
@@ -16,6 +16,8 @@ from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Unknown
 from sensorgraph.effects import Effect
 
 NAMELESS = Facts(has_name=False)
+ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
+"""Why an effect beside structure is not named."""
 
 
 def structure_entries(channel: str, tests: Sequence[TestedStructure]) -> Iterator[Entry]:

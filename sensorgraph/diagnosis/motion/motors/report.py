@@ -12,7 +12,12 @@ from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
-from sensorgraph.diagnosis.motion.considered import structure_entries, unknown_structure, unseen_effects
+from sensorgraph.diagnosis.motion.considered import (
+    ABSORBED,
+    structure_entries,
+    unknown_structure,
+    unseen_effects,
+)
 from sensorgraph.diagnosis.motion.families import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
@@ -32,8 +37,6 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
-ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
-"""Why an effect beside structure is not named."""
 FAST, MODERATE = 0.85, 0.4
 """Shares of the maximum commanded speed that separate the listed ranges of speed."""
 CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02

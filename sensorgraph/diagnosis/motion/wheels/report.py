@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Entry
-from sensorgraph.diagnosis.engine.verdict import Facts, Objection
+from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.considered import (
+    ABSORBED,
     name_of,
     structure_entries,
     unknown_structure,
@@ -42,8 +43,6 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
-"""Why an effect beside structure is not named."""
 RMSE_WINDOW = 1.0
 """[s] averaging time of the speeds in the gap."""
 
