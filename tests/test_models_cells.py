@@ -15,13 +15,12 @@ from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.models.base import OFF_DISTANCE, TrainingScans
-from sensorgraph.models.cells.distribution import NORMAL_TAILS, fit_tails
+from sensorgraph.models.cells.distribution import NORMAL_TAILS
 from sensorgraph.models.cells.evidence import CellEvidence
 from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plain
-from sensorgraph.models.cells.learning import SetAside, fit_logistic, is_set_aside, list_at_risk, n_folds_of
+from sensorgraph.models.cells.learning import fit_logistic, list_at_risk
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
 from sensorgraph.models.cells.model import CellModel, is_key_frame
-from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import (
     RATES,
     CellTable,
@@ -258,74 +257,6 @@ def test_newton_finds_a_planted_polynomial() -> None:
     np.testing.assert_allclose(held[1:], planted[1:], atol=1e-3)  # little data: the prior stays
 
 
-def test_spread_about_faces_is_found() -> None:
-    table = a_table()
-    rng = np.random.default_rng(11)
-    poses = some_poses(rng, 40)
-    for planted in (0.015, 0.04):
-        measured = room(poses) + rng.normal(0, planted, (40, 91))
-        sigma, across, _ = fit_spread([SetAside(poses, measured, BEARINGS)], [table])
-        assert sigma == pytest.approx(planted, rel=0.15)
-        assert across < 0.5 * planted
-
-
-def test_errors_of_poses_count_with_the_tangent_of_incidence() -> None:
-    """Poses that are 2 cm off move a reading by 2 cm / cos(incidence): sigma² = across² = 2 cm²."""
-    table = a_table()
-    rng = np.random.default_rng(21)
-    poses = some_poses(rng, 120)
-    off = poses + rng.normal(size=poses.shape) * [0.02, 0.02, 0.0]
-    sigma, across, _ = fit_spread([SetAside(off, room(poses), BEARINGS)], [table])
-    assert sigma == pytest.approx(0.02, rel=0.2)
-    assert across == pytest.approx(0.02, rel=0.3)
-
-
-def heavy_tailed(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Return errors [m]: 1 cm for 70 %, and 3 cm for the others."""
-    return rng.normal(size=shape) * np.where(rng.random(shape) < 0.3, 0.03, 0.01)
-
-
-def test_tails_of_errors_are_found_and_keep_the_variance() -> None:
-    table = a_table()._replace(sigma=math.sqrt(0.7 * 0.01**2 + 0.3 * 0.03**2))
-    rng = np.random.default_rng(22)
-    poses = some_poses(rng, 80)
-    far = room(poses)
-    share, narrow, wide = fit_tails(
-        [SetAside(poses, far + heavy_tailed(rng, far.shape), BEARINGS)], [table], KNOTS
-    )
-    assert share == pytest.approx(0.3, abs=0.08)  # EM comes slowly from 0.2
-    assert wide / narrow == pytest.approx(3.0, rel=0.2)
-    assert (1 - share) * narrow**2 + share * wide**2 == pytest.approx(1.0)
-    normal = far + rng.normal(0, table.sigma, far.shape)
-    share, narrow, wide = fit_tails([SetAside(poses, normal, BEARINGS)], [table], KNOTS)
-    assert (
-        3 * ((1 - share) * narrow**4 + share * wide**4) < 3.5
-    )  # kurtosis; 3 is normal, 5.3 is planted above
-
-
-def test_intervals_and_draws_follow_heavy_tails_and_the_mode_does_not() -> None:
-    """Normal errors of the same variance would put 61 % within the 50 % interval."""
-    rng = np.random.default_rng(23)
-    poses = some_poses(rng, 150)
-    cells = CellModel.fit(scans_of(poses, room(poses) + heavy_tailed(rng, (150, 91))))
-    normal = replace(cells, tails=NORMAL_TAILS)
-    fresh = some_poses(rng, 60)
-    measured = room(fresh) + heavy_tailed(rng, (60, 91))
-    rays = np.arange(91)
-    said, same = cells.predict(fresh, rays, "mode"), normal.predict(fresh, rays, "mode")
-    np.testing.assert_array_equal(said.mode, same.mode)
-    np.testing.assert_array_equal(said.p_off, same.p_off)
-    drawn = cells.draw(fresh, rng.random(measured.shape), rng.normal(size=measured.shape))
-
-    def within_half(model: CellModel, readings: np.ndarray) -> float:
-        below = model.mixture(fresh, rays).cdf(readings)[said.answered]
-        return float((np.abs(below - 0.5) < 0.25).mean())
-
-    assert within_half(cells, measured) == pytest.approx(0.5, abs=0.04)
-    assert within_half(normal, measured) > 0.55
-    assert within_half(cells, drawn) == pytest.approx(0.5, abs=0.04)
-
-
 def test_tails_are_stored_and_old_graphs_have_normal_errors(square: CellModel) -> None:
     header, arrays = replace(square, tails=np.array([0.25, 0.8, 1.44])).state()
     again = CellModel.restore(square.sensor, header, arrays)
@@ -334,33 +265,6 @@ def test_tails_are_stored_and_old_graphs_have_normal_errors(square: CellModel) -
     np.testing.assert_array_equal(CellModel.restore(square.sensor, header, arrays).tails, NORMAL_TAILS)
     with pytest.raises(ValueError, match="share of wide errors is"):
         CellModel.restore(square.sensor, header, arrays | {"tails": np.array([1.5, 1.0, 1.0])})
-
-
-def test_calibration_learns_a_planted_curve_and_keeps_what_is_said_without_data() -> None:
-    rng = np.random.default_rng(12)
-    said = rng.uniform(0, 1, (200, 300))
-    summaries = np.zeros((3, 200, 300, 6))
-    summaries[..., 5] = said
-    off = rng.uniform(size=said.shape) < said**2
-    ranges = np.where(off, 1.0, 0.0)
-    found = calibrate_p_off(summaries, ranges, np.ones(said.shape, dtype=bool))
-    np.testing.assert_allclose(found[0], KNOTS**2, atol=0.03)
-    empty = calibrate_p_off(summaries, ranges, np.zeros(said.shape, dtype=bool))
-    np.testing.assert_allclose(empty, np.tile(KNOTS, (3, 1)))
-
-
-def test_set_aside_is_a_fifth_in_ten_stretches() -> None:
-    aside = is_set_aside(1000)
-    assert aside.sum() == 200 and (np.diff(aside.astype(int)) == 1).sum() == 10
-    assert not (aside & is_set_aside(1000, fold=1)).any()
-
-
-@pytest.mark.parametrize("n", [5, 12, 33, 60, 240, 1000])
-def test_short_logs_set_aside_each_key_frame_at_most_once(n: int) -> None:
-    masks = [is_set_aside(n, fold) for fold in range(n_folds_of(n))]
-    count = np.sum(masks, axis=0)
-    assert count.max() == 1 and all(mask.any() for mask in masks)
-    assert count.sum() >= min(n, 50)
 
 
 def test_key_frames_are_far_from_each_other_in_place_or_heading() -> None:

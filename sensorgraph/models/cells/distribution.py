@@ -8,9 +8,12 @@ with |r_i - m| <= d are multiplied by a and the others by b, such that
 
 A and B are the weights of both groups, A' and B' the parts of them that lie further than d from the mode.
 
-Errors of a reading about its face are a scale mixture of normals (Andrews and Mallows 1974), since some places and poses
-are worse than others: with the standard deviation s_i of a candidate, (1 - q) N(0, u² s_i²) + q N(0, v² s_i²). The scans
-set aside tell q, u and v (`fit_tails`); (1 - q) u² + q v² = 1, so that s_i remains the standard deviation.
+Errors of a reading about its face are a scale mixture of normals (Andrews and Mallows 1974), because some places and
+poses are worse than others. A candidate of standard deviation s_i has the errors
+
+    (1 - q) N(0, u² s_i²) + q N(0, v² s_i²),  (1 - q) u² + q v² = 1,
+
+so that s_i remains the standard deviation. `fit_tails` estimates q, u and v from the scans set aside.
 """
 
 from __future__ import annotations
