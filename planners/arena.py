@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
 from planners.errors import PlanError
+from planners.groups import members
 from planners.types import Bools, Floats
 
 
@@ -86,8 +87,8 @@ class Arena:
         start, end = ends[:-1][is_edge], ends[1:][is_edge]
         low, high = np.minimum(start, end), np.maximum(start, end)
         first, last = np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1], side="right")
-        edge = np.repeat(np.arange(len(start)), last - first)  # of each row that an edge touches
-        row = np.arange(len(edge)) - np.repeat(np.cumsum(last - first) - last, last - first)
+        edge, number = members(last - first)
+        row = first[edge] + number  # that an edge touches
         rise = end[edge, 1] - start[edge, 1]
         is_level = rise == 0.0
         along = (y[row] - start[edge, 1]) / np.where(is_level, 1.0, rise)
@@ -99,8 +100,7 @@ class Arena:
         np.add.at(cuts, (column[counts], row[counts]), 1)
         inside = np.asarray(np.bitwise_xor.accumulate(cuts & 1, axis=0)[:-1], dtype=np.bool_)
         touched = np.searchsorted(x, np.where(is_level, high[edge, 0], cut), side="right") - column
-        touch = np.repeat(np.arange(len(edge)), touched)  # nodes on an edge
-        number = np.arange(len(touch)) - np.repeat(np.cumsum(touched) - touched, touched)
+        touch, number = members(touched)  # nodes on an edge
         inside[column[touch] + number, row[touch]] = False
         return inside
 

@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 
 from planners.arena import Arena
+from planners.groups import members
 from planners.types import Bools, Floats
 
 MAX_SEGMENT = 4.0
@@ -63,8 +64,7 @@ class Barriers:
 def _cut(segments: Floats) -> Floats:
     """Cut long segments into even parts of at most `MAX_SEGMENT`."""
     parts = np.ceil(np.hypot(*(segments[:, 1] - segments[:, 0]).T) / MAX_SEGMENT).astype(int).clip(1)
-    owner = np.repeat(np.arange(len(segments)), parts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+    owner, number = members(parts)
     ends = np.stack([number, number + 1], axis=1) / parts[owner, None]  # (m, 2) shares of the segment
     start, step = segments[owner, :1], segments[owner, 1:] - segments[owner, :1]
     return np.asarray(start + ends[:, :, None] * step, dtype=np.float64)

@@ -21,6 +21,7 @@ from planners.arena import wrap
 from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.errors import PlanError
+from planners.groups import members
 from planners.joins.ompl_process import INSTALL_HINT
 from planners.joins.settings import JOINS
 from planners.reach import Reach
@@ -271,8 +272,7 @@ def path_of(information: Any, curve: Curve) -> Any:
     """Return a drive as an OMPL path, with a state at each piece's start and at most `STATE_PERIOD` between states."""
     stamps = np.append(curve.starts, curve.duration)
     parts = np.maximum(np.ceil(np.diff(stamps) / STATE_PERIOD - 1e-9), 1).astype(np.int64)
-    owner = np.repeat(np.arange(len(parts)), parts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+    owner, number = members(parts)
     when = np.append(stamps[owner] + (number / parts[owner]) * np.diff(stamps)[owner], curve.duration)
     poses = curve.sample(when)[0]
     path = geometric.PathGeometric(information)

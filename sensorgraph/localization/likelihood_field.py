@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planners.groups import members
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats, Ints
 
@@ -92,8 +93,7 @@ def points_with_owners(segments: Floats, spacing: float) -> tuple[Floats, Ints]:
     """Return `points_on` segments, and the segment of each point (n,)."""
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     counts = np.ceil(lengths / spacing).astype(np.intp) + 1
-    owner = np.repeat(np.arange(len(segments)), counts)
-    rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    owner, rank = members(counts)
     share = rank / np.maximum(counts[owner] - 1, 1)
     points: Floats = segments[owner, 0] + share[:, None] * (segments[owner, 1] - segments[owner, 0])
     return points, owner

@@ -8,6 +8,7 @@ from logs.run import Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
+from planners.groups import members
 from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
@@ -79,8 +80,7 @@ def shared_walls(walls: Floats, other: Arena) -> float:
         return 1.0
     starts, ends = walls[:, 0], walls[:, 1]
     counts = np.maximum(np.hypot(*(ends - starts).T) / WALL_STEP, 1).astype(np.int64)
-    owner = np.repeat(np.arange(len(walls)), counts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    owner, number = members(counts)
     share = ((number + 0.5) / counts[owner])[:, None]
     points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) points at even steps along the walls
     return float((Barriers(other).distances(points) < SAME_WALL_DISTANCE).mean())

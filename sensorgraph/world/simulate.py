@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.run import OccupancyMap, RangeSensor, Run
 from planners.arena import Arena, wrap
+from planners.groups import members
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.drive import ExecutedDrive, odometry
 from sensorgraph.world.drivetrain import Drivetrain
@@ -120,9 +121,8 @@ def occupancy_map(
     data = np.where(arena.contains_grid(x, y).T, 0, -1).astype(np.int8)  # (ny, nx)
     start, step = arena.walls[:, 0], arena.walls[:, 1] - arena.walls[:, 0]
     n = (np.hypot(*step.T) / resolution * 4).astype(np.intp) + 2  # points of a wall, four to a cell
-    wall = np.repeat(np.arange(len(n)), n)
-    share = (np.arange(len(wall)) - np.repeat(np.cumsum(n) - n, n)) / (n[wall] - 1)
-    points = start[wall] + share[:, None] * step[wall]
+    wall, number = members(n)
+    points = start[wall] + (number / (n[wall] - 1))[:, None] * step[wall]
     column, row = ((points - [x0, y0]) / resolution).astype(np.intp).T
     data[row.clip(0, ny - 1), column.clip(0, nx - 1)] = 100
     return OccupancyMap(data=data, resolution=resolution, origin=np.array([x0, y0, 0.0]))

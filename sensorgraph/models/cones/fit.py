@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.run import RangeSensor
+from planners.groups import members
 from sensorgraph.models.cones.readings import ConeReadings
 from sensorgraph.models.cones.refine import Refiner
 from sensorgraph.models.cones.search import search
@@ -123,8 +124,7 @@ def observed_by_cones(readings: ConeReadings) -> ObservedSpace:
         some = readings.take(slice(start, start + READINGS_AT_A_TIME))
         reach = some.reach
         n_rays = 1 + np.ceil(2 * some.halves * reach / FACES.prediction.observed_cell).astype(np.intp)
-        owner = np.repeat(np.arange(len(some)), n_rays)
-        rank = np.arange(len(owner)) - np.repeat(np.cumsum(n_rays) - n_rays, n_rays)
+        owner, rank = members(n_rays)
         turn = some.halves[owner] * (2 * rank / np.maximum(n_rays[owner] - 1, 1) - 1)
         ux, uy = some.directions[owner].T
         cos, sin = np.cos(turn), np.sin(turn)

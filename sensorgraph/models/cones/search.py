@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.groups import members
 from sensorgraph.models.cones.kernels import count_along_line
 from sensorgraph.models.cones.readings import ConeReadings, Stretch
 from sensorgraph.models.cones.settings import CONES
@@ -66,10 +67,8 @@ class TangentVotes:
         """Remove the votes of readings that are explained."""
         rank = self._rank[readings]
         first, last = self._first[rank], self._first[rank + 1]
-        within = np.arange(int((last - first).sum())) - np.repeat(
-            np.cumsum(last - first) - (last - first), last - first
-        )
-        places = np.repeat(first, last - first) + within
+        reading, within = members(last - first)
+        places = first[reading] + within
         self.counts -= np.bincount(self._bins[places], minlength=len(self.counts))
 
 
