@@ -23,6 +23,7 @@ from sensorgraph.version import __version__ as __version__
 if TYPE_CHECKING:
     from planners.arena import Arena
     from sensorgraph import errors
+    from sensorgraph.amending.amend import amend
     from sensorgraph.api import (
         build,
         diagnose,
@@ -50,6 +51,7 @@ __all__ = [
     "DesignTask",
     "Robot",
     "Sensorgraph",
+    "amend",
     "build",
     "design",
     "diagnose",
@@ -76,6 +78,7 @@ _HOMES = {
     "load": "sensorgraph.graph",
     "DesignTask": "sensorgraph.identification.design_task",
     "design": "sensorgraph.identification.design:design",
+    "amend": "sensorgraph.amending.amend",
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
 } | dict.fromkeys(

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from sensorgraph.cli.amend import amend
 from sensorgraph.cli.build import build
 from sensorgraph.cli.compile import compile_kernels
 from sensorgraph.cli.demo import demo
@@ -55,6 +56,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "influence": influence,
     "record": record,
     "export": export,
+    "amend": amend,
     "compile": compile_kernels,
 }
 

@@ -503,6 +503,35 @@ RecordEffects = Annotated[
 ]
 RecordSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
 
+# amend
+AmendFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        help="URDF, xacro with its includes, SDF, MJCF, nav2_params.yaml or robot.yaml.",
+    ),
+]
+AmendEffects = Annotated[Path, typer.Option(metavar="FILE", help="effects.yaml, as `diagnose` writes it.")]
+AmendRun = Annotated[
+    Path | None,
+    typer.Option(
+        help="Run whose rate, angles and ranges of the laser are written; for Nav2, also AMCL's parameters."
+    ),
+]
+AmendArena = Annotated[
+    str | None,
+    typer.Option(help="Map of the run, for AMCL's parameters; default: the arena kept in the run."),
+]
+AmendLaser = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Sensor, link, body or site of the laser, if there are several."),
+]
+AmendOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", help="File, or folder for several files; default: replace the given files."),
+]
+AmendDryRun = Annotated[bool, typer.Option("--dry-run", help="Print the changes, and write nothing.")]
+
 # export
 ExportSource = Annotated[
     str,

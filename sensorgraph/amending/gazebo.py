@@ -1,0 +1,237 @@
+"""The laser and the DiffDrive plugin of Gazebo, gz and classic: the same elements in SDF and in URDF.
+
+The numbers of the plugin are what the driver assumes, and the geometry is what the robot has. A driver that
+assumes wheels (1 + s) times the true ones reports (1 + s) times the true distance, in Gazebo as on the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, why
+from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.text import Why, note, number_text
+from sensorgraph.amending.xacro import Document, Node
+from sensorgraph.effects import Amendment
+from sensorgraph.errors import SensorgraphError
+
+LASERS = ("ray", "gpu_ray", "lidar", "gpu_lidar")
+"""Types of a sensor that is a laser."""
+RADIUS = ("wheel_radius", "wheelRadius")
+DIAMETER = ("wheel_diameter", "wheelDiameter")
+SEPARATION = ("wheel_separation", "wheelSeparation")
+SAME_ANGLE = 1e-5
+"""[rad] Difference of angles that a LaserScan, in single precision, does not show."""
+SIGMAS = 3.0
+"""Standard errors from which a measured rate differs from the stated one."""
+
+
+def is_diff_drive(plugin: Node) -> bool:
+    """Return whether a plugin is a differential drive of gz or of Gazebo classic."""
+    name = plugin.get("filename") + plugin.get("name")
+    return "diff-drive" in name or "diff_drive" in name or "DiffDrive" in name
+
+
+def choose(
+    named: Sequence[tuple[str, Node]], laser: str | None, others: Iterable[str], file: str
+) -> Node | None:
+    """Return the laser to amend among named ones; None if there is none.
+
+    Raises
+    ------
+    SensorgraphError : The given name is not there, or there are several and none is given.
+    """
+    names = [name for name, _ in named]
+    if laser is not None:
+        found = [node for name, node in named if name == laser or node.get("name") == laser]
+        if found:
+            return found[0]
+        known = names or sorted({one for one in others if one})
+        raise SensorgraphError(
+            f"{file}: there is no laser `{laser}`; give one of {', '.join(f'`{one}`' for one in known[:12]) or 'none'}"
+        )
+    if len(named) > 1:
+        raise SensorgraphError(
+            f"{file}: has {len(named)} lasers, {', '.join(f'`{one}`' for one in names)}; choose one with `laser`"
+        )
+    return named[0][1] if named else None
+
+
+class GazeboSensor:
+    """The `<sensor>` element of a laser."""
+
+    def __init__(self, document: Document, sensor: Node) -> None:
+        self.document, self.sensor = document, sensor
+        kind = next((one for one in ("lidar", "ray") if sensor.child(one)), "")
+        self.ray = sensor.child(kind) if kind else None
+        self._added: dict[str, tuple[float, Why]] = {}
+
+    def bias(self, a: Amendment) -> None:
+        """Add a constant offset to the mean of the noise."""
+        self._noise("mean", lambda old: old + a["b"], why(a, "b"))
+
+    def growing_noise(self, a: Amendment, laser: MeasuredLaser | None) -> None:
+        """Write the root mean square of noise that grows with the range."""
+        if laser is None:
+            raise CannotHoldError(
+                "`<stddev>` is one number for all ranges; give a run, whose ranges determine the best one"
+            )
+        square = a["k"] ** 2 * laser.mean_square_range
+        sigma = why(a, "k", per=math.sqrt(laser.mean_square_range))
+        self._noise("stddev", lambda old: math.hypot(old, math.sqrt(square)), sigma)
+
+    def limit(self, tag: str, value: float, reason: Why) -> None:
+        """Write `<min>`, `<max>` or `<resolution>` of the ranges."""
+        self._leaf(self._ray().child("range"), tag, value, reason)
+
+    def measured(self, laser: MeasuredLaser) -> None:
+        """Write rate, rays, angles and ranges of a log, where they differ from those of the file."""
+        cause = f"as in {laser.name}"
+        rate = self.sensor.child("update_rate")
+        stated = None if rate is None or rate.text is None else number(rate.text)
+        if stated is None or abs(stated - laser.rate) > SIGMAS * laser.rate_sigma:
+            self._leaf(self.sensor, "update_rate", laser.rate, Why(cause=cause, sigma=laser.rate_sigma))
+        fan = self._ray().child("scan", "horizontal")
+        if fan is not None:
+            stated_fan = self._fan(fan)
+            if stated_fan is None or not _same_fan(stated_fan, laser):
+                self._leaf(fan, "samples", laser.n_rays, Why(cause=cause))
+                self._leaf(fan, "min_angle", laser.angle_min, Why(cause=cause))
+                self._leaf(fan, "max_angle", laser.angle_max, Why(cause=cause))
+        self.limit("min", laser.range_min, Why(cause=cause))
+        self.limit("max", laser.range_max, Why(cause=cause))
+
+    def _fan(self, fan: Node) -> tuple[float, float, float] | None:
+        found = []
+        for tag in ("samples", "min_angle", "max_angle"):
+            leaf = fan.child(tag)
+            value = None if leaf is None or leaf.text is None else number(leaf.text)
+            if value is None:
+                return None
+            found.append(value)
+        return found[0], found[1], found[2]
+
+    def finish(self) -> None:
+        """Add a `<noise>` element with the numbers that were found, if the laser had none."""
+        if not self._added:
+            return
+        at = self._ray().child("range") or self._ray().child("scan") or self.sensor.children[-1]
+        values = {tag: self._added[tag][0] if tag in self._added else 0.0 for tag in ("mean", "stddev")}
+        inner = "".join(f"<{tag}>{number_text(value)}</{tag}>" for tag, value in values.items())
+        phrase = "; ".join(note(None, reason) for _, reason in self._added.values())
+        _insert_behind(at, f"<noise><type>gaussian</type>{inner}</noise>", phrase)
+
+    def _noise(self, tag: str, change: Callable[[float], float], reason: Why) -> None:
+        ray = self._ray()
+        noise = ray.child("noise") or self.sensor.child("noise")
+        if noise is None:
+            self._added[tag] = (change(0.0), reason)
+            return
+        leaf = noise.child(tag)
+        old = 0.0 if leaf is None or leaf.text is None else number(leaf.text)
+        if old is None:
+            raise CannotHoldError(f"`<{tag}>` uses names that no given file sets")
+        self._leaf(noise, tag, change(old), reason)
+
+    def _leaf(self, parent: Node | None, tag: str, value: float, reason: Why) -> None:
+        """Write the number of a child, which is added if it is missing."""
+        if parent is None:
+            raise CannotHoldError(f"its laser has no element for `<{tag}>`")
+        leaf = parent.child(tag)
+        if leaf is not None and leaf.text is not None:
+            put(self.document, leaf.text, value, reason)
+        elif parent.children:
+            _insert_behind(parent.children[-1], f"<{tag}>{number_text(value)}</{tag}>", note(None, reason))
+        else:
+            raise CannotHoldError(f"its laser has no element for `<{tag}>`")
+
+    def _ray(self) -> Node:
+        if self.ray is None:
+            raise CannotHoldError("its laser has no `<lidar>` or `<ray>`")
+        return self.ray
+
+
+class DiffDrive:
+    """The plugin of a differential drive."""
+
+    def __init__(self, document: Document, plugins: Sequence[Node]) -> None:
+        self.document, self.plugins = document, plugins
+
+    def radius(self, a: Amendment) -> None:
+        """Let the driver assume wheels (1 + s) times as large."""
+        self._scale((*RADIUS, *DIAMETER), a)
+
+    def base(self, a: Amendment) -> None:
+        """Let the driver assume a wheelbase (1 + s) times as large."""
+        self._scale(SEPARATION, a)
+
+    def saturation(self, a: Amendment) -> None:
+        """Limit the speed."""
+        plugin = self._plugin()
+        if "libgazebo" in plugin.get("filename"):
+            raise CannotHoldError("the plugin of Gazebo classic has no limit of speed")
+        for tag, value in (("max_linear_velocity", a["v_max"]), ("min_linear_velocity", -a["v_max"])):
+            leaf = plugin.child(tag)
+            if leaf is not None and leaf.text is not None:
+                old = number(leaf.text)
+                if old is None or abs(old) > a["v_max"]:
+                    put(self.document, leaf.text, value, why(a, "v_max"))
+            else:
+                _insert_behind(
+                    plugin.children[-1], f"<{tag}>{number_text(value)}</{tag}>", note(None, why(a, "v_max"))
+                )
+
+    def acceleration(self, value: float, reason: Why) -> None:
+        """Limit the acceleration."""
+        plugin = self._plugin()
+        if "libgazebo" in plugin.get("filename"):
+            tags = [("max_wheel_acceleration", value), ("wheelAcceleration", value)]
+            tags = [one for one in tags if plugin.child(one[0])] or tags[:1]
+        else:
+            tags = [("max_linear_acceleration", value), ("min_linear_acceleration", -value)]
+        for tag, number_ in tags:
+            leaf = plugin.child(tag)
+            if leaf is not None and leaf.text is not None:
+                put(self.document, leaf.text, number_, reason)
+            else:
+                text = f"<{tag}>{number_text(number_)}</{tag}>"
+                _insert_behind(plugin.children[-1], text, note(None, reason))
+
+    def _scale(self, tags: Sequence[str], a: Amendment) -> None:
+        plugin = self._plugin()
+        leaves = [leaf for tag in tags if (leaf := plugin.child(tag)) is not None and leaf.text is not None]
+        if not leaves:
+            raise CannotHoldError(f"the plugin has no `<{tags[0]}>`")
+        for leaf in leaves:
+            assert leaf.text is not None
+            old = number(leaf.text)
+            if old is None:
+                raise CannotHoldError(f"`<{leaf.tag}>` uses names that no given file sets")
+            reason = why(a, "s", per=old)
+            cause = f"{reason.cause}, assumed by the driver"
+            put(self.document, leaf.text, old * (1 + a["s"]), Why(cause=cause, sigma=reason.sigma))
+
+    def _plugin(self) -> Node:
+        if not self.plugins:
+            raise CannotHoldError("it has no DiffDrive plugin")
+        if len(self.plugins) > 1:
+            raise CannotHoldError(f"it has {len(self.plugins)} DiffDrive plugins")
+        if not self.plugins[0].children:
+            raise CannotHoldError("the DiffDrive plugin is empty")
+        return self.plugins[0]
+
+
+def _same_fan(stated: tuple[float, float, float], laser: MeasuredLaser) -> bool:
+    n, first, last = stated
+    return (
+        n == laser.n_rays
+        and abs(first - laser.angle_min) < SAME_ANGLE
+        and abs(last - laser.angle_max) < SAME_ANGLE
+    )
+
+
+def _insert_behind(node: Node, text: str, phrase: str) -> None:
+    """Insert an element on a line of its own, behind another one with the same indentation."""
+    file, end = node.origin.file, node.origin.end
+    file.insert(end, f"{file.newline}{file.indent(node.origin.start)}{text}", phrase)

@@ -1,0 +1,297 @@
+"""MJCF of MuJoCo: the laser's body or sites, the wheels' geoms and bodies, and the actuators' lag and delay.
+
+A controller outside the file sets the speeds of the wheels. The file holds the geometry, and so the true radius
+and distance of the wheels; the controller keeps the numbers that the driver of the robot assumes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
+from sensorgraph.amending.gazebo import choose
+from sensorgraph.amending.mjcf_frames import add_attribute, numbers_of, own_rotation, turn_frame
+from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.place import known, shift, shift_of
+from sensorgraph.amending.text import Why, note, number_text
+from sensorgraph.amending.xacro import Document, Node, Value
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Floats
+
+WHAT = "MJCF"
+ROUND = {"sphere": (0,), "cylinder": (0,), "capsule": (0,), "ellipsoid": (0, 2)}
+"""Type of a geom -> the numbers of its size that are radii of a wheel."""
+MAX_DELAY_STEPS = 100_000
+"""Maximum number of time steps in the history of a delayed actuator."""
+DEFAULT_STEP = 0.002
+"""[s] Time step of MuJoCo if the file states none."""
+DELAY_SINCE = "MuJoCo 3.5 or later"
+
+
+def amend_mjcf(
+    document: Document,
+    amendments: tuple[Amendment, ...],
+    *,
+    laser: str | None,
+    measured: MeasuredLaser | None,
+    file: str,
+) -> list[str]:
+    """Amend an MJCF; return what it cannot hold, one line each.
+
+    Raises
+    ------
+    SensorgraphError : The laser is not there, or there are several.
+    """
+    model = _MjcfModel(document, laser, file)
+    handlers = {
+        "wheel_radius": model.radius,
+        "wheel_radius_diff": model.radius_difference,
+        "wheel_base": model.base,
+        "actuator_lag": model.lag,
+        "dead_time": model.delay,
+        "latency": model.latency,
+        "mount_xy": model.shift,
+        "mount_yaw": model.turn,
+        "max_range": lambda a: model.cutoff(a["R"], why(a, "R")),
+    }
+    lines = apply(amendments, handlers, WHAT, file, document.files)
+    if measured is not None and model.rangefinders:
+        model.cutoff(measured.range_max, Why(cause=f"as in {measured.name}"))
+    return lines
+
+
+class _MjcfModel:
+    """Bodies, joints, actuators and rangefinders of an MJCF."""
+
+    def __init__(self, document: Document, laser: str | None, file: str) -> None:
+        self.document = document
+        self.bodies = {node.get("name"): node for node in document.all("body") if node.get("name")}
+        self.sites = {node.get("name"): node for node in document.all("site")}
+        self.rangefinders = list(document.all("rangefinder"))
+        self.angle = 1.0 if self._option("compiler", "angle") == "radian" else math.pi / 180
+        self.frames = self._laser_frames(laser, file)
+
+    def _laser_frames(self, laser: str | None, file: str) -> list[Node]:
+        """Return the body of the laser, or its sites if it has no body for itself."""
+        if laser is not None and laser in self.bodies | self.sites:
+            return [(self.bodies | self.sites)[laser]]
+        sites = [node for one in self.rangefinders if (node := self._site(one.get("site"))) is not None]
+        by_body: dict[int, tuple[Node, list[Node]]] = {}
+        for site in sites:
+            body = _above(site)
+            if body is not None:
+                by_body.setdefault(id(body), (body, []))[1].append(site)
+        named = [(body.get("name") or "unnamed", body) for body, _ in by_body.values()]
+        body = choose(named, laser, [*self.bodies, *self.sites], file)
+        if body is None:
+            return []
+        is_own = not any(True for _ in _own(body, "joint", "freejoint")) and _above(body) is not None
+        return [body] if is_own else by_body[id(body)][1]
+
+    def _site(self, name: str) -> Node | None:
+        """Return a site; `<replicate>` adds a number to the names of its sites."""
+        if name in self.sites:
+            return self.sites[name]
+        stem = name.rstrip("0123456789").rstrip("_-")
+        return self.sites.get(name.rstrip("0123456789")) or self.sites.get(stem)
+
+    def shift(self, a: Amendment) -> None:
+        """Move the laser."""
+        self._check_laser()
+        for frame in self.frames:
+            parent = self._parent_rotation(frame)
+            if "pos" in frame.attributes:
+                shift(self.document, numbers_of(frame, "pos", 3), a, parent)
+            else:
+                moved = " ".join(number_text(change) for change, _ in shift_of(a, parent))
+                add_attribute(frame, "pos", moved, note(None, why(a, "dx")))
+
+    def turn(self, a: Amendment) -> None:
+        """Turn the laser."""
+        self._check_laser()
+        order = self._option("compiler", "eulerseq") or "xyz"
+        for frame in self.frames:
+            turn_frame(self.document, frame, a, self._parent_rotation(frame), self.angle, order)
+
+    def radius(self, a: Amendment) -> None:
+        """Write the true radius of both wheels."""
+        factor = 1 / (1 + a["s"])
+        self._resize([(wheel, factor) for _, wheel in self._wheels()], why(a, "s"))
+
+    def radius_difference(self, a: Amendment) -> None:
+        """Write different radii of the two wheels."""
+        self._resize(
+            [(wheel, 1 + (0.5 if is_left else -0.5) * a["s"]) for is_left, wheel in self._wheels()],
+            why(a, "s"),
+        )
+
+    def base(self, a: Amendment) -> None:
+        """Write the true distance of the wheels."""
+        for _, wheel in self._wheels():
+            value = numbers_of(wheel, "pos", 3)[1]
+            old = known(value)
+            put(self.document, value, old / (1 + a["s"]), why(a, "s", per=old))
+
+    def lag(self, a: Amendment) -> None:
+        """Increase the time constant of the actuators."""
+        for actuator in self._actuators():
+            if "timeconst" in actuator.attributes:
+                value = actuator.attributes["timeconst"]
+                put(self.document, value, max(known(value) + a["tau"], 0.0), why(a, "tau"))
+                continue
+            kind = actuator.get("dyntype") or "none"
+            if actuator.tag == "position" and a["tau"] > 0:
+                add_attribute(actuator, "timeconst", number_text(a["tau"]), note(None, why(a, "tau")))
+            elif actuator.tag != "general" or kind not in ("none", "filter", "filterexact"):
+                raise CannotHoldError(
+                    f"an actuator `{actuator.tag}`{f' with dyntype {kind}' if kind != 'none' else ''} has no time constant; "
+                    "`general` with dyntype filterexact has one"
+                )
+            elif kind == "none":
+                if a["tau"] > 0:
+                    text = f'filterexact" dynprm="{number_text(a["tau"])}'
+                    add_attribute(actuator, "dyntype", text, note(None, why(a, "tau")))
+            else:
+                value = numbers_of(actuator, "dynprm", 1)[0]
+                put(self.document, value, max(known(value) + a["tau"], 0.0), why(a, "tau"))
+
+    def delay(self, a: Amendment) -> None:
+        """Delay the actuators, with a history of as many time steps."""
+        self._delay(self._actuators(), a, "L")
+
+    def latency(self, a: Amendment) -> None:
+        """Delay the rangefinders."""
+        if not self.rangefinders:
+            raise CannotHoldError("it has no rangefinder")
+        self._delay(self.rangefinders, a, "tau")
+
+    def _delay(self, nodes: list[Node], a: Amendment, parameter: str) -> None:
+        step = float(self._option("option", "timestep") or DEFAULT_STEP)
+        for node in nodes:
+            value = node.attributes.get("delay")
+            total = (0.0 if value is None else known(value)) + a[parameter]
+            steps = math.ceil(total / step) + 1
+            if not total >= 0 or steps > MAX_DELAY_STEPS:
+                raise CannotHoldError(f"the delay would be {total:.3g} s; expected 0 or more")
+            if value is not None:
+                put(self.document, value, total, why(a, parameter))
+                history = node.attributes.get("nsample")
+                if history is not None and (number(history) or 0) < steps:
+                    put(self.document, history, steps, Why(cause=f"history of {number_text(total)} s"))
+            else:
+                text = f'{number_text(total)}" nsample="{steps}'
+                add_attribute(node, "delay", text, f"{note(None, why(a, parameter))}; {DELAY_SINCE}")
+
+    def cutoff(self, value: float, reason: Why) -> None:
+        """Write the longest range of the rangefinders."""
+        if not self.rangefinders:
+            raise CannotHoldError("it has no rangefinder")
+        for one in self.rangefinders:
+            if "cutoff" in one.attributes:
+                put(self.document, one.attributes["cutoff"], value, reason)
+            else:
+                add_attribute(one, "cutoff", number_text(value), note(None, reason))
+
+    def _resize(self, wheels: list[tuple[Node, float]], reason: Why) -> None:
+        """Change the radii of wheels, and lower or raise their axles so that they touch the same floor."""
+        done: dict[tuple[int, int], float] = {}
+        for wheel, factor in wheels:
+            change = None
+            for value in self._radii(wheel):
+                if done.setdefault(value.span, factor) != factor:
+                    raise CannotHoldError("both wheels have the radius of one default class")
+                old = known(value)
+                is_done = reason.cause in "; ".join(value.file.notes.get(value.anchor, [])) and len(done) > 0
+                if not is_done or value.span not in value.file.edits:
+                    put(self.document, value, old * factor, reason.scaled(old))
+                    change = old * (factor - 1)
+                else:
+                    change = old * (1 - 1 / factor)
+            if change is None:
+                raise CannotHoldError(f"the wheel `{wheel.get('name')}` has no round geom")
+            height = numbers_of(wheel, "pos", 3)[2]
+            put(self.document, height, known(height) + change, Why(cause=reason.cause))
+
+    def _radii(self, wheel: Node) -> list[Value]:
+        """Return the radii of the round geoms of a wheel."""
+        found = []
+        for geom in _own(wheel, "geom"):
+            size, kind = self._default(geom, "size"), self._default(geom, "type")
+            name = "sphere" if kind is None else str(kind)
+            values = [] if size is None else size.tokens()
+            found += [values[k] for k in ROUND.get(name, ()) if k < len(values)]
+        return found
+
+    def _wheels(self) -> list[tuple[bool, Node]]:
+        """Return (is left, body) of the wheels: the bodies of driven hinges."""
+        joints = {node.get("name"): node for node in self.document.all("joint") if node.get("name")}
+        driven = [joints[one.get("joint")] for one in self._actuators() if one.get("joint") in joints]
+        wheels = [
+            body for joint in driven if (body := _above(joint)) is not None and "pos" in body.attributes
+        ]
+        sided = [(number(numbers_of(body, "pos", 3)[1]) or 0.0, body) for body in wheels]
+        if len([1 for y, _ in sided if y > 0]) == 0 or len([1 for y, _ in sided if y < 0]) == 0:
+            raise CannotHoldError("no actuators drive a left and a right wheel")
+        return [(y > 0, body) for y, body in sided if y]
+
+    def _actuators(self) -> list[Node]:
+        nodes = [
+            one
+            for group in self.document.all("actuator")
+            for one in group.children
+            if "joint" in one.attributes
+        ]
+        if not nodes:
+            raise CannotHoldError("it has no actuator of a joint")
+        return nodes
+
+    def _default(self, node: Node, name: str) -> Value | None:
+        """Return an attribute of a geom, or that of its default class."""
+        if name in node.attributes:
+            return node.attributes[name]
+        wanted = node.get("class")
+        above = node.parent
+        while above is not None and not wanted:
+            wanted, above = above.get("childclass"), above.parent
+        for group in self.document.all("default"):
+            if (group.get("class") or "main") == (wanted or "main"):
+                inner = group.child(node.tag)
+                if inner is not None and name in inner.attributes:
+                    return inner.attributes[name]
+        return None
+
+    def _option(self, tag: str, name: str) -> str:
+        return next((node.get(name) for node in self.document.all(tag) if name in node.attributes), "")
+
+    def _check_laser(self) -> None:
+        if not self.frames:
+            raise CannotHoldError(
+                "it has no rangefinder, whose site is the laser; give its body or site as `laser`"
+            )
+
+    def _parent_rotation(self, frame: Node) -> Floats:
+        """Return the rotation (3, 3) of the parent of a frame in the moving base."""
+        matrix, above = np.eye(3), frame.parent
+        while above is not None and above.tag in ("body", "frame", "replicate"):
+            if any(True for _ in _own(above, "freejoint", "joint")):
+                break
+            if above.tag != "replicate":
+                matrix = own_rotation(above, self.angle) @ matrix
+            above = above.parent
+        return matrix
+
+
+def _own(body: Node, *tags: str) -> Iterator[Node]:
+    """Yield the direct children of a body with one of these tags."""
+    return (child for child in body.children if child.tag in tags)
+
+
+def _above(node: Node) -> Node | None:
+    """Return the body that contains a node."""
+    above = node.parent
+    while above is not None and above.tag != "body":
+        above = above.parent
+    return above

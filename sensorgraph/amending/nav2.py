@@ -1,0 +1,105 @@
+"""nav2_params.yaml: AMCL's numbers, estimated from a run, and limits of range and speed from effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import yaml
+
+from sensorgraph.amending.findings import CannotHoldError, apply, why
+from sensorgraph.amending.text import Why
+from sensorgraph.amending.yaml_text import YamlFile, as_number, child
+from sensorgraph.effects import Amendment
+from sensorgraph.exporting.amcl import BootstrapEstimate, LaserModelChoice
+
+WHAT = "Nav2's parameter file"
+TOP_SPEEDS = ("desired_linear_vel", "max_vel_x", "max_speed_xy", "vx_max")
+"""Keys of controllers that limit the speed ahead [m/s]."""
+
+
+def amend_nav2(
+    data: YamlFile,
+    amendments: tuple[Amendment, ...],
+    *,
+    amcl: tuple[Mapping[str, BootstrapEstimate], LaserModelChoice | None] | None,
+    file: str,
+) -> list[str]:
+    """Amend a nav2_params.yaml; return what it cannot hold, one line each.
+
+    Parameters
+    ----------
+    amcl : Estimates by their names in Nav2, and the better laser model; None: no run is given.
+    """
+    handlers = {
+        "max_range": lambda a: _amcl(data, "laser_max_range", a["R"], why(a, "R")),
+        "min_range": lambda a: _amcl(data, "laser_min_range", a["r_min"], why(a, "r_min")),
+        "speed_saturation": lambda a: _top_speed(data, a),
+    }
+    lines = apply(amendments, handlers, WHAT, file, [data.file])
+    if amcl is None:
+        return [*lines, f"{file}: AMCL's parameters: give a run with poses (--run) to estimate them"]
+    estimates, model = amcl
+    section = _section(data)
+    if section is None:
+        return [*lines, f"{file}: AMCL's parameters: it has no `amcl: ros__parameters:`"]
+    for name, found in estimates.items():
+        node = child(section, name)
+        reason = Why(cause=f"estimate {found}")
+        if node is None:
+            data.add(section, (name,), f"{found.value:.3g}", reason)
+            continue
+        old = as_number(node)
+        if old is None or not found.low <= old <= found.high:
+            data.put(node, float(f"{found.value:.3g}"), reason)
+    node = child(section, "laser_model_type")
+    if model is not None and node is not None and node.value.strip() != model.name:
+        data.put_text(node, f'"{model.name}"' if node.style == '"' else model.name, str(model))
+    return lines
+
+
+def _section(data: YamlFile) -> Any:
+    """Return the parameters of the node amcl, below any namespace."""
+    return next((child(value, "ros__parameters") for key, value in _pairs(data.root) if key == "amcl"), None)
+
+
+def _amcl(data: YamlFile, key: str, value: float, reason: Why) -> None:
+    section = _section(data)
+    if section is None:
+        raise CannotHoldError("it has no `amcl: ros__parameters:`")
+    node = child(section, key)
+    if node is None:
+        data.add(section, (key,), f"{value:.6g}", reason)
+    else:
+        data.put(node, value, reason)
+
+
+def _top_speed(data: YamlFile, a: Amendment) -> None:
+    """Lower every limit of the speed that exceeds the measured one."""
+    found = 0
+    for key, node in list(_pairs(data.root)):
+        if key in TOP_SPEEDS:
+            found += _lower(data, node, a)
+        elif key in ("max_velocity", "min_velocity") and isinstance(node, yaml.SequenceNode) and node.value:
+            found += _lower(data, node.value[0], a)
+    if not found:
+        raise CannotHoldError(
+            f"it limits the speed nowhere: no velocity_smoother, and no {', '.join(TOP_SPEEDS)}"
+        )
+
+
+def _lower(data: YamlFile, node: Any, a: Amendment) -> int:
+    old = as_number(node)
+    if old is None:
+        return 0
+    if abs(old) > a["v_max"]:
+        data.put(node, a["v_max"] if old > 0 else -a["v_max"], why(a, "v_max"))
+    return 1
+
+
+def _pairs(node: Any) -> Iterator[tuple[str, Any]]:
+    """Yield all keys and values of a tree."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield str(key.value), value
+            yield from _pairs(value)

@@ -1,0 +1,119 @@
+"""Move and turn a frame that is written as xyz and roll, pitch, yaw in the frame of its parent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sensorgraph.amending.findings import CannotHoldError, why
+from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.text import Why
+from sensorgraph.amending.xacro import Document, Value
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Floats
+
+SAME = 1e-9
+"""[m, rad] Change of a coordinate below which it is not written."""
+
+
+def rotation(rpy: Sequence[float]) -> Floats:
+    """Return the matrix (3, 3) of fixed-axis roll, pitch and yaw [rad]."""
+    roll, pitch, yaw = rpy
+    return about_z(yaw) @ _about(1, pitch) @ _about(0, roll)
+
+
+def about_z(angle: float) -> Floats:
+    """Return the matrix (3, 3) of a turn about z [rad]."""
+    return _about(2, angle)
+
+
+def _about(axis: int, angle: float) -> Floats:
+    out, (i, j) = np.eye(3), [(1, 2), (2, 0), (0, 1)][axis]
+    out[i, i] = out[j, j] = math.cos(angle)
+    out[i, j], out[j, i] = -math.sin(angle), math.sin(angle)
+    return out
+
+
+def rpy_of(matrix: Floats) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw [rad] of a matrix (3, 3)."""
+    pitch = math.asin(max(-1.0, min(1.0, -float(matrix[2, 0]))))
+    return (
+        math.atan2(float(matrix[2, 1]), float(matrix[2, 2])),
+        pitch,
+        math.atan2(float(matrix[1, 0]), float(matrix[0, 0])),
+    )
+
+
+def shift_of(a: Amendment, parent: Floats) -> list[tuple[float, Why]]:
+    """Return the change (3,) [m] of a position by `mount_xy`, in the frame of the parent, with its reasons.
+
+    Parameters
+    ----------
+    parent : (3, 3) Rotation of the parent in base_link.
+    """
+    out = []
+    for row in parent.T:
+        sigma = math.sqrt(
+            sum(((why(a, key).sigma or 0.0) * row[k]) ** 2 for k, key in enumerate(("dx", "dy")))
+        )
+        cause = f"{a.name} dx = {a['dx']:.4g}, dy = {a['dy']:.4g}"
+        change = float(row[0] * a["dx"] + row[1] * a["dy"])
+        out.append((change, Why(cause=cause, sigma=sigma or None)))
+    return out
+
+
+def shift(document: Document, xyz: Sequence[Value], a: Amendment, parent: Floats) -> None:
+    """Add `mount_xy` to a position.
+
+    Raises
+    ------
+    CannotHoldError : A coordinate uses names that no given file sets.
+    """
+    for value, (change, reason) in zip(xyz, shift_of(a, parent), strict=True):
+        if abs(change) > SAME:
+            put(document, value, known(value) + change, reason)
+
+
+def turn(document: Document, rpy: Sequence[Value], a: Amendment, parent: Floats, unit: float = 1.0) -> None:
+    """Turn a frame by `mount_yaw` about the z axis of base_link.
+
+    Parameters
+    ----------
+    unit : [rad] Unit of the angles in the file.
+
+    Raises
+    ------
+    CannotHoldError : An angle uses names that no given file sets.
+    """
+    old = [known(value) * unit for value in rpy]
+    new = rpy_of(turned(rotation(old), a["delta"], parent))
+    for value, before, after in zip(rpy, old, new, strict=True):
+        change = math.remainder(after - before, 2 * math.pi)
+        if abs(change) > SAME:
+            put(document, value, (before + change) / unit, why(a, "delta", per=1 / unit))
+
+
+def turned(matrix: Floats, angle: float, parent: Floats) -> Floats:
+    """Return a rotation (3, 3) in its parent after a turn [rad] about the z axis of base_link."""
+    return np.asarray(parent.T @ about_z(angle) @ parent @ matrix)
+
+
+def known(value: Value) -> float:
+    """Return a number of a file.
+
+    Raises
+    ------
+    CannotHoldError : It uses names that no given file sets.
+    """
+    found = number(value)
+    if found is None:
+        raise CannotHoldError(f"`{value.text.strip()}` uses names that no given file sets")
+    return found
+
+
+def triple(values: Sequence[Value]) -> list[float]:
+    """Return three numbers; zeros for those that are unknown."""
+    found = [number(value) or 0.0 for value in values[:3]]
+    return [*found, *[0.0] * (3 - len(found))]

@@ -1,0 +1,181 @@
+"""SDF of gz and of Gazebo classic: the laser's `<sensor>`, its pose, the wheels, and the DiffDrive plugin."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
+from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
+from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.place import rotation, shift, shift_of, triple, turn
+from sensorgraph.amending.text import note, number_text
+from sensorgraph.amending.xacro import Document, Node, Value
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Floats
+
+WHAT = "SDF"
+
+
+def amend_sdf(
+    document: Document,
+    amendments: tuple[Amendment, ...],
+    *,
+    laser: str | None,
+    measured: MeasuredLaser | None,
+    file: str,
+) -> list[str]:
+    """Amend an SDF; return what it cannot hold, one line each.
+
+    Raises
+    ------
+    SensorgraphError : The laser is not there, or there are several.
+    """
+    model = _SdfModel(document, laser, file)
+    sensor, drive = model.sensor, DiffDrive(document, model.plugins)
+    handlers = {
+        "wheel_radius": drive.radius,
+        "wheel_base": drive.base,
+        "wheel_radius_diff": model.radius_difference,
+        "speed_saturation": drive.saturation,
+        "mount_xy": model.shift,
+        "mount_yaw": model.turn,
+        **sensor_handlers(sensor, measured),
+    }
+    lines = apply(amendments, handlers, WHAT, file, document.files)
+    return [*lines, *finish_sensor(sensor, measured, file)]
+
+
+def sensor_handlers(sensor: GazeboSensor | None, measured: MeasuredLaser | None) -> dict:  # type: ignore[type-arg]
+    """Return the handlers of effects on a laser's `<sensor>`, in SDF and in URDF."""
+
+    def there() -> GazeboSensor:
+        if sensor is None:
+            raise CannotHoldError("it has no laser `<sensor>`")
+        return sensor
+
+    return {
+        "range_bias": lambda a: there().bias(a),
+        "range_noise": lambda a: there().growing_noise(a, measured),
+        "max_range": lambda a: there().limit("max", a["R"], why(a, "R")),
+        "min_range": lambda a: there().limit("min", a["r_min"], why(a, "r_min")),
+        "quantisation": lambda a: there().limit("resolution", a["q"], why(a, "q")),
+    }
+
+
+def finish_sensor(sensor: GazeboSensor | None, measured: MeasuredLaser | None, file: str) -> list[str]:
+    """Write the settings of a measured laser; return a line if the file has no laser for them."""
+    if sensor is None:
+        return []
+    try:
+        if measured is not None:
+            sensor.measured(measured)
+    except CannotHoldError as exc:
+        return [f"{file}: the laser of {measured.name}: {exc}"] if measured is not None else []
+    finally:
+        sensor.finish()
+    return []
+
+
+class _SdfModel:
+    """Links, lasers, joints and plugins of an SDF."""
+
+    def __init__(self, document: Document, laser: str | None, file: str) -> None:
+        self.document = document
+        self.links = {node.get("name"): node for node in document.all("link")}
+        self.frames = self.links | {node.get("name"): node for node in document.all("joint", "frame")}
+        found = [node for node in document.all("sensor") if node.get("type") in LASERS]
+        chosen = choose([(one.get("name"), one) for one in found], laser, self.links, file)
+        self.sensor = None if chosen is None else GazeboSensor(document, chosen)
+        self.plugins = [node for node in document.all("plugin") if is_diff_drive(node)]
+
+    def shift(self, a: Amendment) -> None:
+        """Move the laser."""
+        pose, parent = self._pose()
+        if pose is None:
+            moved = [change for change, _ in shift_of(a, parent)]
+            self._new_pose(" ".join(number_text(one) for one in [*moved, 0, 0, 0]), note(None, why(a, "dx")))
+        else:
+            shift(self.document, _six(pose)[:3], a, parent)
+
+    def turn(self, a: Amendment) -> None:
+        """Turn the laser."""
+        pose, parent = self._pose()
+        if pose is None:
+            self._new_pose(f"0 0 0 0 0 {number_text(a['delta'])}", note(None, why(a, "delta")))
+        else:
+            unit = math.pi / 180 if pose.get("degrees") == "true" else 1.0
+            turn(self.document, _six(pose)[3:], a, parent, unit)
+
+    def radius_difference(self, a: Amendment) -> None:
+        """Change the radii of the wheels' collision shapes: the driver assumes equal wheels."""
+        if len(self.plugins) != 1:
+            raise CannotHoldError("it has no DiffDrive plugin, which names the wheels")
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            name = self.plugins[0].content(f"{side}_joint") or self.plugins[0].content(f"{side}Joint")
+            joint = next((one for one in self.document.all("joint") if one.get("name") == name), None)
+            link = None if joint is None else self.links.get(joint.content("child"))
+            shapes = [] if link is None else list(link.all("collision"))
+            leaves = [
+                leaf.text
+                for shape in shapes
+                for round_ in shape.all("cylinder", "sphere")
+                if (leaf := round_.child("radius")) is not None and leaf.text is not None
+            ]
+            if not leaves:
+                raise CannotHoldError(f"the {side} wheel `{name}` has no collision cylinder or sphere")
+            for radius in leaves:
+                old = number(radius)
+                if old is None:
+                    raise CannotHoldError("the radius of a wheel uses names that no given file sets")
+                factor = sign * a["s"] / 2
+                put(self.document, radius, old * (1 + factor), why(a, "s", per=old / 2))
+
+    def _pose(self) -> tuple[Node | None, Floats]:
+        """Return the `<pose>` that places the laser, and the rotation (3, 3) of its parent in base_link."""
+        if self.sensor is None:
+            raise CannotHoldError("it has no laser `<sensor>`")
+        node = self.sensor.sensor
+        link = node.parent
+        while link is not None and link.tag != "link":
+            link = link.parent
+        base = self._rotation(self.links.get("base_link") or next(iter(self.links.values()), None))
+        own = node.child("pose")
+        is_base = link is None or link is self.links.get("base_link") or len(list(link.all("sensor"))) > 1
+        placed = None if link is None else link.child("pose")
+        if own is None and not is_base and placed is not None:
+            return placed, base.T @ self._rotation(self.frames.get(placed.get("relative_to")))
+        return own, base.T @ self._rotation(link)
+
+    def _rotation(self, frame: Node | None, depth: int = 0) -> Floats:
+        """Return the rotation (3, 3) of a link, joint or frame in its model."""
+        pose = None if frame is None else frame.child("pose")
+        if frame is None or depth > 20:
+            return np.eye(3)
+        outer = "" if pose is None else pose.get("relative_to")
+        if not outer and frame.tag == "joint":
+            outer = frame.content("child")
+        if not outer and frame.tag == "frame":
+            outer = frame.get("attached_to")
+        parent = self.frames.get(outer) if outer else None
+        turned = np.eye(3)
+        if pose is not None and pose.text is not None:
+            unit = math.pi / 180 if pose.get("degrees") == "true" else 1.0
+            turned = rotation([unit * value for value in triple(pose.text.tokens()[3:])])
+        return np.asarray(self._rotation(parent, depth + 1) @ turned)
+
+    def _new_pose(self, text: str, phrase: str) -> None:
+        assert self.sensor is not None
+        first = self.sensor.sensor.children[0].origin if self.sensor.sensor.children else None
+        if first is None:
+            raise CannotHoldError("its laser is empty")
+        file = first.file
+        file.insert(first.end, f"{file.newline}{file.indent(first.start)}<pose>{text}</pose>", phrase)
+
+
+def _six(pose: Node) -> list[Value]:
+    values = [] if pose.text is None else pose.text.tokens()
+    if len(values) != 6:
+        raise CannotHoldError(f"the laser's `<pose>` has {len(values)} numbers; expected 6")
+    return values

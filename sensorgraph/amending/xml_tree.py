@@ -1,0 +1,103 @@
+"""Read XML into elements that know the byte spans of their attributes and texts."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from sensorgraph.amending.text import TextFile
+from sensorgraph.errors import SensorgraphError
+
+ATTRIBUTE = re.compile(rb"""([\w:.\-]+)\s*=\s*("[^"]*"|'[^']*')""")
+MAX_DEPTH = 200
+"""Maximum depth of elements."""
+
+
+@dataclass(eq=False)
+class Element:
+    """One element of a file."""
+
+    tag: str
+    file: TextFile
+    start: int
+    head_end: int
+    """Offset behind the start tag."""
+    attributes: dict[str, tuple[int, int]]
+    """Name -> span of the value between its quotes."""
+    end: int = 0
+    text: tuple[int, int] | None = None
+    """Span of the text without white space around it; None if there is none."""
+    children: list[Element] = field(default_factory=list)
+
+
+def parse_xml(file: TextFile) -> Element:
+    """Return the root element of a file.
+
+    Raises
+    ------
+    SensorgraphError : The file is not XML, defines entities, or is nested too deeply.
+    """
+    parser = expat.ParserCreate()
+    stack: list[Element] = []
+    roots: list[Element] = []
+    data = file.data
+
+    def begin(tag: str, _: object) -> None:
+        start = parser.CurrentByteIndex
+        head = _head(data, start)
+        element = Element(tag, file, start, head, _attributes(data, start + 1 + len(tag.encode()), head))
+        if len(stack) >= MAX_DEPTH:
+            raise SensorgraphError(f"{file.path}: more than {MAX_DEPTH} nested elements; expected a model")
+        (stack[-1].children if stack else roots).append(element)
+        stack.append(element)
+
+    def finish(tag: str) -> None:
+        element = stack.pop()
+        at = parser.CurrentByteIndex
+        is_empty = data[element.head_end - 2 : element.head_end] == b"/>"
+        element.end = element.head_end if is_empty else data.index(b">", at) + 1
+
+    def characters(text: str) -> None:
+        element = stack[-1]
+        if text.strip() and element.text is None:
+            at = parser.CurrentByteIndex
+            lead = len(text) - len(text.lstrip())
+            first = at + len(text[:lead].encode())
+            end = data.index(b"<", first)
+            element.text = (first, first + len(data[first:end].rstrip()))
+
+    def entity(name: str, *_: object) -> None:
+        raise SensorgraphError(f"{file.path}: defines the entity {name}; expected a model without entities")
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, finish
+    parser.CharacterDataHandler, parser.EntityDeclHandler = characters, entity
+    parser.buffer_text = False
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as exc:
+        raise SensorgraphError(
+            f"{file.path}: not XML: {expat.ErrorString(exc.code)} in line {exc.lineno}; expected URDF, xacro, SDF or MJCF"
+        ) from exc
+    return roots[0]
+
+
+def _head(data: bytes, start: int) -> int:
+    """Return the offset behind a start tag; a `>` inside quotes does not end it."""
+    quote = 0
+    for at in range(start, len(data)):
+        byte = data[at]
+        if quote:
+            quote = 0 if byte == quote else quote
+        elif byte in b"\"'":
+            quote = byte
+        elif byte == 0x3E:
+            return at + 1
+    return len(data)
+
+
+def _attributes(data: bytes, start: int, end: int) -> dict[str, tuple[int, int]]:
+    return {
+        found.group(1).decode(): (found.start(2) + 1, found.end(2) - 1)
+        for found in ATTRIBUTE.finditer(data, start, end)
+    }

@@ -1,0 +1,110 @@
+"""Find and change values of a YAML file by the positions of their text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from sensorgraph.amending.text import TextFile, Why, note, number_text
+from sensorgraph.errors import SensorgraphError
+
+CHANGE = 1e-9
+"""Relative change of a number below which it is not written."""
+
+
+@dataclass(eq=False)
+class YamlFile:
+    """A YAML file with its syntax tree."""
+
+    file: TextFile
+    root: yaml.MappingNode
+
+    @classmethod
+    def of(cls, file: TextFile) -> YamlFile:
+        """Parse a file.
+
+        Raises
+        ------
+        SensorgraphError : The file is not a YAML mapping.
+        """
+        try:
+            root = yaml.compose(file.data.decode("utf-8"), Loader=yaml.SafeLoader)
+        except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as exc:
+            raise SensorgraphError(f"{file.path}: not YAML: {' '.join(str(exc).split())}") from exc
+        if not isinstance(root, yaml.MappingNode):
+            raise SensorgraphError(
+                f"{file.path}: no mapping; expected a nav2_params.yaml (`amcl:`) or a robot.yaml (`sensor:`)"
+            )
+        return cls(file, root)
+
+    def find(self, *path: str) -> Any:
+        """Return the node at a path of keys; None if it is not there."""
+        node: Any = self.root
+        for key in path:
+            node = child(node, key)
+        return node
+
+    def put(self, node: yaml.ScalarNode, value: float, why: Why) -> None:
+        """Write a number, with a comment at the end of its line."""
+        span = self.span(node)
+        old = as_number(node)
+        if old is not None and abs(value - old) <= CHANGE * max(1.0, abs(old)):
+            return
+        text = _decimal(value) if "." in node.value or "e" in node.value else number_text(value)
+        self.file.replace(span, text, note(node.value, why), self.file.line_end(span[1]))
+
+    def put_text(self, node: yaml.ScalarNode, value: str, phrase: str) -> None:
+        """Write a text."""
+        span = self.span(node)
+        self.file.replace(span, value, f"was {node.value}: {phrase}", self.file.line_end(span[1]))
+
+    def add(self, mapping: Any, path: tuple[str, ...], value: str, why: Why) -> None:
+        """Add a key to a mapping, or a section to the file if the mapping is not there."""
+        file, phrase = self.file, note(None, why)
+        if isinstance(mapping, yaml.MappingNode) and mapping.value:
+            key, last = mapping.value[-1]
+            at = self.span(last)[1]
+            if mapping.flow_style:
+                file.insert(at, f", {path[-1]}: {value}", phrase, file.line_end(at))
+                return
+            while file.data[at - 1 : at].isspace():  # a block ends at the next key
+                at -= 1
+            at = file.line_end(at)
+            file.insert(at, f"{file.newline}{' ' * key.start_mark.column}{path[-1]}: {value}", phrase)
+            return
+        is_open = not file.data.endswith(b"\n")
+        keys = file.newline.join(f"{'  ' * depth}{key}:" for depth, key in enumerate(path))
+        text = f"{file.newline if is_open else ''}{keys} {value}"
+        file.insert(len(file.data) + 1, text, phrase)  # behind an insertion at the end of the last line
+        if not is_open:
+            file.insert(len(file.data) + 1, file.newline, "")
+
+    def span(self, node: yaml.Node) -> tuple[int, int]:
+        """Return the byte span of a node."""
+        text = self.file.data.decode("utf-8")
+        start, end = node.start_mark.index, node.end_mark.index
+        head = len(text[:start].encode())
+        return head, head + len(text[start:end].encode())
+
+
+def child(node: Any, key: str) -> Any:
+    """Return the value of a key of a mapping node; None if it is not there."""
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    return next((value for name, value in node.value if name.value == key), None)
+
+
+def as_number(node: Any) -> float | None:
+    """Return the number of a scalar node; None if it is not a plain number."""
+    try:
+        return float(node.value) if isinstance(node, yaml.ScalarNode) else None
+    except ValueError:
+        return None
+
+
+def _decimal(value: float) -> str:
+    """Return a number that YAML and ROS read as a float."""
+    text = number_text(value)
+    return text if "." in text or "e" in text else f"{text}.0"

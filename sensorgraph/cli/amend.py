@@ -1,0 +1,73 @@
+"""`sensorgraph amend`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from sensorgraph.cli.options import (
+    AmendArena,
+    AmendDryRun,
+    AmendEffects,
+    AmendFiles,
+    AmendLaser,
+    AmendOut,
+    AmendRun,
+)
+
+if TYPE_CHECKING:
+    from logs.run import Run
+    from planners.arena import Arena
+
+
+def amend(
+    files: AmendFiles,
+    effects: AmendEffects,
+    run: AmendRun = None,
+    arena: AmendArena = None,
+    laser: AmendLaser = None,
+    out: AmendOut = None,
+    dry_run: AmendDryRun = False,
+) -> None:
+    """Write found effects into your own URDF, xacro, SDF, MJCF, nav2_params.yaml or robot.yaml.
+
+    Only the changed numbers and a comment beside each of them differ; the changes are printed as a unified diff.
+
+    Examples:
+
+      sensorgraph amend model.sdf --effects diagnosis/effects.yaml --dry-run
+
+      sensorgraph amend robot.urdf.xacro laser.urdf.xacro --effects diagnosis/effects.yaml -o amended
+
+      sensorgraph amend nav2_params.yaml --effects diagnosis/effects.yaml --run run.mcap --arena map.yaml
+    """
+    from sensorgraph.amending.amend import amend as amend_files
+    from sensorgraph.errors import SensorgraphError
+
+    if out is not None and dry_run:
+        raise SensorgraphError("--out and --dry-run are both given; give only one of them")
+    log, walls = (None, None) if run is None else _log(run, arena)
+    found = amend_files(files, effects, run=log, arena=walls, laser=laser)
+    typer.echo(found.diff)
+    for line in found.left_out:
+        typer.echo(f"left out: {line}")
+    if dry_run:
+        typer.echo("nothing written (--dry-run)")
+        return
+    for path in found.write(out):
+        typer.echo(f"wrote {path}")
+
+
+def _log(run: Path, arena: str | None) -> tuple[Run, Arena | None]:
+    """Read a run and its arena; a run without reference poses is located in it."""
+    import logs
+    from sensorgraph.cli.inputs import with_poses
+    from sensorgraph.loading import arena_in, load_arena
+
+    log = logs.read(run)
+    walls = arena_in(log) if arena is None else load_arena(arena)
+    if walls is None:
+        return log, None
+    return with_poses(log, run, None, walls, name=arena or "its arena", options={}), walls
