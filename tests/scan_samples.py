@@ -7,7 +7,10 @@ from conftest import polygon_arena
 
 from logs.run import Run
 from planners.arena import Arena, wrap
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.unnamed import Checked
 from sensorgraph.effects import Amendment
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
@@ -60,6 +63,28 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
 def data_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
     robot = parse_robot("sensor: {n_rays: 61}")
     return prepare_scans(drive(hall, effects, **options), hall, robot)[0]
+
+
+def checked_of(
+    fitted: Fitted,
+    null: Fitted | None = None,
+    *,
+    data: ScanData | None = None,
+    gains: dict[int, float] | None = None,
+    gained: float = 0.0,
+    seed: int = 0,
+) -> Checked:
+    """Return what a test for differences without a name is given; each effect of the model gains 1000 nats."""
+    data = fitted.solver.data if data is None else data
+    return Checked(
+        view=FitResiduals(data, fitted),
+        nominal=data.tolerances,
+        gains=dict.fromkeys(range(len(fitted.model)), 1000.0) if gains is None else gains,
+        gained=gained,
+        null=null,
+        rng=np.random.default_rng(seed),
+        n_replicates=4,
+    )
 
 
 def drive_in_room(room: Arena, *, bias: float = 0.0) -> Run:

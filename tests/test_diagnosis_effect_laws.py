@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import checked_of, data_of, hall_arena
 
-from sensorgraph.diagnosis.scan.effect_laws import broken_laws, in_walls
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed import implausible_combination, object_at_wall, rounded_readings
 from sensorgraph.effects import EFFECTS
 
 
@@ -23,7 +22,7 @@ def test_a_map_that_is_shifted_and_not_stretched_casts_no_doubt_on_stretched_rea
     model = (EFFECTS["range_scale"](s=0.03), EFFECTS["map_scale"](s=of_map, dx=0.004, dy=0.0))
     data = data_of(hall, model)
     got = fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=2)
-    doubts = broken_laws(FitResiduals(data, got), {0: 1000.0, 1: 100.0}, 1100.0)
+    doubts = implausible_combination.find(checked_of(got, gains={0: 1000.0, 1: 100.0}))
     assert ["stretched" in doubt.statement for doubt in doubts] == [True] * is_doubted
 
 
@@ -36,7 +35,7 @@ def test_what_one_effect_costs_is_told_without_what_others_have_moved_since_the_
     moved = replace(fitted, model=(hidden.moved_to({"r0": 0.229}), fitted.model[1]))
     shares = []
     for model in (fitted, moved):
-        (doubt,) = in_walls(FitResiduals(data, model), {0: 1000.0, 1: 500.0})
+        (doubt,) = object_at_wall.find(checked_of(model))
         assert doubt.size is not None
         shares.append(doubt.size.affected)
     assert shares[0] == pytest.approx(shares[1], rel=1e-6)
@@ -55,5 +54,5 @@ def test_rounding_to_steps_that_grow_with_the_range_is_no_noise_that_does(is_rou
     )
     data, model = replace(plain, ranges=ranges, memo={}), (EFFECTS["range_noise"](k=0.017),)
     got = fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=2)
-    doubts = broken_laws(FitResiduals(data, got), {0: 1000.0}, 1000.0)
+    doubts = rounded_readings.find(checked_of(got))
     assert ["between two limits" in doubt.statement for doubt in doubts] == [True] * is_rounded

@@ -8,25 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import checked_of, data_of, hall_arena
 
 from planners.types import Floats
 from sensorgraph.diagnosis.report.data import unknown_dict
 from sensorgraph.diagnosis.report.figures.profile import profile_picture
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.column_fit import fit_columns
-from sensorgraph.diagnosis.scan.effect_laws import sure
-from sensorgraph.diagnosis.scan.error_profiles import (
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed import sure
+from sensorgraph.diagnosis.scan.unnamed.error_profiles import (
     BEARING_ERROR,
     BIAS_BY_BEARING,
     BIAS_BY_RANGE,
     ErrorProfile,
     error_profiles,
-    profile_doubts,
+    find,
 )
-from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 
 
@@ -53,7 +53,7 @@ def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
     assert found.kind == BEARING_ERROR and not found.is_stretched
     expected = np.interp(found.knots, bearings, ripple - ripple.mean())
     np.testing.assert_allclose(found.errors, expected, atol=np.radians(0.15))
-    (doubt,) = sure(profile_doubts(null_of(data)))
+    (doubt,) = sure(find(checked_of(null_of(data))))
     assert "bearings are off by up to" in doubt.statement and doubt.size is not None
     assert doubt.size.is_material(data.sensor.sigma)
 
@@ -81,17 +81,17 @@ def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) ->
 )
 def test_true_bearings_are_not_doubted(effects: tuple[Amendment, ...]) -> None:
     data = data_of(hall_arena(), effects)
-    sizes = [d.size for d in sure(profile_doubts(null_of(data, effects), null_of(data)))]
+    sizes = [d.size for d in sure(find(checked_of(null_of(data, effects), null_of(data))))]
     assert not any(size is None or size.is_material(data.sensor.sigma) for size in sizes)
 
 
 def test_effects_that_only_stand_for_wrong_bearings_lose_their_names() -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, _ = told(np.radians(1.0) * np.sin(2 * true))
-    (doubt,) = sure(profile_doubts(null_of(data, (EFFECTS["range_noise"](k=0.01),)), null_of(data)))
+    (doubt,) = sure(find(checked_of(null_of(data, (EFFECTS["range_noise"](k=0.01),)), null_of(data))))
     assert doubt.failed == {0}
     # what a profile holds, too, is not taken for its echo
-    (doubt,) = sure(profile_doubts(null_of(data, (EFFECTS["mount_yaw"](delta=0.002),)), null_of(data)))
+    (doubt,) = sure(find(checked_of(null_of(data, (EFFECTS["mount_yaw"](delta=0.002),)), null_of(data))))
     assert not doubt.failed
 
 
@@ -117,7 +117,7 @@ def test_a_bias_that_waves_over_the_bearing_is_no_bearing_error() -> None:
 def test_a_profile_is_told_in_numbers_and_as_a_picture(tmp_path: Path) -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, _ = told(np.radians(1.0) * np.sin(2 * true))
-    (doubt,) = sure(profile_doubts(null_of(data)))
+    (doubt,) = sure(find(checked_of(null_of(data))))
     assert doubt.profile is not None and len(doubt.profile.at) == len(doubt.profile.error)
     assert max(doubt.profile.stderr) < 0.2 * max(doubt.profile.error)
     written = unknown_dict(Unknown(statement=doubt.statement, profile=doubt.profile))["profile"]

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import checked_of, data_of, hall_arena
 
-from sensorgraph.diagnosis.scan.effect_laws import lost_by_direction
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed import Checked
+from sensorgraph.diagnosis.scan.unnamed.missing_by_direction import find
 from sensorgraph.effects import EFFECTS, Amendment
 
 
-def view_of(data: ScanData, model: tuple[Amendment, ...]) -> FitResiduals:
-    return FitResiduals(data, fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5))
+def checked(data: ScanData, model: tuple[Amendment, ...]) -> Checked:
+    return checked_of(fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5))
 
 
 def black(low: float, high: float) -> Amendment:
@@ -36,7 +36,7 @@ def test_light_from_one_side_is_no_black_part_of_the_wall_there(half_width: floa
     blinded = (np.abs(off) < half_width) & (rng.random(off.shape) < 0.8)
     dark = replace(data, ranges=np.where(blinded, np.inf, data.ranges), memo={})
     model = (black(1.0, 4.0),)
-    (doubt,) = lost_by_direction(view_of(dark, model), {0: 900.0})
+    (doubt,) = find(checked(dark, model))
     assert "towards one side of the room (0" in doubt.statement.replace("-0", "0")
     assert doubt.failed == {0} and doubt.size is not None and doubt.size.wrong > 0.02
 
@@ -46,10 +46,10 @@ def test_where_rays_are_lost_in_every_direction_no_side_is_told() -> None:
     data = data_of(hall_arena(), model, n=400)
     lost = np.random.default_rng(2).random(data.ranges.shape) < 0.5
     poor = replace(data, ranges=np.where(lost, np.inf, data.ranges), memo={})
-    assert lost_by_direction(view_of(poor, model), {0: 900.0}) == []
+    assert find(checked(poor, model)) == []
 
 
 def test_a_black_part_of_a_wall_keeps_its_name() -> None:
     model = (black(1.0, 4.0),)
     data = data_of(hall_arena(), model, n=400)
-    assert lost_by_direction(view_of(data, model), {0: 900.0}) == []
+    assert find(checked(data, model)) == []

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scan_samples import drive, hall_arena
+from scan_samples import checked_of, drive, hall_arena
 
-from sensorgraph.diagnosis.scan.effect_laws import Doubt, sure
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.odd_kinds import (
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
+from sensorgraph.diagnosis.scan.unnamed.odd_kinds import (
     LateScans,
     LateStretches,
     ScansElsewhere,
     ScansWithOffsets,
 )
-from sensorgraph.diagnosis.scan.odd_scans import odd_scan_doubts, odd_scans
-from sensorgraph.diagnosis.scan.scan_data import prepare_scans
-from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.odd_scans import find, odd_scans
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import parse_robot
 
@@ -34,7 +34,7 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
 
 
 def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    return sure(odd_scan_doubts(got, null, rng=np.random.default_rng(0)))
+    return sure(find(checked_of(got, null)))
 
 
 @pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])

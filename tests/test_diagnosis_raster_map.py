@@ -11,19 +11,19 @@ import pytest
 import shapely
 from conftest import polygon_arena
 from PIL import Image
+from scan_samples import checked_of
 
 from logs.run import Run
 from planners.arena import Arena
 from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.corners import Corners
-from sensorgraph.diagnosis.scan.effect_laws import broken_laws
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import find
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
@@ -207,7 +207,7 @@ def test_strays_that_are_not_uniform_are_of_what_pixels_lack(pixels: Arena, coar
     data = replace(raster.judged(data)[0], grain=PIXEL / 2 if coarse else 0.0, memo={})
     strays = (EFFECTS["random_outliers"](p=0.06),)
     got = fit(data, strays, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5)
-    (doubt,) = broken_laws(FitResiduals(data, got), {0: 500.0}, 500.0)
+    (doubt,) = find(checked_of(got, gained=500.0, gains={0: 500.0}))
     assert "not uniform" in doubt.statement and doubt.failed == {0}
     assert doubt.is_of_building == coarse
 

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import checked_of, data_of, hall_arena
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.constancy import changes
-from sensorgraph.diagnosis.scan.effect_laws import Doubt, sure
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
+from sensorgraph.diagnosis.scan.unnamed.change_in_time import find
 from sensorgraph.effects import EFFECTS, Amendment
 
 
@@ -34,7 +34,7 @@ def fitted(data: ScanData, *model: Amendment) -> Fitted:
 
 
 def sure_changes(model: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    return sure(changes(model, null))
+    return sure(find(checked_of(model, null)))
 
 
 def halves(first: ScanData, second: ScanData, share: float) -> ScanData:

@@ -11,8 +11,8 @@ from scan_samples import hall_arena
 from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
+from sensorgraph.diagnosis.scan.each_scan import each_scan
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.odd_scans import _offsets, each_scan
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -24,6 +24,7 @@ from sensorgraph.diagnosis.scan.sweep_wobble import (
     share_within,
     wobble_of_readings,
 )
+from sensorgraph.diagnosis.scan.unnamed.odd_scans import _offsets
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot
 

@@ -11,17 +11,17 @@ from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.families import FAMILIES
+from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import EFFECTS, Effect
 
-FAMILIES_OF_CHANNEL: Mapping[str, Mapping[str, str]] = {
-    "scan": FAMILIES,
-    **{channel: dict(families.values()) for channel, families in FAMILIES_OF.items()},
-}
-"""Channel -> its families without a name, each with a noun phrase."""
 EXPLAINED = Objection("explained_otherwise", "the same difference is explained otherwise")
 UNLISTED = "unexplained"
 """Name of a difference that belongs to no family, as two logs that do not belong together."""
+
+
+def families_of(channel: str) -> Mapping[str, str]:
+    """Return the differences without a name that a channel tests, each with a noun phrase."""
+    return titles() if channel == "scan" else dict(FAMILIES_OF[channel].values())
 
 
 def check_name(name: str) -> None:
@@ -32,7 +32,7 @@ def check_name(name: str) -> None:
     SensorgraphError
         The message lists the known names.
     """
-    families = (name for channel in FAMILIES_OF_CHANNEL.values() for name in channel)
+    families = (name for channel in ("scan", *FAMILIES_OF) for name in families_of(channel))
     check_known(name, [*EFFECTS, *families, UNLISTED])
 
 
@@ -55,7 +55,7 @@ def _entries(result: ChannelResult) -> Iterator[Entry]:
     tested = {one.name: one for one in result.considered if not one.facts.has_name}
     if result.unknown is not None and result.unknown.family not in tested:
         yield _unlisted(result)
-    for name, title in FAMILIES_OF_CHANNEL[result.channel].items():
+    for name, title in families_of(result.channel).items():
         yield _judged(result, tested[name]) if name in tested else _untested(result, name, title)
 
 

@@ -18,7 +18,6 @@ from sensorgraph.diagnosis.result import (
     Withdrawn,
     without_close_calls,
 )
-from sensorgraph.diagnosis.scan.families import FAMILIES
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.materiality import (
@@ -34,6 +33,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
+from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 
@@ -246,7 +246,7 @@ def _why_doubted(explained: Explained, fit: GoodnessOfFit) -> Objection:
         return Objection(
             "failed_law", "it is a fringe of the readings of another effect, or a bulge of a wall"
         )
-    cause = FAMILIES.get(fit.family, fit.statement)
+    cause = titles().get(fit.family, fit.statement)
     return Objection("part_of_unknown", f"it may be a part of what no effect explains: {cause}")
 
 

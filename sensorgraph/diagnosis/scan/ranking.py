@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.effect_laws import why_not_absorbed
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
+from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import why_not_absorbed
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools

@@ -12,6 +12,7 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.unnamed.laser_scatter import NAME
 from sensorgraph.effects.range_noise import RANGE_NOISE
 
 SIGMA_CAUSES = (
@@ -53,7 +54,7 @@ def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData)
         return found
     return replace(
         found,
-        family="laser_scatter",
+        family=NAME,
         statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
         f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",
         statistic=scale,

@@ -340,7 +340,7 @@ class ObservabilitySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class GoodnessOfFitSettings:
-    """Limits of residuals that a model leaves unexplained (`goodness_of_fit`, `deviations`)."""
+    """Limits of residuals that a model leaves unexplained (`goodness_of_fit`, `unnamed`, `deviations`)."""
 
     block: float = 1.0
     """[s] Length of a block of scans with correlated errors."""
@@ -493,7 +493,7 @@ class GoodnessOfFitSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ConstancySettings:
-    """Limits for a parameter of the sensor that changes during the run (`constancy`)."""
+    """Limits for a parameter of the sensor that changes during the run (`unnamed.change_in_time`)."""
 
     n_parts: int = 16
     """Number of parts of the run, in time, between which a parameter may change."""
@@ -522,7 +522,7 @@ class ConstancySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ProfileSettings:
-    """Errors that depend on bearing or range (`error_profiles`)."""
+    """Errors that depend on bearing or range (`unnamed.error_profiles`)."""
 
     n_knots: int = 12
     """Number of bearings, or ranges, between which errors are interpolated."""

@@ -18,9 +18,9 @@ from typing import Literal
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.each_scan import each_scan
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
-from sensorgraph.diagnosis.scan.odd_scans import each_scan
 from sensorgraph.diagnosis.scan.settings import SCAN
 
 REST_SCALES = np.geomspace(0.25, 4.0, 7)

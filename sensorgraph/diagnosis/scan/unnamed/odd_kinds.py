@@ -39,7 +39,7 @@ class OddScans(ABC):
     offset: float
     """[m] RMS change of the readings of these scans."""
     family: ClassVar[str]
-    """Key in `FAMILIES`."""
+    """Name of the kind."""
     causes: ClassVar[tuple[str, ...]] = ()
     """Possible causes, most likely first."""
 

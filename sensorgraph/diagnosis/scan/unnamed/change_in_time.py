@@ -30,16 +30,17 @@ from sensorgraph.diagnosis.scan.column_fit import (
     parts_of_run,
 )
 from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
-from sensorgraph.diagnosis.scan.effect_laws import Doubt
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
 
+NAME = "change_in_time"
 LEAST_INFORMATION = 1e-9
 """Minimum share of a parameter's information that must remain when all other unknowns are free, above round-off."""
 
@@ -77,13 +78,12 @@ class NumberChange:
         return {name: self.second[name] - self.first[name] for name in self.first.steps}
 
 
-def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
-    """Report a sensor parameter that changed once; sure by more than its materiality and at least half of its value.
+def find(checked: Checked) -> list[Doubt]:
+    """Return a sensor parameter that changed once; sure by more than its materiality and at least half of its value.
 
-    Parameters
-    ----------
-    null : The fit without effects, which may show the change more clearly than effects that imitate it.
+    The fit without effects may show the change more clearly than effects that imitate it.
     """
+    fitted, null = checked.fitted, checked.null
     screened = _screened_changes(fitted)
     candidates = [c for c in screened if _is_likely(c)]
     found, view = _likeliest(fitted, candidates), fitted
@@ -99,7 +99,7 @@ def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
     when = float(view.solver.data.stamps[parts_of_run(view)[found.part][0]] - view.solver.data.begin)
     return [
         Doubt(
-            family="change_in_time",
+            family=NAME,
             price=_price(found),
             is_sure=is_sure,
             statement=_sentence(found.first, found.second, when),
@@ -262,3 +262,8 @@ def _size(solver: Solver, change: NumberChange) -> ScanError:
     valid = solver.jacobian.valid & solver.data.returned
     some = np.square(off[valid])
     return ScanError(offset=float(np.sqrt(some.mean())) if some.size else 0.0, affected=float(valid.mean()))
+
+
+CHANGE_IN_TIME = Unnamed(
+    titles={NAME: "a parameter of the sensor that changes during the run"}, find=find, is_cause=True
+)

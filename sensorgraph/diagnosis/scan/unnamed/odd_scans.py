@@ -24,70 +24,27 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, is_better_alone
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.effect_laws import Doubt
+from sensorgraph.diagnosis.scan.each_scan import EachScan, each_scan
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.nuisance import pose_prior
-from sensorgraph.diagnosis.scan.odd_kinds import (
+from sensorgraph.diagnosis.scan.replicates import replicate
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
+from sensorgraph.diagnosis.scan.unnamed.odd_kinds import (
     LateScans,
     LateStretches,
     OddScans,
     ScansElsewhere,
     ScansWithOffsets,
 )
-from sensorgraph.diagnosis.scan.replicates import replicate
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _OneColumn:
-    """Normal equations of each scan for one parameter, with its pose error integrated out."""
-
-    score: Floats
-    """(n_scans,) [1/unit]"""
-    information: Floats
-    """(n_scans,) [1/unit²]"""
-
-    def log_p(self, value: float) -> Floats:
-        """Return the log-likelihood ratio (n_scans,) [nats] of a value to 0."""
-        return self.score * value - 0.5 * self.information * value**2
-
-    def log_p_of_spread(self, sd: float) -> Floats:
-        """Return the log-likelihood ratio (n_scans,) [nats] of random values with standard deviation sd to 0."""
-        return 0.5 * self.score**2 / (self.information + 1 / sd**2) - 0.5 * np.log1p(sd**2 * self.information)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _EachScan:
-    """Normal equations of each scan for its pose error, a delay and an offset; everything else is as fitted."""
-
-    block: Floats
-    """(n_scans, 3, 3)"""
-    right: Floats
-    """(n_scans, 3)"""
-    prior: Floats
-    """(n_scans, 3, 3) Covariance of the pose error."""
-    delay: _OneColumn
-    """[s]"""
-    offset: _OneColumn
-    """[m] With a much wider prior of the pose error, so that no wrong pose counts as an offset."""
-
-    def poses(self, prior: Floats) -> Floats:
-        """Return the most likely pose errors (n_scans, 3) under a prior."""
-        return np.asarray(np.linalg.solve(self.block + np.linalg.inv(prior), self.right[..., None])[..., 0])
-
-    def log_p_of_prior(self, prior: Floats) -> Floats:
-        """Return the log-likelihood (n_scans,) [nats] of each scan under a prior of its pose error, up to a constant."""
-        _, volume = np.linalg.slogdet(np.eye(3) + np.matmul(prior, self.block))
-        return np.asarray(0.5 * (self.right * self.poses(prior)).sum(axis=1) - 0.5 * volume)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Kinds:
     """Gains [nats] of each kind of odd scan over one kind of scan, and what the fits found."""
 
-    each: _EachScan
+    each: EachScan
     late: float
     is_late: Bools
     elsewhere: float
@@ -158,14 +115,12 @@ def _likeliest(fitted: Fitted, kinds: _Kinds) -> OddScans | None:
     return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere)
 
 
-def odd_scan_doubts(fitted: Fitted, null: Fitted | None = None, *, rng: np.random.Generator) -> list[Doubt]:
-    """Report the kinds of odd scan; at most one is sure, if scans differ more than in simulated replicates.
+def find(checked: Checked) -> list[Doubt]:
+    """Return the kinds of odd scan; at most one is sure, if scans differ more than in simulated replicates.
 
-    Parameters
-    ----------
-    null : Fit without effects. If two kinds of scan alone explain more than all effects, they replace the effects.
-    rng : For the replicates.
+    If two kinds of scan alone explain more than all effects, they replace the effects.
     """
+    fitted, null, rng = checked.fitted, checked.null, checked.rng
     kinds, failed = _Kinds.of(fitted), frozenset[int]()
     found = _if_sure(_likeliest(fitted, kinds))
     beside = 0.0 if found is None else found.gain
@@ -221,35 +176,6 @@ def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Genera
     return True
 
 
-def each_scan(fitted: Fitted) -> _EachScan:
-    """Assemble the normal equations of each scan separately."""
-    solver, solution = fitted.solver, fitted.solution
-    weight = np.where(solver.jacobian.valid, solution.responsibilities.weight, 0.0)
-    state = solution.state.copy()
-    state.delta[:] = 0.0
-    left = solver.y - solver.shift(state, solution.p)
-    prior, posed = pose_prior(solver.data, state.pose_scale), solver.jacobian.pose * weight[:, None, :]
-    block = np.matmul(posed, solver.jacobian.pose.transpose(0, 2, 1))
-    by_left = np.matmul(posed, left[:, :, None])[..., 0]
-
-    def of(column: Floats, widened: float) -> _OneColumn:
-        inner = np.linalg.inv(block + np.linalg.inv(widened**2 * prior))
-        by_column = np.matmul(posed, column[:, :, None])[..., 0]
-        given = np.matmul(inner, by_column[..., None])[..., 0]
-        return _OneColumn(
-            score=(column * weight * left).sum(axis=1) - (given * by_left).sum(axis=1),
-            information=(column**2 * weight).sum(axis=1) - (given * by_column).sum(axis=1),
-        )
-
-    return _EachScan(
-        block=block,
-        right=by_left,
-        prior=prior,
-        delay=of(solver.stack[:, Nuisance.DELAY], 1.0),
-        offset=of(solver.stack[:, Nuisance.BIAS], SCAN.odd_scans.wider[0]),
-    )
-
-
 def _mixed(first: Floats, second: Floats, share: float) -> tuple[Floats, Floats]:
     """Return the log-likelihoods (n_scans,) of a mixture and the probability that each scan is of the second kind."""
     a, b = np.log1p(-share) + first, np.log(share) + second
@@ -257,7 +183,7 @@ def _mixed(first: Floats, second: Floats, share: float) -> tuple[Floats, Floats]
     return both, np.exp(b - both)
 
 
-def _two_delays(each: _EachScan) -> tuple[float, Bools]:
+def _two_delays(each: EachScan) -> tuple[float, Bools]:
     """Fit two delays; return the gain [nats] over one, and the scans that have the rarer one."""
     settings, delay = SCAN.odd_scans, each.delay
     common = float(delay.score.sum() / max(float(delay.information.sum()), 1e-12))
@@ -276,7 +202,7 @@ def _two_delays(each: _EachScan) -> tuple[float, Bools]:
     return best - float(delay.log_p(common).sum()), is_late
 
 
-def _offsets(each: _EachScan) -> tuple[float, float, bool]:
+def _offsets(each: EachScan) -> tuple[float, float, bool]:
     """Fit the standard deviation [m] of an offset of each scan.
 
     Errors over range or place also produce offsets, but these change slowly along the path. The ratio of the
@@ -293,7 +219,7 @@ def _offsets(each: _EachScan) -> tuple[float, float, bool]:
     return gain, sd, ratio > SCAN.odd_scans.min_roughness
 
 
-def _two_priors(each: _EachScan) -> tuple[float, Bools, Floats]:
+def _two_priors(each: EachScan) -> tuple[float, Bools, Floats]:
     """Fit a second, wider prior of the pose error; return the gain [nats], the scans that have it, and that prior."""
     settings, plain = SCAN.odd_scans, each.log_p_of_prior(each.prior)
     best, is_odd, widest = -np.inf, np.zeros(len(plain), dtype=np.bool_), each.prior
@@ -329,7 +255,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
 
 
 def _elsewhere(
-    fitted: Fitted, each: _EachScan, is_odd: Bools, prior: Floats, gain: float
+    fitted: Fitted, each: EachScan, is_odd: Bools, prior: Floats, gain: float
 ) -> ScansElsewhere | None:
     """Return the distance of some scans from their reference poses; None without usable readings."""
     solver, delta = fitted.solver, each.poses(prior)
@@ -351,3 +277,14 @@ def _entropy(share: float) -> float:
     """Return the entropy per scan [nats] of the choice between two kinds."""
     some = [x for x in (share, 1 - share) if x > 0]
     return -float(sum(x * np.log(x) for x in some))
+
+
+ODD_SCANS = Unnamed(
+    titles={
+        LateScans.family: "scans of which some are late",
+        ScansElsewhere.family: "scans taken away from their reference pose",
+        ScansWithOffsets.family: "scans with different range offsets",
+    },
+    find=find,
+    is_cause=True,
+)

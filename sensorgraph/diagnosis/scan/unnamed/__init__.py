@@ -1,0 +1,44 @@
+"""Differences in the scans that have no name among the effects: one file and one line here for each kind.
+
+They are hypotheses as effects are: each is tested on the accepted model, and listed in the ledger with its evidence.
+"""
+
+from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READINGS
+from sensorgraph.diagnosis.scan.unnamed.change_in_time import CHANGE_IN_TIME
+from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
+from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
+from sensorgraph.diagnosis.scan.unnamed.implausible_combination import IMPLAUSIBLE_COMBINATION
+from sensorgraph.diagnosis.scan.unnamed.laser_scatter import LASER_SCATTER
+from sensorgraph.diagnosis.scan.unnamed.missing_by_direction import MISSING_BY_DIRECTION
+from sensorgraph.diagnosis.scan.unnamed.object_at_wall import OBJECT_AT_WALL
+from sensorgraph.diagnosis.scan.unnamed.odd_scans import ODD_SCANS
+from sensorgraph.diagnosis.scan.unnamed.rounded_readings import ROUNDED_READINGS
+from sensorgraph.diagnosis.scan.unnamed.scans_differ import SCANS_DIFFER
+from sensorgraph.diagnosis.scan.unnamed.temporary_object import TEMPORARY_OBJECT
+from sensorgraph.diagnosis.scan.unnamed.unexplained import UNEXPLAINED
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import WORSE_THAN_SPECIFIED
+
+UNNAMED: dict[str, Unnamed] = {
+    "absorbed_readings": ABSORBED_READINGS,
+    "rounded_readings": ROUNDED_READINGS,
+    "implausible_combination": IMPLAUSIBLE_COMBINATION,
+    "object_at_wall": OBJECT_AT_WALL,
+    "temporary_object": TEMPORARY_OBJECT,
+    "missing_by_direction": MISSING_BY_DIRECTION,
+    "worse_than_specified": WORSE_THAN_SPECIFIED,
+    "laser_scatter": LASER_SCATTER,
+    "scans_differ": SCANS_DIFFER,
+    "unexplained": UNEXPLAINED,
+    "change_in_time": CHANGE_IN_TIME,
+    "error_profiles": ERROR_PROFILES,
+    "odd_scans": ODD_SCANS,
+}
+"""Name of each test -> the kinds of difference that it finds, in the order in which they are tested and listed."""
+
+
+def titles() -> dict[str, str]:
+    """Return the noun phrase of each kind of difference, by its name."""
+    return {name: title for unnamed in UNNAMED.values() for name, title in unnamed.titles.items()}
+
+
+__all__ = ["UNNAMED", "Checked", "Doubt", "Unnamed", "sure", "titles"]

@@ -1,0 +1,217 @@
+"""Profiles of laser errors over bearing or range that no effect of the library has.
+
+    reading += dr Σ_k errors_k hat_k(u).
+
+The piecewise linear hat_k is 1 at knot k and 0 at the others. There are three kinds of profile.
+
+- Bearing error: u is the bearing, and dr the derivative of the range by the bearing.
+- Bias by bearing: u is the bearing, and dr = 1.
+- Bias by range: u is the expected range, and dr = 1.
+
+Each is fitted together with poses, map and mount, and the most likely one is reported. At slanted walls a bearing error
+makes readings longer or shorter, so that it cancels in the mean residual of a bearing and would appear as noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.engine.ledger import as_name
+from sensorgraph.diagnosis.result import Profile
+from sensorgraph.diagnosis.scan.consequence import CAUSES, length
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.columns import (
+    ColumnEstimate,
+    Columns,
+    Words,
+    find_columns,
+    likely,
+    screen,
+    used_readings,
+)
+from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.models.cones.settings import measures_cones
+from sensorgraph.types import Floats
+
+BEARING_ERROR, BIAS_BY_BEARING, BIAS_BY_RANGE = "bearing error", "bias by bearing", "bias by range"
+"""Kinds of profile."""
+STRETCHED = (
+    "a field of view other than specified: angle_min, angle_max or angle_increment of the driver",
+    "a scan with one ray more or fewer than the driver assumes",
+)
+UNEVEN = (
+    "a mirror or an encoder that is off centre, so that the rays are unevenly spaced",
+    "bearings that were calibrated for another unit",
+)
+MOST_RANGES = 0.99
+"""Quantile of the ranges at which their profile ends."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorProfile:
+    """An error over bearing or range, as estimated from a run."""
+
+    kind: str
+    """BEARING_ERROR, BIAS_BY_BEARING or BIAS_BY_RANGE."""
+    knots: Floats
+    """(k,) [rad or m] bearings or ranges, ascending."""
+    errors: Floats
+    """(k,) [rad] error of the bearing, positive to the left, or [m] error of the reading; the mean over all rays is 0."""
+    stderr: Floats
+    """(k,) standard errors, from the scatter between parts of the run."""
+    gain: float
+    """[nats] gain of the profile."""
+    amplitude_z: float
+    """Amplitude of the whole profile over its standard error, from the scatter between parts of the run."""
+    offset: float
+    """[m] root mean square of its contribution to the readings."""
+    affected: float
+    """Share of the readings."""
+
+    @property
+    def stretch(self) -> float:
+        """Slope of the errors over the knots; for bearing errors, the relative widening of the field of view."""
+        return float(np.polyfit(self.knots, self.errors, 1)[0])
+
+    @property
+    def is_stretched(self) -> bool:
+        """Whether a wider or narrower field of view accounts for nearly all of the profile."""
+        if self.kind != BEARING_ERROR:
+            return False
+        left = self.errors - np.polyval(np.polyfit(self.knots, self.errors, 1), self.knots)
+        return float((left**2).sum()) < SCAN.profiles.max_uneven_share * float((self.errors**2).sum())
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Possible causes, most likely first."""
+        if self.kind == BEARING_ERROR:
+            return STRETCHED if self.is_stretched else UNEVEN
+        return (CAUSES["bearing" if self.kind == BIAS_BY_BEARING else "range", "bias"],)
+
+    @property
+    def profile(self) -> Profile:
+        """The numbers for the report."""
+        return Profile(
+            of="bearing" if self.kind == BEARING_ERROR else "reading",
+            over="range" if self.kind == BIAS_BY_RANGE else "bearing",
+            at=tuple(self.knots.tolist()),
+            error=tuple(self.errors.tolist()),
+            stderr=tuple(self.stderr.tolist()),
+        )
+
+    def sentence(self) -> str:
+        """Return the profile as a statement."""
+        worst = int(np.abs(self.errors).argmax())
+        most, at = abs(float(self.errors[worst])), float(self.knots[worst])
+        if self.is_stretched:
+            width = float(np.degrees(self.knots[-1] - self.knots[0]))
+            wider = "wider" if self.stretch > 0 else "narrower"
+            return (
+                f"the field of view is {100 * abs(self.stretch):.2g} % {wider} than specified, {width * (1 + self.stretch):.1f}° "
+                f"instead of {width:.1f}°"
+            )
+        if self.kind == BEARING_ERROR:
+            return (
+                f"bearings are off by up to {np.degrees(most):.2g}°, most at {np.degrees(at):.0f}°; the error depends on the "
+                "bearing"
+            )
+        if self.kind == BIAS_BY_BEARING:
+            where = f"most at {np.degrees(at):.0f}°; the error depends on the bearing, and no single sector explains it"
+        else:
+            where = f"most at {at:.1f} m; the error depends on the range, and neither a bias nor a scale explains it"
+        return f"readings are off by up to {length(most)}, {where}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProfileColumns(Columns):
+    """A profile, linear in the errors at its knots."""
+
+    kind: str
+    knots: Floats
+
+    @classmethod
+    def of(cls, kind: str, knots: Floats, columns: Floats) -> ProfileColumns:
+        """Return a profile without its mean, which the mount or the bias of the whole laser explains."""
+        return cls(family=as_name(kind), columns=columns, is_contrast=True, kind=kind, knots=knots)
+
+    def profile(self, estimate: ColumnEstimate) -> ErrorProfile:
+        """Return an estimate as a profile."""
+        return ErrorProfile(
+            kind=self.kind,
+            knots=self.knots,
+            errors=estimate.values,
+            stderr=estimate.stderr,
+            gain=estimate.gain,
+            amplitude_z=estimate.amplitude_z,
+            offset=estimate.offset,
+            affected=estimate.affected,
+        )
+
+    def words(self, estimate: ColumnEstimate, fitted: Fitted) -> Words | None:
+        """Return the words of a profile; None if walls that are each off by half a pixel of the map explain it."""
+        found, grain = self.profile(estimate), fitted.solver.data.grain
+        if self.kind == BIAS_BY_RANGE and float(np.abs(found.errors).max()) < 2 * grain:
+            return None
+        return Words(statement=found.sentence(), causes=found.causes, profile=found.profile)
+
+
+def find(checked: Checked) -> list[Doubt]:
+    """Return the error profiles of the laser; at most one is sure."""
+    return find_columns(checked, _profiles)
+
+
+def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
+    """Fit each profile in addition to effects and nuisances if it is likely to first order; most likely first.
+
+    Parameters
+    ----------
+    least : [nats] Minimum first-order gain for a fit; at least the complexity penalty.
+    """
+    found = likely(fitted, screen(fitted, _profiles(fitted)), least)
+    return [one.of.profile(one) for one in found if isinstance(one.of, ProfileColumns)]
+
+
+def _profiles(fitted: Fitted) -> list[ProfileColumns]:
+    """Return the profiles that can be tested; none if there are too few rays or scans."""
+    data, solver = fitted.solver.data, fitted.solver
+    settings, bearings = SCAN.profiles, data.sensor.bearings
+    if data.sensor.is_composite or measures_cones(data.sensor):
+        return []
+    if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * SCAN.constancy.n_parts:
+        return []
+    used = used_readings(fitted)
+    if not used.any():
+        return []
+    turned, biased = (solver.stack[:, one][:, None, :] for one in (Nuisance.MOUNT_YAW, Nuisance.BIAS))
+    angles = np.linspace(bearings.min(), bearings.max(), settings.n_knots)
+    ranges = np.where(used, solver.expected.reading, 0.0)
+    lengths = np.linspace(
+        float(ranges[used].min()), float(np.quantile(ranges[used], MOST_RANGES)), settings.n_knots
+    )
+    by_bearing, by_range = _hats(bearings, angles), _hats(np.minimum(ranges, lengths[-1]), lengths)
+    return [
+        ProfileColumns.of(BEARING_ERROR, angles, turned * by_bearing),
+        ProfileColumns.of(BIAS_BY_BEARING, angles, biased * by_bearing),
+        ProfileColumns.of(BIAS_BY_RANGE, lengths, biased * by_range),
+    ]
+
+
+def _hats(at: Floats, knots: Floats) -> Floats:
+    """Return the piecewise linear functions (..., k, n) of values (..., n) that are 1 at one knot and 0 at the others."""
+    width = knots[1] - knots[0]
+    return np.asarray(np.maximum(0.0, 1 - np.abs(at[..., None, :] - knots[:, None]) / width))
+
+
+ERROR_PROFILES = Unnamed(
+    titles={
+        as_name(BEARING_ERROR): "an error of the bearings that depends on the bearing",
+        as_name(BIAS_BY_BEARING): "a bias that depends on the bearing",
+        as_name(BIAS_BY_RANGE): "a bias that depends on the range",
+    },
+    find=find,
+    is_cause=True,
+)

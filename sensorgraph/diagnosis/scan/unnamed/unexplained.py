@@ -1,0 +1,84 @@
+"""A part of the data with a bias, more noise, more outliers or more missing returns than replicates show.
+
+The largest deviation of each kind is compared with that of simulated replicates, which are sampled from the model
+(parametric bootstrap; Efron and Tibshirani 1993, chapter 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.consequence import likely_causes, scan_error
+from sensorgraph.diagnosis.scan.deviations import deviations, largest_z
+from sensorgraph.diagnosis.scan.replicates import replicate
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
+
+
+def find(checked: Checked) -> list[Doubt]:
+    """Compare the largest deviation of each kind with replicates, which are simulated only for suspect kinds."""
+    view, found, nominal = checked.view, checked.deviations, checked.nominal
+    settings, t = SCAN.goodness_of_fit, view.data.tolerances
+    most = {family: z for family, z in largest_z(found).items() if z > 0}
+    suspects = {family: z for family, z in most.items() if z > settings.min_z[family]}
+    out = [
+        _deviating(view, found, family, settings.min_z[family]) for family in most if family not in suspects
+    ]
+    if not suspects:
+        return out
+    wider = max(t.map / max(nominal.map, 1e-9), t.pose_xy / max(nominal.pose_xy, 1e-9))
+    slack = float(np.clip(wider, 1.0, 2.0))
+    drawn = _largest_z_of_replicates(checked)
+    for family in suspects:
+        d = np.array(drawn[family])
+        beyond_largest = settings.replicate_factor * float(d.max())
+        beyond_mean = float(d.mean() + settings.replicate_sigmas * d.std())
+        threshold = max(beyond_largest, beyond_mean, settings.min_z[family]) * slack
+        out.append(_deviating(view, found, family, threshold))
+    return out
+
+
+def _deviating(view: FitResiduals, found: Sequence[Deviation], family: str, threshold: float) -> Doubt:
+    """Return the largest deviation of a kind, with those of the same partition; sure above a threshold of |z|."""
+    worst = next(d for d in found if d.family == family)
+    alike = [d for d in found if d.partition == worst.partition and d.family == family]
+    z = largest_z(found)[family]
+    return Doubt(
+        family=f"unexplained_{family}",
+        is_sure=bool(z > threshold),
+        statement=worst.sentence(),
+        misfit=float(sum(0.5 * d.z**2 for d in alike)),
+        statistic=z,
+        threshold=threshold,
+        deviation=worst,
+        size=scan_error(alike, view.data.sensor.sigma, view.data.ranges.size),
+        causes=likely_causes([d for d in found if d.family == family]),
+    )
+
+
+def _largest_z_of_replicates(checked: Checked) -> dict[str, list[float]]:
+    """Return the largest |z| of each replicate, by kind of deviation."""
+    out: dict[str, list[float]] = {family: [] for family in SCAN.goodness_of_fit.min_z}
+    for done in range(checked.n_replicates):
+        if checked.tick is not None:
+            checked.tick(done, checked.n_replicates)
+        again = FitResiduals(*replicate(checked.view.data, checked.fitted, checked.rng))
+        found = deviations(again, checked.partitions, min_z=SCAN.goodness_of_fit.replicate_z)
+        for family, z in largest_z(found).items():
+            out[family].append(z)
+    return out
+
+
+UNEXPLAINED = Unnamed(
+    titles={
+        "unexplained_bias": "readings too long or too short in a part of the data",
+        "unexplained_spread": "readings with more noise in a part of the data",
+        "unexplained_outliers": "more outliers in a part of the data",
+        "unexplained_misses": "more missing returns in a part of the data",
+    },
+    find=find,
+)
