@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
@@ -57,20 +58,47 @@ class MotorSelection:
 def select(model: DriveModel) -> MotorSelection:
     """Fit the noise with all effects free; then add and remove effects by evidence."""
     _fit_noise_with_all_effects(model)
-    terms: list[MotorTerm] = []
-    here = model.fit([])
-    for _ in range(DRIVE.max_effects):
-        trials = {term: model.fit([*terms, term], here.motors) for term in model.terms if term not in terms}
+    channel = MotorChannel(model, model.fit([]))
+    terms = engine.select(channel, threshold=EVIDENCE.threshold, most=DRIVE.max_effects)
+    return MotorSelection(terms=tuple(terms), fit=channel.fit)
+
+
+class MotorChannel:
+    """Effects of the motors, as hypotheses about the response to commands; `fit` is that of the present model."""
+
+    def __init__(self, model: DriveModel, fit: DriveFit) -> None:
+        self.model, self.fit = model, fit
+        self._fits: dict[frozenset[MotorTerm], DriveFit] = {}
+
+    def best(self, model: Sequence[MotorTerm]) -> tuple[MotorTerm, float] | None:
+        """Return the best further effect and its evidence [nats]."""
         gains = {
-            term: trial.log_posterior - here.log_posterior - EVIDENCE.price for term, trial in trials.items()
+            term: self._fit([*model, term]).log_posterior for term in self.model.terms if term not in model
         }
-        best = max(gains, key=lambda term: gains[term], default=None)
-        if best is None or gains[best] < EVIDENCE.threshold:
-            break
-        terms.append(best)
-        here = trials[best]
-        terms, here = _without_superfluous(model, terms, here, keep=1)
-    return MotorSelection(terms=tuple(terms), fit=here)
+        if not gains:
+            return None
+        best = max(gains, key=lambda term: gains[term])
+        return best, gains[best] - self.fit.log_posterior - EVIDENCE.price
+
+    def refit(self, model: Sequence[MotorTerm]) -> None:
+        """Fit a changed model from the present motors."""
+        self.fit = self._fit(model)
+        self._fits = {}
+
+    def _fit(self, model: Sequence[MotorTerm]) -> DriveFit:
+        key = frozenset(model)
+        if key not in self._fits:
+            self._fits[key] = self.model.fit(model, self.fit.motors)
+        return self._fits[key]
+
+    def evidence(self, model: Sequence[MotorTerm], hypothesis: MotorTerm) -> float:
+        """Return the evidence [nats] for an effect in addition to the others."""
+        rest = [term for term in model if term != hypothesis]
+        return self.fit.log_posterior - self._fit(rest).log_posterior - EVIDENCE.price
+
+    def needed(self, model: Sequence[MotorTerm], hypothesis: MotorTerm) -> float:
+        """Return the evidence [nats] that an effect needs."""
+        return EVIDENCE.threshold
 
 
 def _fit_noise_with_all_effects(model: DriveModel) -> None:
@@ -86,27 +114,10 @@ def _fit_noise_with_all_effects(model: DriveModel) -> None:
         full = model.fit(model.terms, full.motors)
 
 
-def _without_superfluous(
-    model: DriveModel, terms: list[MotorTerm], here: DriveFit, keep: int = 0
-) -> tuple[list[MotorTerm], DriveFit]:
-    """Remove effects that the others make superfluous, in the order of selection; keep at least `keep`."""
-    for term in list(terms):
-        if len(terms) <= keep:
-            break
-        rest = [other for other in terms if other != term]
-        without = model.fit(rest, here.motors)
-        if here.log_posterior - without.log_posterior - EVIDENCE.price < EVIDENCE.threshold:
-            terms, here = rest, without
-    return terms, here
-
-
 def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[MotorTerm, float]:
     """Return the evidence of each effect of a set, less its complexity penalty [nats]."""
-    out = {}
-    for term in terms:
-        rest = [other for other in terms if other != term]
-        out[term] = fit.log_posterior - model.fit(rest, fit.motors).log_posterior - EVIDENCE.price
-    return out
+    channel = MotorChannel(model, fit)
+    return {term: channel.evidence(terms, term) for term in terms}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,10 +201,11 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     full = model.fit(terms, here.motors)
     model.fit_noise(model.residual(full))
     full = model.fit(terms, full.motors)
-    terms, full = _without_superfluous(model, terms, full)
+    channel = MotorChannel(model, full)
+    engine.remove_superfluous(channel, terms)
     return MotorSelection(
         terms=tuple(terms),
-        fit=full,
+        fit=channel.fit,
         structure=replace(found_one, family=family, rivals=rivals[:2]),
     )
 

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.motion.consequence import (
     ReferenceError,
     SimulationError,
@@ -49,32 +50,59 @@ def select(
     Structure that no effect explains competes with the effects, and replaces them if it explains more. If the
     reference is known to be straight, a distorted reference is not tried.
     """
-    terms: list[WheelTerm] = []
-    for _ in range(ODOMETRY.max_effects):
-        gains = {term: model.evidence(terms, term) for term in model.layout.terms if term not in terms}
-        best = max(gains, key=lambda term: gains[term], default=None)
-        top = max(gains.values(), default=-np.inf)
-        patch, patch_gain = _patch(model, terms, max(top, 0.0), rng)
-        model.last_patch = None if patch is None else (patch, patch_gain)
-        if max(top, patch_gain) < EVIDENCE.threshold:
-            break
-        if patch is not None and patch_gain >= top:
-            model.patches.append(patch)
-            i = len(model.patches) - 1
-            terms.append(model.patch_term(i))
-            model.whiten()
-            refine_patch(model, i, terms, rng)
-        elif best is not None:
-            terms.append(best)
-        model.fit_noise()
-        _take_back(model, terms)
+    terms = engine.select(WheelChannel(model, rng), threshold=EVIDENCE.threshold, most=ODOMETRY.max_effects)
     _join_patches(model, terms, rng)
-    _admit_structure(model, terms, is_reference_straight=is_reference_straight)
+    _admit_structure(model, terms, rng, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms, rng)
-    _take_back(model, terms)
+    engine.remove_superfluous(WheelChannel(model, rng), terms)
     return terms
+
+
+class WheelChannel:
+    """Wheel effects and slippery patches, as hypotheses about the odometry."""
+
+    def __init__(self, model: WheelModel, rng: np.random.Generator) -> None:
+        self.model, self.rng = model, rng
+        self._new_patch: int | None = None
+        self._count = 0
+
+    def best(self, model: Sequence[WheelTerm]) -> tuple[WheelTerm, float] | None:
+        """Return the best further effect or patch, and its evidence [nats]."""
+        wheels = self.model
+        gains = {term: wheels.evidence(model, term) for term in wheels.layout.terms if term not in model}
+        best = max(gains, key=lambda term: gains[term], default=None)
+        top = -np.inf if best is None else gains[best]
+        patch, patch_gain = _patch(wheels, model, max(top, 0.0), self.rng)
+        wheels.last_patch = None if patch is None else (patch, patch_gain)
+        if patch is not None and patch_gain >= max(top, EVIDENCE.threshold):
+            wheels.patches.append(patch)
+            self._new_patch = len(wheels.patches) - 1
+            return wheels.patch_term(self._new_patch), patch_gain
+        return None if best is None else (best, top)
+
+    def refit(self, model: Sequence[WheelTerm]) -> None:
+        """Refine a patch that has entered; fit the noise after an addition."""
+        if self._new_patch is not None:
+            self.model.whiten()
+            refine_patch(self.model, self._new_patch, model, self.rng)
+            self._new_patch = None
+        if len(model) > self._count:
+            self.model.fit_noise()
+        self._count = len(model)
+
+    def evidence(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
+        """Return the evidence [nats] for an effect in addition to the others."""
+        return self.model.evidence(model, hypothesis)
+
+    def needed(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
+        """Return the evidence [nats] that an effect needs; a further patch a share of that of all effects."""
+        others = [term for term in model if term.effect is WHEEL_SLIP and term != hypothesis]
+        if hypothesis.effect is not WHEEL_SLIP or not others:
+            return EVIDENCE.threshold
+        total = self.model.log_posterior(model) - self.model.log_posterior([])
+        return max(EVIDENCE.threshold, ODOMETRY.patch.further_share * total)
 
 
 def _patch(
@@ -118,31 +146,12 @@ def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Gene
         model.whiten()
         return
     model.fit_noise()
-    _take_back(model, terms)
+    engine.remove_superfluous(WheelChannel(model, rng), terms)
 
 
 def _lie_on_each_other(patches: Sequence[SlipPatch]) -> bool:
     """Tell whether two patches contain each other's centre."""
     return any(np.hypot(a.x - b.x, a.y - b.y) < min(a.r, b.r) for a, b in combinations(patches, 2))
-
-
-def _take_back(model: WheelModel, terms: list[WheelTerm]) -> None:
-    """Remove superfluous effects, the weakest first."""
-    while terms:
-        spare = {term: model.evidence(terms, term) - _needed(model, terms, term) for term in terms}
-        weakest = min(terms, key=lambda term: spare[term])
-        if spare[weakest] >= 0.0:
-            return
-        terms.remove(weakest)
-
-
-def _needed(model: WheelModel, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
-    """Return the evidence that an effect needs in addition to the others [nats]."""
-    others = [other for other in terms if other.effect is WHEEL_SLIP and other != term]
-    if term.effect is not WHEEL_SLIP or not others:
-        return EVIDENCE.threshold
-    total = model.log_posterior(terms) - model.log_posterior([])
-    return max(EVIDENCE.threshold, ODOMETRY.patch.further_share * total)
 
 
 # structure -----------------------------------------------------------------------------------------------------------
@@ -158,7 +167,9 @@ class StructureCandidate:
     replaces_patches: bool
 
 
-def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_straight: bool) -> None:
+def _admit_structure(
+    model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator, *, is_reference_straight: bool
+) -> None:
     """Let structure that no effect explains enter the model, in addition to the effects or instead of patches."""
     model.denoise_motion()
     fit = model.regression.solve(model.prior(model.layout.terms))
@@ -208,7 +219,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], *, is_reference_
     if is_material:
         model.structure = accepted
     model.fit_noise()
-    _take_back(model, terms)
+    engine.remove_superfluous(WheelChannel(model, rng), terms)
 
 
 def _stands_for_clock(model: WheelModel, terms: Sequence[WheelTerm], structure: AcceptedStructure) -> bool:

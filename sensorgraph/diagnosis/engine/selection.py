@@ -1,0 +1,62 @@
+"""Choose hypotheses by evidence: add the best one, refit, and remove those that the others make superfluous.
+
+    E(h | M) = log p(data | M with h) - log p(data | M without h) - price of h
+
+A hypothesis enters the model M if its evidence E is at least the threshold, and stays as long as it has what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Protocol, TypeVar
+
+H = TypeVar("H", bound=Hashable)
+
+
+class EvidenceChannel(Protocol[H]):
+    """Measurements that hypotheses compete to explain."""
+
+    def best(self, model: Sequence[H]) -> tuple[H, float] | None:
+        """Return the best further hypothesis and its evidence [nats]; None if all are in the model."""
+        ...
+
+    def refit(self, model: Sequence[H]) -> None:
+        """Take a changed model as the present one."""
+        ...
+
+    def evidence(self, model: Sequence[H], hypothesis: H) -> float:
+        """Return the evidence [nats] for a hypothesis of the model in addition to the others."""
+        ...
+
+    def needed(self, model: Sequence[H], hypothesis: H) -> float:
+        """Return the evidence [nats] that a hypothesis needs to stay in the model."""
+        ...
+
+
+def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[H]:
+    """Return at most `most` hypotheses with enough evidence, in the order in which they entered.
+
+    Parameters
+    ----------
+    threshold : [nats] Evidence that a hypothesis needs to enter.
+    """
+    model: list[H] = []
+    for _ in range(most):
+        found = channel.best(model)
+        if found is None or found[1] < threshold:
+            break
+        model.append(found[0])
+        channel.refit(model)
+        remove_superfluous(channel, model)
+    return model
+
+
+def remove_superfluous(channel: EvidenceChannel[H], model: list[H]) -> None:
+    """Remove the hypotheses that have less evidence than they need, the weakest first."""
+    while model:
+        spare = {one: channel.evidence(model, one) - channel.needed(model, one) for one in model}
+        weakest = min(model, key=lambda one: spare[one])
+        if spare[weakest] >= 0.0:
+            return
+        model.remove(weakest)
+        channel.refit(model)
