@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from sensorgraph.identification.design import design
     from sensorgraph.identification.design_task import DesignTask
     from sensorgraph.loading import load_arena
+    from sensorgraph.watching.watch import watch
     from sensorgraph.world.robot import Robot, load_robot
 
 
@@ -68,6 +69,7 @@ __all__ = [
     "read",
     "record",
     "review",
+    "watch",
 ]
 
 _HOMES = {
@@ -81,6 +83,7 @@ _HOMES = {
     "amend": "sensorgraph.amending.amend",
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
+    "watch": "sensorgraph.watching.watch",
 } | dict.fromkeys(
     (
         "build",

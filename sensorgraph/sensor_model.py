@@ -123,7 +123,7 @@ def likelihood_of(
 ) -> Floats:
     """Compute `Sensorgraph.log_likelihood`; ranges (n_poses or 1, n_rays) [m], poses as the module describes."""
     _check_choice(unanswered)
-    found, supported = _of_rays(graph, ranges, poses, rays)
+    found, supported = ray_likelihoods(graph, ranges, poses, rays)
     known = ~np.isnan(np.broadcast_to(ranges, found.shape))
     if unanswered == "broad":
         found = np.where(supported | ~known, found, _broad(ranges, graph.sensor))
@@ -169,7 +169,7 @@ def _check_choice(unanswered: str) -> None:
         raise SensorgraphError(f"unanswered is {unanswered!r}, expected {' or '.join(UNANSWERED)}")
 
 
-def _of_rays(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
+def ray_likelihoods(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
     """Return the log-likelihood and the support (n_poses, n_rays) of each ray, computed on all processors."""
     model = graph.model
     out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)

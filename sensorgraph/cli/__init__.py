@@ -35,6 +35,7 @@ from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
 from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
+from sensorgraph.cli.watch import watch
 from sensorgraph.cli.why import why
 from sensorgraph.termination import TERMINATED, Terminated, install
 
@@ -51,6 +52,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "review": review,
     "diagnose": diagnose,
     "why": why,
+    "watch": watch,
     "identify": identify,
     "design": design,
     "influence": influence,

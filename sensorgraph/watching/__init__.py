@@ -1,0 +1,11 @@
+"""Watch a robot in the place of a sensorgraph: is its pose right, has the place changed, do laser and wheels work.
+
+* `observation`: one scan with odometry and the pose that the robot believes; from a run, or live.
+* `readings`: evidence of each ray for a pose, against a ray from anywhere in the place.
+* `tracker`, `scan_input`, `places`: a filter over several possible poses and "elsewhere", with a global search.
+* `pose`: is the believed pose right.
+* `place`: what stands there that the graph lacks, and what is gone.
+* `odometry_errors`, `laser_errors`, `evidence`, `robot`: hypotheses about laser and wheels, with their evidence.
+* `watcher`, `status`: the three statements, once a second.
+* `policy`: limits learned from good runs. `page`, `messages`: what people look at.
+"""

@@ -1,0 +1,108 @@
+"""Evidence for a fault from an estimate of its size: a healthy robot against a faulty one, both with stated priors.
+
+A healthy robot has a size of N(b, t²): the baseline b and the tolerance t. A faulty one has N(b, t² + s²). An estimate
+with the standard error e has the log Bayes factor
+
+    log N(estimate; b, e² + t² + s²) - log N(estimate; b, e² + t²).
+
+The wider prior is the Occam factor. With the prior odds of a fault, it gives a probability.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from scipy.special import expit
+
+from sensorgraph.watching.settings import FaultPrior
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """Size of one parameter of a healthy robot."""
+
+    value: float = 0.0
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultDoubt:
+    """One hypothesis about laser or wheels, with its probability."""
+
+    name: str
+    p: float
+    parameters: dict[str, float]
+    stderr: dict[str, float]
+    nats: float
+    """Evidence against a healthy robot."""
+    since: float = 0.0
+    """[s]"""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "name": self.name,
+            "parameters": {key: round(value, 6) for key, value in self.parameters.items()},
+            "stderr": {key: round(value, 6) for key, value in self.stderr.items() if math.isfinite(value)},
+            "p": round(self.p, 6),
+            "nats": round(self.nats, 2),
+            "since": round(self.since, 3),
+        }
+
+    def sentence(self) -> str:
+        """Return the hypothesis with its sizes."""
+        sizes = ", ".join(
+            f"{key} {value:.3g}" + (f" ± {self.stderr[key]:.2g}" if math.isfinite(self.stderr.get(key, math.inf)) else "")
+            for key, value in self.parameters.items()
+        )  # fmt: skip
+        return f"{self.name} ({sizes})"
+
+
+def doubt_of(
+    fault: FaultPrior, estimate: float, stderr: float, log_odds: float, baseline: Baseline | None = None
+) -> FaultDoubt:
+    """Return the doubt about one parameter from its estimate; `log_odds` are those of the fault before."""
+    base = baseline or Baseline()
+    tolerance = max(fault.tolerance, base.tolerance)
+    healthy = stderr**2 + tolerance**2
+    faulty = healthy + fault.size**2
+    square = (estimate - base.value) ** 2
+    nats = 0.5 * square * (1.0 / healthy - 1.0 / faulty) - 0.5 * math.log(faulty / healthy)
+    return FaultDoubt(
+        name=fault.name, p=float(expit(nats + log_odds)), nats=nats,
+        parameters={fault.parameter: estimate - base.value}, stderr={fault.parameter: math.sqrt(healthy)},
+    )  # fmt: skip
+
+
+class Collects(Protocol):
+    """Evidence that knows for how long it has been collected."""
+
+    age: float
+
+
+T = TypeVar("T", bound=Collects)
+
+
+class Pair(Generic[T]):
+    """Two collections of the same evidence, begun one period apart: the older one forgets all after two periods."""
+
+    def __init__(self, make: type[T], period: float) -> None:
+        self.make, self.period = make, period
+        self.older, self.younger = make(), make()
+        self.younger.age = -math.inf
+
+    def advance(self, dt: float) -> None:
+        """Let time [s] pass, and begin a new collection when one is due."""
+        for one in (self.older, self.younger):
+            one.age += dt
+        if self.older.age >= 2 * self.period:
+            self.older, self.younger = self.younger, self.make()
+        elif self.older.age >= self.period and not math.isfinite(self.younger.age):
+            self.younger = self.make()
+
+    @property
+    def both(self) -> list[T]:
+        """The collections that have begun."""
+        return [one for one in (self.older, self.younger) if math.isfinite(one.age)]

@@ -1,0 +1,129 @@
+"""Errors of the laser: offset and scale of the ranges, missing returns, and sectors that something blocks.
+
+Offset b and scale s of the ranges follow from the residuals at the tracked pose. The pose is estimated with them and
+eliminated, scan by scan: a residual e of a ray with the cosine of incidence c and the range r is
+
+    c e = n · (dx, dy) + (p × n) dphi + c b + c r s,
+
+with the normal n of the surface and the end point p in base_link.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.models.base import Prediction
+from sensorgraph.types import Bools, Floats
+from sensorgraph.watching.readings import GraphReadings
+from sensorgraph.watching.settings import LASER_FAULTS, ROBOT, RobotPriors
+
+MOST_RESIDUAL = 0.2
+"""[m] A larger residual shows another surface."""
+NOISE = 0.03
+"""[m] Residual at which a ray counts half (Cauchy)."""
+
+
+class RangeErrors:
+    """Collects the normal equations of offset and scale."""
+
+    def __init__(self) -> None:
+        self.age = 0.0
+        self.information, self.vector = np.zeros((2, 2)), np.zeros(2)
+
+    def add(
+        self, readings: GraphReadings, scan: ScanPoints, prediction: Prediction, ranges: Floats, weight: float
+    ) -> None:
+        """Add a scan that was matched."""
+        at = np.full(readings.sensor.n_rays, -1, dtype=np.intp)
+        at[scan.rays] = np.arange(len(scan.rays))
+        own = at[readings.rays]
+        z, predicted = ranges[readings.rays], prediction.mode[0]
+        with np.errstate(invalid="ignore"):
+            used = (own >= 0) & prediction.answered[0] & (np.abs(z - predicted) < MOST_RESIDUAL)
+        if used.sum() < 20:
+            return
+        p, start = scan.points[own[used]], scan.starts[own[used]]
+        normal = scan.normals[own[used]]
+        is_line = np.abs(np.hypot(*normal.T) - 1.0) < 1e-3
+        r = z[used]
+        cosine = np.abs(((p - start) * normal).sum(axis=1)) / np.maximum(r, 1e-6)
+        residual = cosine * (r - predicted[used])
+        weights = is_line * (cosine > 0.3) / (NOISE**2 + residual**2)
+        pose = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
+        rows = np.column_stack([pose, cosine, cosine * r])
+        normal_matrix = (rows * weights[:, None]).T @ rows + 1e-6 * np.eye(5)
+        vector = (rows * weights[:, None]).T @ residual
+        gain = np.linalg.solve(normal_matrix[:3, :3], normal_matrix[:3, 3:]).T
+        share = weight * readings.priors.independent
+        self.information += share * (normal_matrix[3:, 3:] - gain @ normal_matrix[:3, 3:])
+        self.vector += share * (vector[3:] - gain @ vector[:3])
+
+    def estimates(self) -> tuple[Floats, Floats]:
+        """Return values and standard errors (2,) of offset [m] and scale, each with the prior of the other."""
+        prior = np.array([fault.size for fault in LASER_FAULTS]) ** 2
+        covariance = np.linalg.inv(self.information + np.diag(1.0 / prior))
+        mean, variance = covariance @ self.vector, np.diag(covariance)
+        own = 1.0 / np.maximum(1.0 / variance - 1.0 / prior, 1e-9)
+        return mean / variance * own, np.sqrt(own)
+
+
+class MissingReturns:
+    """Counts missing returns beyond those that the graph predicts."""
+
+    def __init__(self) -> None:
+        self.age = 0.0
+        self.weight, self.excess, self.square, self.effective = 0.0, 0.0, 0.0, 0.0
+
+    def add(self, share: float, weight: float) -> None:
+        """Add the share of missing returns of a scan beyond the predicted one."""
+        self.weight += weight
+        self.excess += weight * share
+        self.square += weight * share**2
+        self.effective += weight**2
+
+    def estimate(self) -> tuple[float, float]:
+        """Return the excess share and its standard error."""
+        if self.weight <= 3.0:
+            return 0.0, math.inf
+        mean = self.excess / self.weight
+        variance = max(self.square / self.weight - mean**2, 1e-5)
+        return mean, math.sqrt(variance * self.effective) / self.weight
+
+
+class BlockedSectors:
+    """Judges for each sector of the laser whether something covers it: close readings or none, whatever is ahead."""
+
+    def __init__(self, readings: GraphReadings, priors: RobotPriors = ROBOT) -> None:
+        self.priors = priors
+        bearings = readings.sensor.bearings[readings.rays]
+        sector = np.floor((bearings - bearings.min()) / priors.sector).astype(np.intp)
+        n = int(sector.max()) + 1
+        self.members = np.zeros((n, len(bearings)))
+        self.members[sector, np.arange(len(bearings))] = 1.0
+        self.middle = (self.members @ bearings) / self.members.sum(axis=1)
+        self.nats = np.zeros(n)
+        self.log_odds = math.log(0.01 / 3600.0 * priors.sector_window / n)
+
+    def add(self, is_covered: Bools, expected: Floats, asked: Bools, weight: float, dt: float) -> None:
+        """Add a scan: which rays are too close or missing, with the predicted probability of that, where the graph knows."""
+        s = self.priors
+        n = self.members @ asked
+        share = (self.members @ (is_covered & asked)) / np.maximum(n, 1.0)
+        stray = np.clip(
+            (self.members @ np.where(asked, expected, 0.0)) / np.maximum(n, 1.0) + s.stray, s.stray, 0.9
+        )
+        gain = share * np.log(s.blocked / stray) + (1 - share) * np.log((1 - s.blocked) / (1 - stray))
+        gain = np.where(n > 0, gain, 0.0)
+        most = s.sector_window / max(dt, 1e-3)  # evidence of an old window is forgotten
+        self.nats = np.clip(self.nats * (1.0 - 1.0 / max(most, 1.0)) + weight * gain, self.log_odds, 60.0)
+
+    def blocked(self) -> Bools:
+        """Return which sectors are probably blocked."""
+        return self.nats + self.log_odds > 0.0
+
+    def rays(self) -> Bools:
+        """Return which of the compared rays are in a blocked sector."""
+        return np.asarray(self.blocked() @ self.members > 0)

@@ -1,0 +1,127 @@
+"""One possible pose of a robot: a normal distribution that a match of the scan corrects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.known_map import KnownMap
+from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.matching import Match, match
+from sensorgraph.types import Floats
+from sensorgraph.watching.readings import ReadingEvidence
+from sensorgraph.watching.scan_input import ScanInput
+from sensorgraph.watching.settings import TRACKING, TrackingPriors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mode:
+    """One possible pose."""
+
+    pose: Floats
+    """(3,) base_link in map."""
+    covariance: Floats
+    """(3, 3)"""
+    score: float
+    """Logarithm of the probability."""
+    number: int
+    """Number that stays while the mode is followed."""
+    is_belief: bool = False
+    """Whether this is the pose that the robot believes and the tracking does not."""
+    is_matched: bool = False
+    """Whether the last scan was matched to the surfaces."""
+    answered: float = 0.0
+    """Share of the rays that the graph supports."""
+    evidence: float = 0.0
+    """[nats] Mean evidence of the supported readings of the last scan."""
+    alone: float = 0.0
+    """[m] Distance driven where the graph does not support its rays or the scan does not match, less that where it does."""
+    moved: float = 0.0
+    """[m] Distance driven since the last scan."""
+    followed: float = 0.0
+    """[m] Distance over which this was the probable mode, at most `TrackingPriors.confirmed`."""
+
+
+def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:
+    """Return a mode after a match of the scan; without one, its pose is that of the odometry."""
+    if found is None:
+        return replace(mode, is_matched=False)
+    information = np.linalg.inv(mode.covariance) + _positive(found.information) / MAP_TRACKING.correlation
+    covariance = np.asarray(
+        np.linalg.inv(information) + np.diag(np.asarray(priors.map_floor) ** 2), dtype=np.float64
+    )
+    return replace(mode, pose=found.pose, covariance=covariance, is_matched=True)
+
+
+def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -> Match | None:
+    """Match a scan near a pose; None without a match that the covariance allows."""
+    s, scan = MAP_TRACKING, now.scan
+    if len(scan.points) < s.min_points:
+        return None
+    prior = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    found = match(scan.points, scan.normals, place.surfaces, pose, prior_information=prior)
+    off = found.pose - pose
+    off[2] = wrap(off[2])
+    is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(off[2]) < s.max_turn_offset
+    is_allowed = off @ np.linalg.solve(covariance, off) < 25.0
+    if (is_near or is_allowed) and found.inliers >= s.inliers and found.agreement >= s.agreement:
+        return found
+    return None
+
+
+def velocity_of(before: Mode | None, after: Mode | None, dt: float, most: float, otherwise: Floats) -> Floats:
+    """Return the velocity (3,) [m/s, m/s, rad/s] of a mode that was followed for a time [s]."""
+    if before is None or after is None or after.number != before.number or dt <= 0.05:
+        return otherwise
+    moved = compose(invert(before.pose), after.pose) / dt
+    return np.asarray(moved if np.hypot(moved[0], moved[1]) < most else np.zeros(3))
+
+
+def weighed(
+    modes: Sequence[Mode],
+    found: ReadingEvidence,
+    share: float,
+    weight: float,
+    stay: float,
+    priors: TrackingPriors,
+) -> list[Mode]:
+    """Return the modes weighed by the evidence of a scan.
+
+    Parameters
+    ----------
+    share : Share of independent readings.
+    weight : Share of new evidence in the scan.
+    stay : Log-probability that the robot was not carried away.
+    """
+    known = np.where(found.known, found.ratios, 0.0)
+    is_followed = np.array([mode.followed >= priors.confirmed for mode in modes])
+    credit = np.where(is_followed[:, None] & ~found.known, known.max(axis=0), 0.0)
+    gains = share * (known + credit).sum(axis=1)
+    unlike = np.clip(
+        1.0 - found.answered, priors.unlike, 1.0 - priors.unlike
+    )  # the graph may not know the place
+    gains = weight * np.logaddexp(gains + np.log1p(-unlike), np.log(unlike))
+    evidence = known.sum(axis=1) / np.maximum(found.known.sum(axis=1), 1)
+    out = []
+    for k, mode in enumerate(modes):
+        answered, moved = float(found.answered[k]), mode.moved
+        is_supported = mode.is_matched and answered > priors.supported
+        followed = mode.followed + (moved if is_supported and mode.score > math.log(0.9) else 0.0)
+        out.append(
+            replace(
+                mode, score=mode.score + stay + float(gains[k]), answered=answered, evidence=float(evidence[k]),
+                alone=max(mode.alone - moved, 0.0) if is_supported else mode.alone + moved,
+                followed=min(followed, priors.confirmed),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _positive(information: Floats) -> Floats:
+    """Return an information matrix without negative eigenvalues, which it has along a wall."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -1,0 +1,61 @@
+"""One scan with what the robot knew at that time: its odometry and the pose that it believes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import Run
+from logs.transforms import compose, invert
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.types import Floats
+
+MAX_AGE = 5.0
+"""[s] An older pose is no longer believed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observation:
+    """One scan of a robot."""
+
+    stamp: float
+    """[s]"""
+    ranges: Floats
+    """(n_rays,) [m]; +inf: no return, -inf: too close, nan: broken."""
+    odometry: Floats | None = None
+    """(3,) [m, m, rad] base_link in odom; None: unknown."""
+    believed: Floats | None = None
+    """(3,) [m, m, rad] base_link in map, as the robot believes; None: unknown."""
+
+
+def believed_poses(run: Run) -> tuple[Floats, Floats] | None:
+    """Return the stamps (n,) and poses (n, 3) that the robot believed; None if the log has only odometry."""
+    known = np.isfinite(run.poses).all(axis=1)
+    if not known.any() or run.meta.get("pose_source", "").startswith(("odometry", "none")):
+        return None
+    poses = run.poses[known]
+    base = compose(poses, invert(run.sensor.mount)) if run.pose_frame == "laser" else poses
+    return run.pose_stamps[known], base
+
+
+def observations(run: Run, *, after: float = -np.inf) -> Iterator[Observation]:
+    """Yield the scans of a run in order, those after a stamp [s].
+
+    Between two believed poses, the odometry continues the earlier one, as the robot itself does.
+    """
+    motion = odometry_of(run)
+    odometry = None if motion is None else odometry_at_scans(run, motion)
+    belief = believed_poses(run)
+    for k in np.flatnonzero(run.stamps > after):
+        stamp, now = float(run.stamps[k]), None if odometry is None else odometry[k]
+        believed = None
+        if belief is not None:
+            last = int(np.searchsorted(belief[0], stamp, side="right")) - 1
+            if last >= 0 and stamp - belief[0][last] <= MAX_AGE:
+                believed = belief[1][last]
+                if motion is not None and now is not None and belief[0][last] < stamp:
+                    then = motion.at(np.array([belief[0][last]]))[0]
+                    believed = compose(believed, compose(invert(then), now))
+        yield Observation(stamp=stamp, ranges=run.ranges[k], odometry=now, believed=believed)

@@ -1,0 +1,148 @@
+"""Is the pose that the robot believes right: the probabilities of the tracked modes, compared with the belief.
+
+    P(ok)   = sum of P(mode) P(its pose is within the tolerance of the belief)
+    P(off)  = sum of P(mode) P(its pose is outside the tolerance)
+    P(lost) = P(elsewhere)
+
+Without a belief, the most probable mode is judged alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import ndtr
+
+from logs.transforms import compose, wrap
+from sensorgraph.types import Floats
+from sensorgraph.watching.modes import Mode
+from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.scan_input import apart
+from sensorgraph.watching.settings import TRACKING, TrackingPriors
+from sensorgraph.watching.tracker import PoseTracker
+
+PoseWord = Literal["ok", "off", "ambiguous", "lost"]
+RIVAL = 0.05
+"""Probability from which another mode makes a pose ambiguous, if the first is not ten times as probable."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseStatement:
+    """What is known about the pose of the robot."""
+
+    status: PoseWord
+    p: float
+    """Probability of the status."""
+    pose: Floats | None
+    """(3,) [m, m, rad] where the robot is by our own tracking; None: unknown."""
+    deviations: Floats
+    """(3,) [m, m, rad] Standard deviations of the pose; inf where it is unknown."""
+    offset: tuple[float, float]
+    """[m, rad] from the believed pose to ours; 0 without a belief."""
+    rivals: Floats
+    """(n, 3) Other possible poses."""
+    is_known_place: bool
+    """Whether the graph knows the surroundings; if not, the pose goes on by odometry."""
+    is_believed: bool
+    """Whether the robot stated a pose."""
+    p_wrong: float
+    """Probability that the believed pose is off, or the robot lost."""
+    since: float = 0.0
+    """[s] Stamp of the first statement with this status."""
+
+    def sentence(self) -> str:
+        """Return the statement as one sentence."""
+        at = (
+            ""
+            if self.pose is None
+            else f"({self.pose[0]:.2f}, {self.pose[1]:.2f}) m, {math.degrees(self.pose[2]):.0f}°"
+        )
+        if not self.is_known_place and self.status != "lost":
+            metres = float(np.hypot(*self.deviations[:2]))
+            return f"outside what the graph knows: by odometry at {at}, ± {metres:.2f} m"
+        if self.status == "lost":
+            return (
+                "lost: the scans fit neither the tracked pose nor another place"
+                if at
+                else "lost: no pose is known"
+            )
+        if self.status == "ambiguous":
+            others = " or ".join(f"({x:.1f}, {y:.1f}) m" for x, y, _ in self.rivals)
+            return f"ambiguous: at {at}, or at {others}"
+        if self.status == "off":
+            metres, turn = self.offset
+            return f"off by {metres:.2f} m and {math.degrees(turn):.0f}°: the robot is at {at}"
+        return f"ok at {at}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "status": self.status,
+            "offset_m": round(self.offset[0], 4),
+            "offset_rad": round(self.offset[1], 5),
+            "p": round(self.p, 6),
+            "p_wrong": round(self.p_wrong, 6),
+            "since": round(self.since, 3),
+            "pose": None if self.pose is None else [round(float(v), 4) for v in self.pose],
+            "sigma": [round(float(v), 4) if math.isfinite(v) else None for v in self.deviations],
+            "rivals": [[round(float(v), 3) for v in one] for one in self.rivals],
+            "known_place": self.is_known_place,
+        }
+
+
+def state_pose(
+    tracker: PoseTracker, observation: Observation, before: PoseWord = "ok", priors: TrackingPriors = TRACKING
+) -> PoseStatement:
+    """Return the statement about the pose at a scan; `before` is the previous status."""
+    ahead, believed = tracker.ahead(observation), observation.believed
+    modes = [replace(mode, pose=compose(mode.pose, ahead)) for mode in tracker.modes]
+    main = max(modes, key=lambda mode: mode.score, default=None)
+    probabilities = tracker.probabilities
+    p_lost = math.exp(tracker.elsewhere)
+    if main is None:
+        return PoseStatement(
+            status="lost", p=1.0, pose=None, deviations=np.full(3, np.inf), offset=(0.0, 0.0),
+            rivals=np.zeros((0, 3)), is_known_place=True, is_believed=believed is not None, p_wrong=1.0,
+        )  # fmt: skip
+    best = float(probabilities.max())
+    others = [
+        mode for mode, p in zip(modes, probabilities, strict=True)
+        if mode is not main and p > RIVAL * best
+    ]  # fmt: skip
+    p_ok = best
+    if believed is not None:
+        near = [_p_near(mode, believed, priors) for mode in modes]
+        p_ok = float(probabilities @ near)
+    p_off = max(1.0 - p_lost - p_ok, 0.0)
+    status: PoseWord = "ok"
+    p = p_ok
+    if p_lost > 0.5:
+        status, p = "lost", p_lost
+    elif others and best < 0.9 * (1.0 - p_lost):
+        status, p = "ambiguous", 1.0 - best
+    elif believed is not None and p_off > 0.5:
+        status, p = "off", p_off
+    is_known = main.answered >= priors.supported and main.alone < priors.alone
+    if not is_known and status in ("off", "ambiguous") and before not in ("off", "ambiguous"):
+        status, p = "ok", p_ok  # nothing that the graph knows is in sight: no news
+    offset = (0.0, 0.0) if believed is None else apart(main.pose, believed)
+    return PoseStatement(
+        status=status, p=min(p, 1.0), pose=main.pose, deviations=np.sqrt(np.diag(main.covariance)), offset=offset,
+        rivals=np.array([mode.pose for mode in others]).reshape(-1, 3), is_known_place=is_known,
+        is_believed=believed is not None, p_wrong=min(p_lost + p_off, 1.0),
+    )  # fmt: skip
+
+
+def _p_near(mode: Mode, believed: Floats, priors: TrackingPriors) -> float:
+    """Return the probability that a pose of the mode is within the tolerance of the believed pose."""
+    off = believed - mode.pose
+    off[2] = wrap(off[2])
+    way = float(np.hypot(off[0], off[1]))
+    along = off[:2] / way if way > 0 else np.array([1.0, 0.0])
+    deviation = math.sqrt(float(along @ mode.covariance[:2, :2] @ along))
+    turn = math.sqrt(float(mode.covariance[2, 2]))
+    within = ndtr((priors.tolerance[0] - way) / deviation) * ndtr((priors.tolerance[1] - abs(off[2])) / turn)
+    return float(within)

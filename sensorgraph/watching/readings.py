@@ -1,0 +1,151 @@
+"""Evidence of readings for a pose: how much more probable they are there than anywhere in the place.
+
+With the graph's density p of a reading z at the pose, the density p_0 of any reading in the place, and the prior share s
+of readings that the graph can predict, the evidence of one reading is
+
+    log((s p + (1 - s) p_0) / p_0),
+
+and the probability that the graph predicts it is s p / (s p + (1 - s) p_0). GraphReadings without support count nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.motion import to_ray_starts
+from logs.run import RangeSensor
+from logs.transforms import compose, invert
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Prediction
+from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.crossed_cells import crossed_cells
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.likelihood import information_share
+from sensorgraph.sensor_model import ray_likelihoods
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.watching.settings import READINGS, ReadingPriors
+from sensorgraph.world.ray_order import bearings_text, ray_order
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadingEvidence:
+    """Evidence of the readings of one scan at poses."""
+
+    ratios: Floats
+    """(n_poses, n_rays) [nats]; 0 where the graph is not asked or does not answer."""
+    known: Bools
+    """(n_poses, n_rays) whether the graph supports the ray and the reading is not broken."""
+    fits: Floats
+    """(n_poses, n_rays) probability that the graph predicts the reading."""
+
+    @property
+    def answered(self) -> Floats:
+        """(n_poses,) Share of the rays that the graph supports."""
+        return np.asarray(self.known.mean(axis=1))
+
+
+class GraphReadings:
+    """Compares scans of one sensor with a graph."""
+
+    def __init__(self, graph: Sensorgraph, sensor: RangeSensor, priors: ReadingPriors = READINGS) -> None:
+        if not isinstance(graph.model, Faces | CellModel):
+            raise SensorgraphError(
+                f"the sensorgraph's model is {graph.model.name}, which watch cannot follow; build one with faces or cells"
+            )
+        order = ray_order(graph.sensor.bearings, sensor.bearings)
+        if order is None:
+            raise SensorgraphError(
+                f"the scans have {sensor.n_rays} rays {bearings_text(sensor.bearings, graph.sensor.bearings)}, other than "
+                f"the {graph.sensor.n_rays} of the graph; use a graph that was built with this laser"
+            )
+        self.graph, self.sensor, self.priors = graph, sensor, priors
+        n = sensor.n_rays
+        self.rays: Ints = np.unique(np.linspace(0, n - 1, min(n, priors.n_rays)).astype(np.intp))
+        """Rays of the sensor that are compared."""
+        self.own: Ints = order[self.rays]
+        """The same rays in the graph's order."""
+        share = max(len(self.rays) // priors.n_pose_rays, 1)
+        self.of_pose: Ints = np.arange(share // 2, len(self.rays), share)
+        """Positions among `rays` that weigh poses."""
+        nearest = (
+            np.zeros(3) if graph.pose_frame == "laser" else getattr(graph.model, "mount", graph.sensor.mount)
+        )
+        self._mount = compose(sensor.mount, invert(nearest))
+        self.expected = self._anywhere()
+        """[nats] Mean evidence of a reading of the graph itself, at its pose."""
+
+    def graph_poses(self, base: Floats) -> Floats:
+        """Return the poses (..., 3) in the frame of the graph for poses (..., 3) of base_link in map."""
+        return np.asarray(compose(base, self._mount))
+
+    def free_area(self) -> float:
+        """Return the area [m²] that training rays crossed."""
+        assert isinstance(self.graph.model, Faces | CellModel)
+        _, side, known = crossed_cells(self.graph.model)
+        return float(known.sum()) * side**2
+
+    def evidence(self, ranges: Floats, poses: Floats, which: Ints | None = None) -> ReadingEvidence:
+        """Return the evidence of a scan (n_rays,) [m] at poses (n_poses, 3), for `rays` or some positions among them."""
+        which = np.arange(len(self.rays)) if which is None else which
+        z = ranges[self.rays[which]]
+        z = np.where(
+            np.isneginf(z) | (z < self.sensor.range_min), np.nan, z
+        )  # something on the laser says no pose
+        z = np.where(z >= self.sensor.range_max, np.inf, z)
+        starts, own = self.graph_poses(poses), self.own[which]
+        if self.graph.sensor.is_composite:
+            starts = to_ray_starts(starts[:, None], self.graph.sensor, self.graph.pose_frame)[:, own]
+        found, supported = ray_likelihoods(self.graph, z[None], starts, own)
+        s, known = self.priors.predicted, supported & ~np.isnan(z)
+        ratios = np.where(
+            known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0
+        )
+        return ReadingEvidence(ratios=ratios, known=known, fits=1.0 - (1.0 - s) * np.exp(-ratios))
+
+    def n_independent(self, ranges: Floats) -> float:
+        """Return the number of independent readings of a scan (n_rays,) [m] among those that weigh poses."""
+        n, rays = len(self.of_pose), self.rays[self.of_pose]
+        if self.graph.memory is None:
+            return self.priors.independent * n
+        bearings = self.sensor.bearings[rays]
+        ends = ranges[rays, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+        return n * float(information_share(self.graph.memory, ends[None])[0])
+
+    def predict(self, pose: Floats) -> Prediction:
+        """Return the prediction of `rays` at one pose (3,)."""
+        return self.graph.predict(self.graph_poses(pose[None]), rays=self.own)
+
+    def log_anywhere(self, z: Floats) -> Floats:
+        """Return the log-density of readings (n,) [m] from anywhere in the place."""
+        index = np.clip(
+            np.searchsorted(self._edges, np.nan_to_num(z, posinf=0.0)) - 1, 0, len(self._density) - 1
+        )
+        return np.asarray(np.log(np.where(np.isposinf(z), self._none, self._density[index])))
+
+    def _anywhere(self) -> float:
+        """Compute the distribution of readings over poses anywhere in the place; return the evidence of the graph's own."""
+        assert isinstance(self.graph.model, Faces | CellModel)
+        rng = np.random.default_rng(0)
+        corner, side, known = crossed_cells(self.graph.model)
+        cells = np.argwhere(known)
+        cells = cells[rng.integers(len(cells), size=self.priors.n_anywhere)]
+        poses = np.column_stack([corner + (cells + 0.5) * side, rng.uniform(-np.pi, np.pi, len(cells))])
+        found = self.graph.predict(poses, rays=self.own[self.of_pose])
+        z = found.ranges[found.answered]
+        top = self.sensor.range_max
+        self._edges = np.concatenate([[0.0], np.geomspace(0.3, max(top, 1.0), 30)])
+        counts = np.histogram(z[np.isfinite(z)], self._edges)[0] + 1.0
+        none = float(found.p_no_return[found.answered].sum()) + 1.0
+        total = counts.sum() + none
+        self._density = counts / total / np.diff(self._edges)
+        self._none = max(none / total, 0.02)
+        rays = self.own[self.of_pose]
+        drawn = self.graph.sample(poses, 1, 0, rays=rays, residual_memory=False)[0]
+        density, _ = ray_likelihoods(self.graph, drawn, poses, rays)
+        s = self.priors.predicted
+        ratios = np.logaddexp(math.log(s) + density - self.log_anywhere(drawn), math.log(1 - s))
+        return float(ratios[found.answered].mean())

@@ -1,0 +1,222 @@
+"""Hypotheses about laser and wheels, whose evidence adds up over the last minutes of driving."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.types import Bools, Floats
+from sensorgraph.watching.evidence import Baseline, FaultDoubt, Pair, doubt_of
+from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors
+from sensorgraph.watching.odometry_errors import OdometryErrors
+from sensorgraph.watching.readings import GraphReadings
+from sensorgraph.watching.scan_input import ScanInput
+from sensorgraph.watching.settings import (
+    DISTANCE_FAULTS,
+    FAULTS_PER_HOUR,
+    LASER_FAULTS,
+    MISSING_FAULT,
+    ROBOT,
+    RobotPriors,
+)
+
+SURE = 1e-3
+"""Probability that the tracked pose is wrong, above which a scan says nothing about the robot."""
+STEPS = 40
+"""Number of recent steps that are searched for slip and dead encoders."""
+MOVING = 0.03
+"""[m] Shortest step that shows these."""
+
+
+class RobotHealth:
+    """Collects evidence about one robot; `update` takes one tracked scan after the other."""
+
+    def __init__(
+        self,
+        readings: GraphReadings,
+        baseline: Mapping[str, Baseline] | None = None,
+        priors: RobotPriors = ROBOT,
+    ) -> None:
+        self.readings, self.priors = readings, priors
+        self.baseline = dict(baseline or {})
+        self.motion = Pair(OdometryErrors, priors.period)
+        self.ranges = Pair(RangeErrors, priors.period)
+        self.missing = Pair(MissingReturns, priors.period)
+        self.sectors = BlockedSectors(readings, priors)
+        self.log_odds = math.log(FAULTS_PER_HOUR / 3600.0 * 2 * priors.period)
+        self._steps: deque[tuple[Floats, Floats]] = deque(maxlen=STEPS)
+        self._last: tuple[float, Floats, Floats] | None = None
+        self._since: dict[str, float] = {}
+
+    @property
+    def usable(self) -> Bools:
+        """Which of the compared rays no sector covers."""
+        return np.asarray(~self.sectors.rays())
+
+    def lose(self) -> None:
+        """The pose is not sure: the next motion is not compared."""
+        self._last = None
+        for one in self.motion.both:
+            one.forget_pose()
+
+    def update(self, now: ScanInput, pose: Floats) -> None:
+        """Take a scan whose tracked pose (3,) is sure."""
+        stamp, odometry = now.observation.stamp, now.observation.odometry
+        dt = 0.0 if self._last is None else stamp - self._last[0]
+        prediction = self.readings.predict(pose)
+        ranges = now.observation.ranges
+        for one in self.ranges.both:
+            one.add(self.readings, now.scan, prediction, ranges, now.weight)
+        self._add_coverage(
+            ranges, prediction.mode[0], prediction.p_no_return[0], prediction.answered[0], now.weight, dt
+        )
+        is_moving = False
+        if odometry is not None and self._last is not None and 0.0 < dt < 2.0:
+            step = compose(invert(self._last[1]), odometry)
+            is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
+            twist = np.array([step[0], step[2]]) / dt
+            for motion in self.motion.both:
+                motion.add(step, twist, pose)
+            if np.hypot(step[0], step[1]) > MOVING or np.hypot(*(pose - self._last[2])[:2]) > MOVING:
+                self._steps.append((step, compose(invert(self._last[2]), pose)))
+        if odometry is not None:
+            self._last = stamp, odometry, pose
+        if is_moving:
+            for pair in (self.motion, self.ranges, self.missing):
+                pair.advance(dt)
+
+    def _add_coverage(
+        self, ranges: Floats, mode: Floats, p_none: Floats, answered: Bools, weight: float, dt: float
+    ) -> None:
+        """Count readings that are missing or too close where the graph predicts a surface further away."""
+        z = ranges[self.readings.rays]
+        near = self.priors.near
+        asked = answered & (mode > 2 * near) & ~np.isnan(z)
+        is_none = np.isposinf(z) | (z >= self.readings.sensor.range_max)
+        is_covered = is_none | (z < near)
+        self.sectors.add(is_covered, p_none, asked, weight, dt)
+        counted = asked & self.usable
+        if counted.sum() >= 20:
+            excess = float((is_none - p_none)[counted].mean())
+            for one in self.missing.both:
+                one.add(excess, weight)
+
+    def doubts(self, stamp: float) -> list[FaultDoubt]:
+        """Return all hypotheses, the most probable first."""
+        found = [
+            *self._of_motion(),
+            *self._of_ranges(),
+            *self._of_missing(),
+            *self._of_sectors(),
+            *self._of_steps(),
+        ]
+        out = []
+        for doubt in found:
+            if doubt.p > 0.5:
+                self._since.setdefault(doubt.name, stamp)
+            else:
+                self._since.pop(doubt.name, None)
+            out.append(replace(doubt, since=self._since.get(doubt.name, stamp)))
+        return sorted(out, key=lambda doubt: -doubt.p)
+
+    def _of_motion(self) -> list[FaultDoubt]:
+        each = []
+        for k, fault in enumerate(DISTANCE_FAULTS):
+            doubts = []
+            for one in self.motion.both:
+                values, errors = one.estimates()
+                doubts.append(
+                    doubt_of(
+                        fault,
+                        float(values[k]),
+                        float(errors[k]),
+                        self.log_odds,
+                        self.baseline.get(fault.name),
+                    )
+                )
+            each.append(max(doubts, key=lambda doubt: doubt.p))
+        return each
+
+    def _of_ranges(self) -> list[FaultDoubt]:
+        each = []
+        for k, fault in enumerate(LASER_FAULTS):
+            doubts = []
+            for one in self.ranges.both:
+                values, errors = one.estimates()
+                doubts.append(
+                    doubt_of(
+                        fault,
+                        float(values[k]),
+                        float(errors[k]),
+                        self.log_odds,
+                        self.baseline.get(fault.name),
+                    )
+                )
+            each.append(max(doubts, key=lambda doubt: doubt.p))
+        return each
+
+    def _of_missing(self) -> list[FaultDoubt]:
+        base = self.baseline.get(MISSING_FAULT.name)
+        doubts = [doubt_of(MISSING_FAULT, *one.estimate(), self.log_odds, base) for one in self.missing.both]
+        above = [doubt for doubt in doubts if doubt.parameters["share"] > 0]
+        return [max(above, key=lambda doubt: doubt.p)] if above else []
+
+    def _of_sectors(self) -> list[FaultDoubt]:
+        blocked = np.flatnonzero(self.sectors.blocked())
+        if len(blocked) == 0:
+            return []
+        nats = float(self.sectors.nats[blocked].max())
+        middles = self.sectors.middle[blocked]
+        width = self.priors.sector
+        parameters = {
+            "from_rad": float(middles.min() - width / 2),
+            "to_rad": float(middles.max() + width / 2),
+        }
+        p = float(1.0 / (1.0 + math.exp(-nats - self.sectors.log_odds)))
+        return [
+            FaultDoubt(
+                name="blocked_sector",
+                p=p,
+                nats=nats,
+                parameters=parameters,
+                stderr=dict.fromkeys(parameters, width / 2),
+            )
+        ]
+
+    def _of_steps(self) -> list[FaultDoubt]:
+        """Return doubts about an encoder and about slip, from steps that odometry and tracking state differently.
+
+        The odometry of a robot with one dead encoder turns in proportion to its distance, whatever the robot does.
+        """
+        if len(self._steps) < 10:
+            return []
+        driven = np.array([step for step, _ in self._steps])
+        true = np.array([step for _, step in self._steps])
+        off = true - driven
+        off[:, 2] = wrap(off[:, 2])
+        odd = (np.hypot(off[:, 0], off[:, 1]) > 0.5 * np.maximum(np.hypot(*driven[:, :2].T), MOVING)) | (
+            np.abs(off[:, 2]) > 0.15
+        )
+        share = float(odd.mean())
+        if share < 0.3:
+            return []
+        slope = float(driven[:, 0] @ driven[:, 2] / max(driven[:, 0] @ driven[:, 0], 1e-9))
+        left = float(
+            ((driven[:, 2] - slope * driven[:, 0]) ** 2).sum() / max((driven[:, 2] ** 2).sum(), 1e-9)
+        )
+        nats = 5.0 * float(odd.sum())
+        p = float(1.0 / (1.0 + math.exp(-min(nats + self.log_odds, 50.0))))
+        if abs(slope) > 0.5 and left < 0.02:
+            side = "left" if slope > 0 else "right"
+            return [
+                FaultDoubt(
+                    name=f"dead_encoder_{side}", p=p, nats=nats, parameters={"rad_per_m": slope}, stderr={}
+                )
+            ]
+        lacking = 1.0 - float(true[odd, 0].sum() / max(driven[odd, 0].sum(), 1e-9))
+        return [FaultDoubt(name="wheel_slip", p=p, nats=nats, parameters={"share": lacking}, stderr={})]

@@ -1,0 +1,86 @@
+"""Scans as the tracker takes them: returns in base_link, deskewed, and joined views of several scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import RangeSensor, Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.global_search import LocalView, local_view
+from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.types import Floats, Ints
+from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.settings import TrackingPriors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanInput:
+    """One scan that is used for an update."""
+
+    observation: Observation
+    scan: ScanPoints
+    drift: Floats
+    """(3,) base_link in the frame of the dead reckoning."""
+    weight: float
+    """Share of new evidence, 0 to 1: scans from one place see the same surfaces."""
+
+
+def points_of(sensor: RangeSensor, observation: Observation, velocity: Floats) -> ScanPoints:
+    """Return the returns of a scan in base_link at its stamp, deskewed for a velocity (3,) [m/s, m/s, rad/s]."""
+    run = Run(sensor=sensor, stamps=np.zeros(1), ranges=observation.ranges[None])
+    motion = None
+    if sensor.has_ray_delays and velocity.any():
+        times = np.array([-1.0, 0.0, 1.0])
+        poses = times[:, None] * velocity  # straight in the short time of a sweep
+        motion = Motion(stamps=times, poses=poses)
+    return scan_points(run, motion)
+
+
+def view_of(kept: Sequence[ScanInput]) -> LocalView:
+    """Join scans into a view in the frame of the last one."""
+    counts = np.array([len(one.scan.points) for one in kept])
+    scans = ScanPoints(
+        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp),
+        **{
+            name: np.concatenate([getattr(one.scan, name) for one in kept])
+            for name in ("points", "normals", "ranges", "starts", "rays")
+        },
+    )
+    chosen: Ints = np.arange(len(kept), dtype=np.intp)
+    return local_view(scans, chosen, np.array([one.drift for one in kept]))
+
+
+def moved_covariance(covariance: Floats, pose: Floats, step: Floats, deviations: Floats) -> Floats:
+    """Return the covariance (3, 3) in map after a step (3,) from a pose, whose errors in base_link are `deviations`."""
+    dx, dy = compose(pose, step)[:2] - pose[:2]
+    jacobian = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(jacobian @ covariance @ jacobian.T + (turn * deviations**2) @ turn.T)
+
+
+def odometry_step(
+    last: Observation | None, now: Observation, priors: TrackingPriors
+) -> tuple[float, Floats, Floats, bool]:
+    """Return time [s], motion (3,) and its standard deviations (3,) between two scans, and whether the odometry jumps."""
+    if last is None:
+        return 0.0, np.zeros(3), np.zeros(3), False
+    dt = max(now.stamp - last.stamp, 0.0)
+    floor = np.asarray(priors.odometry_floor)
+    if now.odometry is None or last.odometry is None:
+        return dt, np.zeros(3), floor + dt * np.asarray(priors.unknown_speed), False
+    step = compose(invert(last.odometry), now.odometry)
+    way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
+    if not way <= priors.max_speed * max(dt, 0.2):  # also if it is not finite
+        return dt, np.zeros(3), floor + 1.0, True
+    scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
+    return dt, step, floor + scale, False
+
+
+def apart(a: Floats, b: Floats) -> tuple[float, float]:
+    """Return the distance [m] and the turn [rad] between two poses (3,)."""
+    return float(np.hypot(*(a - b)[:2])), float(abs(wrap(a[2] - b[2])))

@@ -1,0 +1,128 @@
+"""WatchSummary of a watched run: intervals of equal statements, the tracked path, and the next step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sensorgraph.types import Floats
+from sensorgraph.watching.policy import Level
+from sensorgraph.watching.status import WatchStatus
+
+MOST_POINTS = 4000
+"""Number of statements that are kept for the path; older ones are thinned."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """An interval with one statement."""
+
+    first: float
+    """[s] since the first statement."""
+    last: float
+    word: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PageData:
+    """What the page shows."""
+
+    run_name: str
+    graph_name: str
+    duration: float
+    level: Level
+    headline: str
+    next_step: str
+    last: WatchStatus
+    pose_spans: Sequence[Span]
+    place_spans: Sequence[Span]
+    robot_spans: Sequence[Span]
+    path: Floats
+    """(n, 3) tracked poses, nan where unknown."""
+    path_pieces: Sequence[tuple[int, int, str]]
+    """First and end of pieces of the path, and their word."""
+    walls: Floats
+    """(n, 2, 2) [m, map]"""
+    notes: Sequence[str]
+
+
+class WatchSummary:
+    """Collects statements in constant memory."""
+
+    def __init__(self) -> None:
+        self.spans: dict[str, list[Span]] = {"pose": [], "place": [], "robot": []}
+        self.points: list[tuple[float, str, Floats]] = []
+        self.notes: list[str] = []
+        self.first: float | None = None
+        self.last: WatchStatus | None = None
+        self.level: Level = "ok"
+        self.reason = ""
+        self.n_statements = 0
+        self._every = 1
+
+    def add(self, status: WatchStatus, level: Level, reason: str) -> None:
+        """Add one statement."""
+        self.first = status.t if self.first is None else self.first
+        t = status.t - self.first
+        pose, place, robot = status.sentences()
+        word = status.pose.status
+        unknown = word == "ok" and not status.pose.is_known_place
+        self._extend("pose", t, "unknown" if unknown else word, pose)
+        self._extend("place", t, "changed" if status.changes else "ok", place)
+        self._extend("robot", t, "fault" if status.faults else "ok", robot)
+        if self.n_statements % self._every == 0:
+            at = np.full(3, np.nan) if status.pose.pose is None else status.pose.pose
+            self.points.append((t, "unknown" if unknown else word, at))
+        if len(self.points) > MOST_POINTS:
+            self.points, self._every = self.points[::2], 2 * self._every
+        self.notes = [*self.notes, *status.notes][-100:]
+        self.n_statements += 1
+        self.last = status
+        order = ("ok", "warning", "error")
+        if order.index(level) > order.index(self.level):
+            self.level, self.reason = level, reason
+
+    def _extend(self, row: str, t: float, word: str, text: str) -> None:
+        spans = self.spans[row]
+        if spans and spans[-1].word == word:
+            spans[-1] = Span(first=spans[-1].first, last=t, word=word, text=text)
+            return
+        if spans:
+            spans[-1] = Span(first=spans[-1].first, last=t, word=spans[-1].word, text=spans[-1].text)
+        if len(spans) < MOST_POINTS:
+            spans.append(Span(first=t, last=t + 1.0, word=word, text=text))
+
+    def next_step(self, run_name: str) -> str:
+        """Return what to do next: update the graph, or a run that settles a doubt."""
+        if self.last is None:
+            return ""
+        told = []
+        lasting = [change for change in self.last.changes if change.p > 0.9]
+        if lasting and self.last.pose.status == "ok":
+            told.append(
+                f"{len(lasting)} change{'s' * (len(lasting) > 1)} may be for good: sensorgraph build {run_name} --update GRAPH"
+            )
+        if self.last.faults:
+            told.append(
+                f"to settle {self.last.faults[0].name}: sensorgraph diagnose {run_name} --arena MAP names the next run"
+            )
+        return "; ".join(told)
+
+    def page(self, run_name: str, graph_name: str, walls: Floats) -> PageData:
+        """Return what the page shows."""
+        assert self.last is not None and self.first is not None
+        words = [word for _, word, _ in self.points]
+        edges = [0, *(k for k in range(1, len(words)) if words[k] != words[k - 1]), len(words)]
+        pieces = [(a, min(b + 1, len(words)), words[a]) for a, b in pairwise(edges)]
+        return PageData(
+            run_name=run_name, graph_name=graph_name, duration=self.last.t - self.first, level=self.level,
+            headline=f"{self.level}: {self.reason}" if self.reason else "ok: pose, place and robot as expected",
+            next_step=self.next_step(run_name), last=self.last, pose_spans=self.spans["pose"],
+            place_spans=self.spans["place"], robot_spans=self.spans["robot"],
+            path=np.array([at for _, _, at in self.points]).reshape(-1, 3), path_pieces=pieces, walls=walls,
+            notes=self.notes,
+        )  # fmt: skip

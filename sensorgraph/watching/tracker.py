@@ -1,0 +1,289 @@
+"""Track a robot in the place of a graph as several possible poses, and "elsewhere", with probabilities.
+
+Each possible pose (a mode) is a normal distribution, which the odometry moves and a match of the scan to the surfaces of
+the graph corrects. The evidence of the readings (`readings`) weighs the modes against "elsewhere", where readings are as
+anywhere in the place. A robot is carried away at a known rate. This is a hidden Markov model; its probabilities are the
+result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
+place could gain. A new mode has the prior of one among all places that can be told apart.
+
+A ray that the graph does not support at a mode says nothing against it: it counts as much there as at the best other
+mode. So a robot that drives outside what the graph knows goes on by odometry, with a growing covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from logs.transforms import compose, invert
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.localization.branch_and_bound import SearchWindow
+from sensorgraph.localization.global_search import find_places
+from sensorgraph.localization.graph_walls import walls_of_graph
+from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.seen_space import seen_by_graph
+from sensorgraph.types import Bools, Floats
+from sensorgraph.watching.modes import Mode, corrected, matched, velocity_of, weighed
+from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
+from sensorgraph.watching.scan_input import (
+    ScanInput,
+    apart,
+    moved_covariance,
+    odometry_step,
+    points_of,
+    view_of,
+)
+from sensorgraph.watching.settings import TRACKING, TrackingPriors
+
+
+class PoseTracker:
+    """Follows a robot; `update` takes one scan after the other."""
+
+    def __init__(
+        self, graph: Sensorgraph, readings: GraphReadings, priors: TrackingPriors = TRACKING
+    ) -> None:
+        walls, normals = walls_of_graph(graph)
+        self.place = known_map(walls, seen_by_graph(graph), normals)
+        self.readings, self.priors = readings, priors
+        area, (side, turn) = readings.free_area(), priors.place_size
+        self.log_places = math.log(max(area / side**2, 1.0) * 2 * math.pi / turn)
+        """Logarithm of the number of places that can be told apart."""
+        self.modes: list[Mode] = []
+        self.elsewhere = 0.0
+        """Logarithm of the probability of any other pose."""
+        self.usable: Bools = np.ones(len(readings.rays), dtype=np.bool_)
+        """Rays whose readings count; those of a blocked sector do not."""
+        self.usual = readings.expected
+        """[nats] Usual evidence of a supported reading."""
+        self.missing = 0.0
+        """[nats] Evidence that another place could add since the scans fit less well than usual."""
+        self.limit = 0.5 * self.log_places
+        """[nats] Missing evidence from which a search is worthwhile; it doubles with each search in vain."""
+        self.kept: deque[ScanInput] = deque(maxlen=priors.n_kept)
+        self.drift = np.zeros(3)
+        self.velocity = np.zeros(3)
+        self.n_searches = 0
+        self._last: Observation | None = None
+        self._number = 0
+
+    @property
+    def main(self) -> Mode | None:
+        """The most probable mode; None without any."""
+        return max(self.modes, key=lambda mode: mode.score, default=None)
+
+    @property
+    def probabilities(self) -> Floats:
+        """(n_modes,) Probability of each mode; the rest is elsewhere."""
+        return np.asarray(np.exp(np.array([mode.score for mode in self.modes])))
+
+    def is_due(self, observation: Observation) -> bool:
+        """Tell whether a scan is far enough from the last one to be used."""
+        last, s = self._last, self.priors
+        if last is None or observation.stamp - last.stamp >= s.update_period:
+            return True
+        if last.odometry is None or observation.odometry is None:
+            return observation.stamp - last.stamp >= 0.5 * s.update_period
+        way, turn = apart(observation.odometry, last.odometry)
+        return way > s.update_distance or turn > s.update_turn
+
+    def ahead(self, observation: Observation) -> Floats:
+        """Return the motion (3,) by the odometry since the last scan that was used."""
+        last = self._last
+        if last is None or last.odometry is None or observation.odometry is None:
+            return np.zeros(3)
+        return np.asarray(compose(invert(last.odometry), observation.odometry))
+
+    def restart_clock(self) -> None:
+        """Forget the last scan: its stamp says nothing about the time since."""
+        self._last = None
+
+    def update(self, observation: Observation) -> ScanInput:
+        """Take one scan; return it as it was used."""
+        s = self.priors
+        dt, step, deviations, is_jump = odometry_step(self._last, observation, s)
+        if is_jump:
+            self.missing = math.inf
+        scan = points_of(self.readings.sensor, observation, self.velocity)
+        way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
+        weight = min(
+            way / s.independent_distance + turn / s.independent_turn + dt / s.independent_period, 1.0
+        )
+        first = self._last is None
+        self._last, self.drift = observation, compose(self.drift, step)
+        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=1.0 if first else weight)
+        before = self.main
+        self.modes = [self._moved(mode, step, deviations, dt, now) for mode in self.modes]
+        self._add_belief(now)
+        self._weigh(now, dt)
+        self._keep(now)
+        if self.missing > self.limit:
+            self._search()
+        self._prune()
+        self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
+        return now
+
+    def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> Mode:
+        """Move a mode by the odometry and match the scan there."""
+        pose = compose(mode.pose, step)
+        covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
+        found = matched(self.place, pose, covariance, now)
+        if found is None and self.velocity.any() and mode is self.main:
+            # wheels that slip or an encoder that is dead: as before, or standing
+            for other in (mode.pose, compose(mode.pose, self.velocity * min(dt, 0.5))):
+                wide = covariance + np.diag(np.asarray(self.priors.start_deviations) ** 2)
+                found = found or matched(self.place, other, wide, now)
+        way = float(np.hypot(step[0], step[1]))
+        return corrected(replace(mode, pose=pose, covariance=covariance, moved=way), found)
+
+    def _add_belief(self, now: ScanInput) -> None:
+        """Add the pose that the robot believes, if no mode is there."""
+        s, believed = self.priors, now.observation.believed
+        if believed is None:
+            return
+        if not self.modes and not self.n_searches:
+            score = math.log(s.start)
+            self.elsewhere = math.log(1.0 - s.start)
+        elif any(self._is_there(mode, believed) for mode in self.modes):
+            return
+        else:
+            main = self.main
+            is_alone = main is not None and main.alone > s.alone
+            score = math.log(0.5 if is_alone else s.belief)
+        covariance = np.diag(np.asarray(s.start_deviations) ** 2)
+        mode = Mode(
+            pose=believed, covariance=covariance, score=score, number=self._next(), is_belief=bool(self.modes),
+            followed=s.confirmed,
+        )  # fmt: skip
+        mode = corrected(mode, matched(self.place, believed, covariance, now))
+        kept = [one for one in self.modes if not self._is_there(one, mode.pose)]
+        if len(kept) == len(self.modes):  # its match is not one of the modes
+            self.modes.append(mode)
+
+    def _is_there(self, mode: Mode, pose: Floats) -> bool:
+        way, turn = apart(mode.pose, pose)
+        return way < self.priors.tolerance[0] and turn < self.priors.tolerance[1]
+
+    def _next(self) -> int:
+        self._number += 1
+        return self._number
+
+    def _weigh(self, now: ScanInput, dt: float) -> None:
+        """Weigh modes and elsewhere by the readings; the robot may have been carried away since the last scan."""
+        s = self.priors
+        carried = -math.expm1(-s.carried * dt)
+        inside = float(self.probabilities.sum())
+        self.elsewhere = math.log(math.exp(self.elsewhere) + carried * inside)
+        stay = math.log1p(-carried)
+        if not self.modes:
+            self.missing += (
+                now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
+            )
+            return
+        found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
+        first = int(np.argmax([mode.score for mode in self.modes]))
+        new = 1.0 - self.modes[first].followed / s.confirmed
+        alike = new * s.alike * self.usual * float(found.known[first].sum())  # other places resemble this one
+        self.elsewhere += now.weight * self._share(now) * alike
+        self.modes = weighed(self.modes, found, self._share(now), now.weight, stay, s)
+        self._normalise()
+        self._count_missing(now)
+
+    def _evidence(self, now: ScanInput, poses: Floats) -> ReadingEvidence:
+        """Return the evidence of the usable readings of a scan at poses (n, 3)."""
+        of_pose = self.readings.of_pose[self.usable[self.readings.of_pose]]
+        return self.readings.evidence(now.observation.ranges, poses, of_pose)
+
+    def _share(self, now: ScanInput) -> float:
+        return self.readings.n_independent(now.observation.ranges) / max(len(self.readings.of_pose), 1)
+
+    def _count_missing(self, now: ScanInput) -> None:
+        """Add up how much evidence another place could gain, and follow the usual evidence."""
+        main, s = self.main, self.priors
+        assert main is not None
+        n = self.readings.n_independent(now.observation.ranges) * main.answered
+        self.missing = max(self.missing + now.weight * n * (0.7 * self.usual - main.evidence), 0.0)
+        if self.missing == 0.0:
+            self.limit = 0.5 * self.log_places
+        if math.exp(main.score) > 0.99 and main.answered > 0.5 and main.is_matched:
+            share = min(now.weight * s.independent_distance / s.usual_distance, 1.0)
+            self.usual += share * (main.evidence - self.usual)
+
+    def _keep(self, now: ScanInput) -> None:
+        """Keep a scan for searches, if it is apart from the last one that was kept."""
+        if len(now.scan.points) < MAP_TRACKING.min_points:
+            return
+        if now.observation.odometry is None:
+            self.kept.clear()
+        if self.kept:
+            way, turn = apart(self.kept[-1].drift, now.drift)
+            if way < self.priors.keep_distance and turn < self.priors.keep_turn:
+                return
+        self.kept.append(now)
+
+    def _search(self) -> None:
+        """Search the surroundings of the most probable mode, or the whole place, for other modes."""
+        self.limit = min(2.0 * max(self.limit, 1.0), 64.0 * self.log_places)
+        self.missing = 0.0
+        self.n_searches += 1
+        if not self.kept:
+            return
+        main, window = self.main, None
+        last = self.kept[-1].drift
+        if main is not None and self.n_searches % 2 == 0:
+            pose = compose(main.pose, compose(invert(self.drift), last))
+            spread = 3.0 * np.sqrt(np.diag(main.covariance))
+            window = SearchWindow.around(
+                pose, half_xy=max(0.5, float(spread[:2].max())), half_phi=max(0.2, float(spread[2]))
+            )
+        view = view_of(list(self.kept))
+        found = find_places(view, self.place, window=window)
+        ahead = compose(invert(last), self.drift)
+        for pose in found.poses[: self.priors.n_modes]:
+            self._add_found(compose(pose, ahead))
+
+    def _add_found(self, pose: Floats) -> None:
+        """Add a mode at a pose found by a search, with the evidence of all scans that are kept."""
+        if any(self._is_there(mode, pose) and mode.is_matched for mode in self.modes):
+            return
+        gains, main = [], self.main
+        for one in self.kept:
+            then = compose(invert(self.drift), one.drift)
+            known_at = [pose] if main is None else [pose, main.pose]
+            found = self._evidence(one, np.array([compose(there, then) for there in known_at]))
+            both = found.ratios[:, found.known.all(axis=0)].sum(axis=1)
+            gains.append(one.weight * self._share(one) * float(both[0] - (0.0 if main is None else both[1])))
+        if main is None:
+            score = self.elsewhere - self.log_places + sum(gains)
+        else:  # the robot may have been carried there before any of these scans
+            stamps = np.array([one.observation.stamp for one in self.kept])
+            spans = np.diff(stamps, prepend=stamps[0] - self.priors.update_period)
+            since = np.cumsum(gains[::-1])[::-1] + np.log(self.priors.carried * np.maximum(spans, 0.1))
+            score = main.score - self.log_places + float(np.logaddexp.reduce(since))
+        covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
+        self.modes.append(
+            Mode(pose=pose, covariance=covariance, score=score, number=self._next(), is_matched=True)
+        )
+
+    def _prune(self) -> None:
+        """Merge modes that have met, and drop those that are improbable."""
+        kept: list[Mode] = []
+        s = self.priors
+        for mode in sorted(self.modes, key=lambda one: -one.score):
+            met = next((k for k, one in enumerate(kept) if self._is_there(one, mode.pose)), None)
+            if met is not None:
+                kept[met] = replace(kept[met], score=float(np.logaddexp(kept[met].score, mode.score)))
+            elif not kept or mode.score > kept[0].score - s.dropped:
+                kept.append(mode)
+        self.modes = kept[: self.priors.n_modes]
+        self._normalise()
+
+    def _normalise(self) -> None:
+        scores = np.array([self.elsewhere, *(mode.score for mode in self.modes)])
+        total = float(np.logaddexp.reduce(scores))
+        self.elsewhere = max(self.elsewhere - total, -30.0)
+        self.modes = [replace(mode, score=mode.score - total) for mode in self.modes]

@@ -1,0 +1,159 @@
+"""Watch scans one after the other, and state once a second what they say about pose, place and robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from logs.run import RangeSensor
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.types import Floats
+from sensorgraph.watching.evidence import Baseline
+from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.place import Place
+from sensorgraph.watching.pose import PoseStatement, state_pose
+from sensorgraph.watching.readings import GraphReadings
+from sensorgraph.watching.robot import SURE, RobotHealth
+from sensorgraph.watching.scan_input import ScanInput
+from sensorgraph.watching.status import WatchStatus
+from sensorgraph.watching.tracker import PoseTracker
+
+PERIOD = 1.0
+"""[s] between two statements."""
+LONGEST_GAP = 5.0
+"""[s] without scans after which this is noted."""
+MARGIN = 2.0
+"""[m] around the surfaces of the graph in which changes are collected."""
+PRECISE = 0.1
+"""[m] Standard deviation of a pose above which its scan says nothing about place and robot."""
+
+
+class Watcher:
+    """Watches one robot in the place of a graph. Memory is constant; `add` takes one scan after the other.
+
+    Parameters
+    ----------
+    sensor : Laser of the scans, with its mount. None: as in the graph.
+    baseline : Fault -> size of a healthy robot, from good runs (`policy`).
+
+    Raises
+    ------
+    SensorgraphError : The graph has another model than faces or cells, or the laser has other rays.
+    """
+
+    def __init__(
+        self,
+        graph: Sensorgraph,
+        sensor: RangeSensor | None = None,
+        *,
+        baseline: Mapping[str, Baseline] | None = None,
+    ) -> None:
+        self.graph = graph
+        self.readings = GraphReadings(graph, graph.sensor if sensor is None else sensor)
+        self.tracker = PoseTracker(graph, self.readings)
+        window = self.tracker.place.window
+        half = np.array([window.half_x, window.half_y]) + MARGIN
+        middle = np.array([window.x, window.y])
+        self.place = Place(self.readings, middle - half, middle + half)
+        self.robot = RobotHealth(self.readings, baseline)
+        self._last_scan, self._last_said = -math.inf, -math.inf
+        self._before: PoseStatement | None = None
+        self._notes: list[str] = []
+        self._has_belief = False
+
+    def note(self, line: str) -> None:
+        """Add a fault of the input to the next status."""
+        self._notes.append(line)
+
+    def add(self, observation: Observation) -> WatchStatus | None:
+        """Take one scan; return a status if one is due, else None."""
+        stamp = observation.stamp
+        if not self._check(observation):
+            return None
+        if self.tracker.is_due(observation):
+            now = self.tracker.update(observation)
+            self._learn(now)
+        self._last_scan = stamp
+        if stamp - self._last_said < PERIOD:
+            return None
+        self._last_said = stamp
+        return self._status(observation)
+
+    def _check(self, observation: Observation) -> bool:
+        """Note a scan that cannot be used, a gap, or a pose that stopped; tell whether the scan is used."""
+        stamp, last = observation.stamp, self._last_scan
+        if len(observation.ranges) != self.readings.sensor.n_rays:
+            self.note(
+                f"a scan at {stamp:.1f} s has {len(observation.ranges)} rays, expected {self.readings.sensor.n_rays}"
+            )
+            return False
+        if not math.isfinite(stamp):
+            self.note("a scan has a stamp that is not finite")
+            return False
+        if stamp < last:
+            if last - stamp < LONGEST_GAP:
+                self.note(
+                    f"the clock of the scans went back by {last - stamp:.2f} s at {last:.1f} s; this scan is left out"
+                )
+                return False
+            self.note(f"the clock of the scans jumped from {last:.1f} to {stamp:.1f} s")
+            self._last_said = -math.inf
+            self.tracker.restart_clock()
+            self.robot.lose()
+        elif stamp - last > LONGEST_GAP and math.isfinite(last):
+            self.note(f"no scan for {stamp - last:.1f} s up to {stamp:.1f} s")
+            self.robot.lose()
+        if self._has_belief and observation.believed is None:
+            self.note(f"the robot states no pose since {stamp:.1f} s")
+        self._has_belief = observation.believed is not None
+        return True
+
+    def _learn(self, now: ScanInput) -> None:
+        """Learn about place and robot from a scan whose pose is sure."""
+        main = self.tracker.main
+        is_sure = main is not None and main.is_matched and -math.expm1(main.score) < SURE
+        if main is None or not is_sure or np.sqrt(main.covariance[:2, :2].trace()) > PRECISE:
+            self.robot.lose()
+            return
+        found = self.readings.evidence(now.observation.ranges, main.pose[None])
+        self.place.update(
+            now.observation.stamp, main.pose, now.observation.ranges, found, self.tracker.usable, now.weight
+        )
+        self.robot.update(now, main.pose)
+        self.tracker.usable = self.robot.usable
+
+    def _status(self, observation: Observation) -> WatchStatus:
+        stamp, before = observation.stamp, self._before
+        pose = state_pose(self.tracker, observation, "ok" if before is None else before.status)
+        is_same = before is not None and before.status == pose.status
+        pose = replace(pose, since=before.since if before is not None and is_same else stamp)
+        self._before = pose
+        notes, self._notes = tuple(self._notes), []
+        return WatchStatus(
+            t=stamp, pose=pose, changes=self.place.changes(), share_predicted=self.place.share_predicted,
+            doubts=self.robot.doubts(stamp), notes=notes,
+        )  # fmt: skip
+
+
+def watch_scans(
+    graph: Sensorgraph,
+    scans: Iterable[Observation],
+    sensor: RangeSensor | None = None,
+    *,
+    baseline: Mapping[str, Baseline] | None = None,
+) -> Iterator[WatchStatus]:
+    """Yield a status once a second of the scans' clock."""
+    watcher = Watcher(graph, sensor, baseline=baseline)
+    for observation in scans:
+        status = watcher.add(observation)
+        if status is not None:
+            yield status
+
+
+def path_of(statuses: Iterable[WatchStatus]) -> Floats:
+    """Return the tracked poses (n, 3); nan where no pose is known."""
+    unknown = np.full(3, np.nan)
+    return np.array([unknown if one.pose.pose is None else one.pose.pose for one in statuses]).reshape(-1, 3)

@@ -1,0 +1,115 @@
+"""`sensorgraph watch` on files: statements, page, messages, policy and exit codes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+import logs
+from sensorgraph.cli import run as cli
+from sensorgraph.watching.policy import load_policy
+from tests.localization_samples import loop_poses, room_run
+from tests.test_watching_pose import believing, graph
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a graph, a good run, and one whose belief is put off after 20 s."""
+    out = tmp_path_factory.mktemp("watch")
+    graph().save(out / "room.sensorgraph")
+    poses = loop_poses(330, laps=3.0)
+    run = believing(room_run(poses, seed=20), poses)
+    logs.write(run, out / "good.mcap")
+    off = poses.copy()
+    off[100:, 1] += 0.7
+    logs.write(replace(run, poses=off), out / "off.mcap")
+    return out
+
+
+def test_statements_page_and_messages_of_a_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, lines = folder / "watch.mcap", folder / "watch.jsonl"
+    code = cli(
+        [
+            "watch",
+            str(folder / "room.sensorgraph"),
+            str(folder / "off.mcap"),
+            "-o",
+            str(out),
+            "--json",
+            str(lines),
+        ]
+    )
+    printed = capsys.readouterr()
+    assert code == 0, printed.err
+    assert "off by 0.7" in printed.out
+    said = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert len(said) == pytest.approx(66, abs=2)
+    assert {"t", "pose", "place", "robot"} <= set(said[0])
+    assert {"status", "offset_m", "offset_rad", "p"} <= set(said[0]["pose"])
+    assert said[-1]["pose"]["status"] == "off"
+    assert said[-1]["pose"]["offset_m"] == pytest.approx(0.7, abs=0.05)
+    page = out.with_suffix(".html").read_text()
+    assert "<svg" in page and "Time line" in page
+    with AnyReader([out]) as reader:
+        of_topic = {one.topic: one for one in reader.connections}
+        assert {"/diagnostics", "/watch/changes", "/watch/pose"} <= set(of_topic)
+        last = None
+        for connection, _, data in reader.messages([of_topic["/diagnostics"]]):
+            last = reader.deserialize(data, connection.msgtype)
+    assert last is not None
+    assert (last.status[0].name, last.status[0].level) == ("sensorgraph: pose", 2)
+    assert last.status[0].message.startswith("off by 0.7")
+
+
+def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, policy = str(folder / "room.sensorgraph"), folder / "site.yaml"
+    assert cli(["watch", room, "--init-policy", str(folder / "good.mcap"), "-o", str(policy)]) == 0
+    limits = load_policy(policy)
+    assert limits.hours == pytest.approx(65 / 3600, abs=2 / 3600)
+    assert limits.share_predicted["error"] < limits.share_predicted["warning"] < 1.0
+    assert cli(["watch", room, str(folder / "good.mcap"), "--policy", str(policy)]) == 0
+    assert cli(["watch", room, str(folder / "off.mcap"), "--policy", str(policy)]) == 2
+    assert "error: pose off" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "0 runs are given"),
+        (["good.mcap", "off.mcap"], "2 runs are given"),
+        (["good.mcap", "-o", "x.json"], "statements are written as *.mcap"),
+        (["good.mcap", "--policy", "bad.yaml"], "is no policy of watch"),
+        (["--init-policy"], "--init-policy takes good runs"),
+    ],
+)
+def test_bad_input_gives_one_line(
+    arguments: list[str],
+    words: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(folder)
+    Path("bad.yaml").write_text("pose: [1, 2]\n")
+    assert cli(["watch", "room.sensorgraph", *arguments]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert words in line
+
+
+def test_a_run_of_another_laser_is_refused_and_writes_nothing(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = room_run(loop_poses(10), n_rays=50)
+    logs.write(other, tmp_path / "other.mcap")
+    out = tmp_path / "w.mcap"
+    assert cli(["watch", str(folder / "room.sensorgraph"), str(tmp_path / "other.mcap"), "-o", str(out)]) == 2
+    assert "built with this laser" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other.mcap"]
+    assert np.isfinite(other.ranges).all()

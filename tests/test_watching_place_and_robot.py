@@ -1,0 +1,144 @@
+"""Watching place and robot in a room of the tests: a box that came, a wall that is gone, people, laser and wheels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sensorgraph as sg
+from logs.run import Run
+from sensorgraph.watching.evidence import Baseline, doubt_of
+from sensorgraph.watching.odometry_errors import OdometryErrors
+from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
+from sensorgraph.watching.status import WatchStatus
+from tests.localization_samples import ROOM, loop_poses, room_run, seen
+from tests.test_watching_pose import believing, graph
+
+BOX = [(6.3, 1.2, 6.7, 1.2), (6.7, 1.2, 6.7, 1.6), (6.7, 1.6, 6.3, 1.6), (6.3, 1.6, 6.3, 1.2)]
+
+
+def laps(
+    n_laps: int, *, seed: int, walls: list[tuple[float, float, float, float]] = ROOM, **options: float
+) -> Run:
+    poses = loop_poses(120 * n_laps, laps=n_laps)
+    return believing(room_run(poses, seed=seed, walls=walls, **options), poses)  # type: ignore[arg-type]
+
+
+def last(run: Run) -> WatchStatus:
+    return list(sg.watch(graph(), run))[-1]
+
+
+def names(status: WatchStatus) -> set[str]:
+    return {fault.name for fault in status.faults}
+
+
+def test_a_box_that_came_is_outlined_by_the_third_pass_and_nothing_else_is() -> None:
+    end = last(laps(3, seed=10, walls=[*ROOM, *BOX]))
+    (change,) = end.changes
+    assert change.kind == "new"
+    assert change.passes in (2, 3)
+    assert np.abs(change.centre - (6.4, 1.4)).max() < 0.2  # the sides that the robot sees
+    assert change.first_seen < 24.0 < change.last_seen
+
+
+def test_the_box_of_the_room_that_was_taken_away_is_gone() -> None:
+    end = last(laps(3, seed=11, walls=ROOM[:-4]))
+    assert {change.kind for change in end.changes} == {"gone"}
+    at = np.array([change.centre for change in end.changes])
+    assert (np.abs(at - (3.45, 2.55)) < 0.6).all()  # the box that stood in the middle of the loop
+
+
+def test_people_who_pass_are_no_change_of_the_place() -> None:
+    run = laps(2, seed=12)
+    rng, ranges = np.random.default_rng(0), run.ranges.copy()
+    for k in range(0, run.n_scans, 6):  # one after the other, in any direction, for a second each
+        first = int(rng.integers(0, 110))
+        near = ranges[k : k + 5, first : first + 8]
+        ranges[k : k + 5, first : first + 8] = np.minimum(near, 0.6 + rng.uniform(0.0, 1.0))
+    assert not last(replace(run, ranges=ranges)).changes
+
+
+def test_a_healthy_robot_has_no_named_fault() -> None:
+    assert not names(last(laps(3, seed=13)))
+
+
+def test_a_covered_sector_is_named_and_the_pose_stays_ok() -> None:
+    run = laps(1, seed=14)
+    ranges = run.ranges.copy()
+    ranges[40:, 50:55] = 0.06  # a thumb on 15 degrees, from 8 s
+    said = list(sg.watch(graph(), replace(run, ranges=ranges)))
+    first = next(status for status in said if names(status))
+    assert names(first) == {"blocked_sector"}
+    assert 8.0 <= first.t < 13.0
+    assert {status.pose.status for status in said} == {"ok"}
+
+
+def test_wheels_that_measure_too_much_are_named_with_their_size() -> None:
+    (fault,) = last(laps(3, seed=15, way_scale=1.05)).faults
+    assert fault.name == "wheel_radius"
+    assert abs(fault.parameters["scale"] - (1 / 1.05 - 1)) < 3 * fault.stderr["scale"]
+
+
+def test_unequal_wheels_are_named_after_turns_of_several_radii() -> None:
+    """On a circle alone, they cannot be told from a turn that is measured wrongly."""
+    spin = np.column_stack([np.zeros((60, 2)), np.linspace(0.1, 2 * np.pi, 60)])
+    poses = np.concatenate([loop_poses(240, laps=2), loop_poses(1) + spin])
+    end = last(believing(room_run(poses, seed=15, heading_bias=0.06), poses))
+    assert names(end) == {"wheel_radius_diff"}
+    assert abs(end.faults[0].parameters["rad_per_m"] - 0.06) < 3 * end.faults[0].stderr["rad_per_m"]
+    assert not names(last(laps(2, seed=15, heading_bias=0.06)))
+
+
+def test_a_turned_mount_is_named_with_its_angle() -> None:
+    run = laps(3, seed=16)
+    turned = seen(loop_poses(360, laps=3) + [0.0, 0.0, 0.05], run.sensor.bearings)
+    end = last(replace(run, ranges=turned))
+    assert "mount_yaw" in names(end)
+    fault = next(fault for fault in end.faults if fault.name == "mount_yaw")
+    assert fault.parameters["rad"] == pytest.approx(0.05, abs=3 * fault.stderr["rad"])
+
+
+def test_missing_returns_are_named() -> None:
+    run = laps(3, seed=17)
+    lost = np.random.default_rng(1).uniform(size=run.ranges.shape) < 0.1
+    end = last(replace(run, ranges=np.where(lost, np.inf, run.ranges)))
+    assert names(end) == {"missing_returns"}
+    assert end.faults[0].parameters["share"] == pytest.approx(0.1, abs=0.02)
+
+
+def test_ranges_that_are_too_long_by_an_offset_are_named() -> None:
+    run = laps(3, seed=18)
+    end = last(replace(run, ranges=run.ranges + 0.03))
+    assert names(end) == {"range_bias"}
+    assert end.faults[0].parameters["m"] == pytest.approx(0.03, abs=3 * end.faults[0].stderr["m"])
+
+
+@pytest.mark.parametrize("fault", [*DISTANCE_FAULTS, *LASER_FAULTS], ids=lambda fault: fault.name)
+def test_evidence_grows_with_the_size_and_is_against_a_fault_at_the_baseline(fault) -> None:  # type: ignore[no-untyped-def]
+    base = Baseline(value=0.01, tolerance=0.0)
+    nats = [doubt_of(fault, 0.01 + k * fault.size, fault.tolerance, -8.0, base).nats for k in (0.0, 0.3, 1.0)]
+    assert nats[0] < 0
+    assert nats == sorted(nats)
+
+
+def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
+    """A drive whose odometry is made here, with exact poses: every error at once."""
+    rng = np.random.default_rng(2)
+    truth = np.array([0.03, -0.04, 0.02, 0.03, 0.05])  # as DISTANCE_FAULTS
+    found, pose, phi = OdometryErrors(), np.zeros(3), 0.0
+    twist = np.array([0.5, 0.0])
+    for k in range(800):
+        if k % 20 == 0:
+            twist = np.array([rng.uniform(0.0, 0.8), rng.uniform(-1.0, 1.0)])
+        dt = 0.2
+        step = np.array([twist[0] * dt, 0.0, twist[1] * dt])  # of the odometry
+        way, turn = (1 + truth[0]) * step[0], (1 + truth[1]) * step[2] + truth[2] * step[0]
+        pose = pose + [way * np.cos(phi), way * np.sin(phi), 0.0]
+        phi += turn
+        late = np.array([np.cos(phi), np.sin(phi), 0.0]) * twist[0] * truth[4]
+        tracked = np.array([*(pose + late)[:2], phi + twist[1] * truth[4] + truth[3]])
+        found.add(step, twist, tracked)
+    values, errors = found.estimates()
+    assert (np.abs(values - truth) < np.maximum(3 * errors, 0.004)).all(), (values, errors)

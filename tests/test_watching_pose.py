@@ -1,0 +1,118 @@
+"""Watching the pose of a robot in a room that a ray caster of the tests draws: ok, off, lost, and outside the graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import sensorgraph as sg
+from logs.run import Run
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.watching.observation import Observation, observations
+from sensorgraph.watching.status import WatchStatus
+from sensorgraph.watching.watcher import Watcher
+from tests.localization_samples import loop_poses, room_run
+
+CARRIED = np.array([6.5, 1.5, 1.0])
+"""[m, m, rad] Another place in the room."""
+
+
+@cache
+def graph() -> Sensorgraph:
+    """Return a graph of the room from two laps and a visit of its far side."""
+    t = np.linspace(0.0, 1.0, 80)
+    aside = np.column_stack([4.6 + 2.4 * t, 1.2 + 0.6 * t, 4 * t])
+    poses = np.concatenate([loop_poses(240, laps=2.0), aside])
+    run = room_run(poses, rate=10.0, seed=1)
+    return sg.build(replace(run, pose_stamps=run.stamps, poses=poses), model="cells")
+
+
+def believing(run: Run, poses: np.ndarray) -> Run:
+    """Return a run whose robot believes poses (n_scans, 3)."""
+    return replace(run, pose_stamps=run.stamps, poses=poses, meta={"pose_source": "/pose"})
+
+
+def last(run: Run) -> WatchStatus:
+    return list(sg.watch(graph(), run))[-1]
+
+
+def test_a_robot_that_is_right_is_ok_and_followed_within_centimetres() -> None:
+    poses = loop_poses(120)
+    said = list(sg.watch(graph(), believing(room_run(poses, seed=2), poses)))
+    assert {status.pose.status for status in said} == {"ok"}
+    at = said[-1].pose.pose
+    assert at is not None
+    assert np.hypot(*(at - poses[round(5 * said[-1].t)])[:2]) < 0.05  # cells of 5 cm
+    assert len(said) == pytest.approx(24, abs=2)  # one a second
+
+
+def test_a_belief_put_off_by_half_a_metre_is_off_within_five_seconds() -> None:
+    poses = loop_poses(120)
+    believed = poses.copy()
+    believed[60:, 0] += 0.5
+    said = list(sg.watch(graph(), believing(room_run(poses, seed=3), believed)))
+    assert all(status.pose.status == "ok" for status in said if status.t < 11.9)
+    first = next(status for status in said if status.pose.status != "ok")
+    assert first.pose.status == "off"
+    assert first.t - 12.0 < 5.0
+    assert first.pose.offset[0] == pytest.approx(0.5, abs=0.06)
+    assert first.pose.since == first.t
+
+
+def test_a_robot_that_was_carried_is_found_where_it_is() -> None:
+    poses = loop_poses(60)
+    there = np.column_stack(
+        [CARRIED[0] + np.zeros(60), np.full(60, CARRIED[1]), CARRIED[2] + np.linspace(0.0, 2.0, 60)]
+    )
+    before, after = room_run(poses, seed=4), room_run(there, seed=5)
+    run = replace(
+        room_run(np.concatenate([poses, there]), seed=4), ranges=np.concatenate([before.ranges, after.ranges]),
+        odometry=np.concatenate([before.odometry, before.odometry[-1] + after.odometry * [0, 0, 1]]),
+    )  # fmt: skip
+    believed = np.concatenate([poses, poses[-1] + after.odometry * [0, 0, 1]])
+    said = list(sg.watch(graph(), believing(run, believed)))
+    wrong = [status for status in said if status.pose.status in ("off", "lost")]
+    assert wrong
+    assert wrong[0].t - 12.0 < 5.0
+    end = said[-1].pose
+    assert end.status == "off"
+    assert end.pose is not None
+    assert np.hypot(*(end.pose - there[-1])[:2]) < 0.1
+
+
+def test_without_a_belief_the_robot_is_found() -> None:
+    poses = loop_poses(60)
+    end = last(room_run(poses, seed=6))
+    assert (end.pose.status, end.pose.is_believed) == ("ok", False)
+    assert end.pose.pose is not None
+    assert np.hypot(*(end.pose.pose - poses[round(5 * end.t)])[:2]) < 0.05
+
+
+def test_scans_of_another_place_are_lost() -> None:
+    other = [(-1.0, -9.0, 15.0, -9.0), (15.0, -9.0, 9.0, 7.0), (9.0, 7.0, -4.0, 4.0), (-4.0, 4.0, -1.0, -9.0)]
+    poses = np.column_stack([np.linspace(0, 3, 60), np.zeros(60), np.zeros(60)])
+    assert last(room_run(poses, seed=7, walls=other)).pose.status in ("lost", "ambiguous")
+
+
+def test_a_stopped_pose_a_clock_that_goes_back_and_a_foreign_scan_are_noted_and_it_goes_on() -> None:
+    poses = loop_poses(60)
+    each = list(observations(believing(room_run(poses, seed=8), poses)))
+    watcher = Watcher(graph())
+    each[20:] = [replace(one, believed=None) for one in each[20:]]
+    each.insert(30, replace(each[30], stamp=each[30].stamp - 1.0))
+    each.insert(40, Observation(stamp=each[40].stamp, ranges=np.ones(3)))
+    each[50:] = [replace(one, stamp=one.stamp - 1000.0) for one in each[50:]]
+    said = [status for one in each if (status := watcher.add(one)) is not None]
+    notes = " ".join(note for status in said for note in status.notes)
+    for words in ("states no pose", "went back by", "3 rays, expected 120", "jumped from"):
+        assert words in notes
+    assert said[-1].t < 0
+    assert said[-1].pose.status == "ok"
+
+
+def test_a_laser_with_other_rays_is_refused_in_one_line() -> None:
+    with pytest.raises(sg.errors.SensorgraphError, match="built with this laser"):
+        next(iter(sg.watch(graph(), room_run(loop_poses(5), n_rays=60))))
