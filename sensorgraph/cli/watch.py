@@ -27,7 +27,7 @@ WatchOut = Annotated[
     typer.Option(
         "-o",
         "--out",
-        help="MCAP file of the statements, with OUT.html beside it; with --init-policy, the yaml.",
+        help="MCAP file of the statements; the page OUT.html is also written. With --init-policy: the yaml.",
     ),
 ]
 WatchJson = Annotated[Path | None, typer.Option(help="File of the statements, one JSON object a line.")]
