@@ -24,6 +24,8 @@ MOST_RESIDUAL = 0.2
 """[m] A larger residual shows another surface."""
 NOISE = 0.03
 """[m] Residual at which a ray counts half (Cauchy)."""
+STEPS = 4
+"""Number of weightings of the rays of a scan."""
 
 
 class RangeErrors:
@@ -51,11 +53,16 @@ class RangeErrors:
         r = z[used]
         cosine = np.abs(((p - start) * normal).sum(axis=1)) / np.maximum(r, 1e-6)
         residual = cosine * (r - predicted[used])
-        weights = is_line * (cosine > 0.3) / (NOISE**2 + residual**2)
         pose = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
         rows = np.column_stack([pose, cosine, cosine * r])
-        normal_matrix = (rows * weights[:, None]).T @ rows + 1e-6 * np.eye(5)
-        vector = (rows * weights[:, None]).T @ residual
+        prior = np.diag([1e-6] * 3 + [1.0 / fault.size**2 for fault in LASER_FAULTS])
+        left = residual
+        for _ in range(STEPS):  # robust weights of what pose, offset and scale do not explain
+            weights = is_line * (cosine > 0.3) / (NOISE**2 + left**2)
+            normal_matrix = (rows * weights[:, None]).T @ rows
+            vector = (rows * weights[:, None]).T @ residual
+            left = residual - rows @ np.linalg.solve(normal_matrix + prior, vector)
+        normal_matrix[:3, :3] += 1e-6 * np.eye(3)
         gain = np.linalg.solve(normal_matrix[:3, :3], normal_matrix[:3, 3:]).T
         share = weight * readings.priors.independent
         self.information += share * (normal_matrix[3:, 3:] - gain @ normal_matrix[:3, 3:])

@@ -138,7 +138,7 @@ DISTANCE_FAULTS = (
 )
 """In the order of the states of `odometry_errors`."""
 LASER_FAULTS = (
-    FaultPrior(name="range_bias", parameter="m", size=0.05, tolerance=0.006),
+    FaultPrior(name="range_bias", parameter="m", size=0.05, tolerance=0.005),
     FaultPrior(name="range_scale", parameter="scale", size=0.03, tolerance=0.003),
 )
 MISSING_FAULT = FaultPrior(name="missing_returns", parameter="share", size=0.1, tolerance=0.01)
