@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from sensorgraph.identification.design import design
     from sensorgraph.identification.design_task import DesignTask
     from sensorgraph.loading import load_arena
+    from sensorgraph.surveying.fleet import fleet
     from sensorgraph.watching.watch import watch
     from sensorgraph.world.robot import Robot, load_robot
 
@@ -59,6 +60,7 @@ __all__ = [
     "errors",
     "evaluate",
     "export",
+    "fleet",
     "identify",
     "load",
     "load_arena",
@@ -81,6 +83,7 @@ _HOMES = {
     "DesignTask": "sensorgraph.identification.design_task",
     "design": "sensorgraph.identification.design:design",
     "amend": "sensorgraph.amending.amend",
+    "fleet": "sensorgraph.surveying.fleet",
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
     "watch": "sensorgraph.watching.watch",

@@ -302,6 +302,18 @@ def test_mjcf_holds_geometry_lag_and_delay(write: Callable[..., Path]) -> None:
     assert new.actuator_delay == pytest.approx([0.06, 0.06])
 
 
+def test_unequal_wheels_stay_round(write: Callable[..., Path]) -> None:
+    """Several effects change each of the two radii of an ellipsoid."""
+    text = MJCF.replace(
+        'type="cylinder" size="0.05 0.01" euler="1.5708 0 0"', 'type="ellipsoid" size="0.05 0.01 0.05"'
+    )
+    effects = [effect("wheel_radius_diff", s=0.01), effect("wheel_radius", s=0.02)]
+    found = sg.amend(write("bot.xml", text), effects)
+    sizes = re.findall(r'size="(0.0[45]\d*) 0.01 (\S+)"', found.files[0].text.decode())
+    assert [float(x) for x, _ in sizes] == pytest.approx([0.05 * 1.005 / 1.02, 0.05 * 0.995 / 1.02], rel=1e-5)
+    assert all(x == z for x, z in sizes)
+
+
 @pytest.mark.parametrize(
     "frame, text",
     [

@@ -24,6 +24,7 @@ OWNERS = {
         "sensorgraph/show/rerun_file.py",
         "sensorgraph/show/review/",
         "sensorgraph/diagnosis/report/rerun_view.py",
+        "sensorgraph/surveying/rerun_layer.py",
     },
     "shapely": {"planners/", "sensorgraph/world/", "sensorgraph/exporting/"},
     "matplotlib": {
@@ -35,7 +36,8 @@ OWNERS = {
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
-    "distributed": {"sensorgraph/building/dask_cluster.py"},
+    "distributed": {"sensorgraph/building/dask_cluster.py", "sensorgraph/surveying/cluster.py"},
+    "pyarrow": {"sensorgraph/surveying/parquet.py"},
     "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py", "planners/compile_ahead.py"},
     "gtsam": {"sensorgraph/localization/pose_graph.py"},
     "mujoco": {"sensorgraph/data/export/drive_mujoco.py"},

@@ -197,20 +197,18 @@ class _MjcfModel:
 
     def _resize(self, wheels: list[tuple[Node, float]], reason: Why) -> None:
         """Change the radii of wheels, and lower or raise their axles so that they touch the same floor."""
-        done: dict[tuple[int, int], float] = {}
+        done: dict[tuple[int, int], tuple[float, float]] = {}
         for wheel, factor in wheels:
-            change = None
+            change = 0.0
             for value in self._radii(wheel):
-                if done.setdefault(value.span, factor) != factor:
-                    raise CannotHoldError("both wheels have the radius of one default class")
-                old = known(value)
-                is_done = reason.cause in "; ".join(value.file.notes.get(value.anchor, [])) and len(done) > 0
-                if not is_done or value.span not in value.file.edits:
+                if value.span not in done:  # a default class may set the radius of several wheels
+                    old = known(value)
                     put(self.document, value, old * factor, reason.scaled(old))
-                    change = old * (factor - 1)
-                else:
-                    change = old * (1 - 1 / factor)
-            if change is None:
+                    done[value.span] = factor, old * (factor - 1)
+                if done[value.span][0] != factor:
+                    raise CannotHoldError("both wheels have the radius of one default class")
+                change = done[value.span][1]
+            if not change:
                 raise CannotHoldError(f"the wheel `{wheel.get('name')}` has no round geom")
             height = numbers_of(wheel, "pos", 3)[2]
             put(self.document, height, known(height) + change, Why(cause=reason.cause))

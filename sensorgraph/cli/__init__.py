@@ -22,6 +22,7 @@ from sensorgraph.cli.design import design
 from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.export import export
+from sensorgraph.cli.fleet import fleet
 from sensorgraph.cli.identify import identify
 from sensorgraph.cli.influence import influence
 from sensorgraph.cli.inspect import inspect
@@ -59,6 +60,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "export": export,
     "amend": amend,
+    "fleet": fleet,
     "compile": compile_kernels,
 }
 

@@ -33,7 +33,7 @@ def amend(
 ) -> None:
     """Write found effects into your own URDF, xacro, SDF, MJCF, nav2_params.yaml or robot.yaml.
 
-    Only the changed numbers and a comment beside each of them differ; the changes are printed as a unified diff.
+    Only the changed numbers and a comment at each of them differ; the changes are printed as a unified diff.
 
     Examples:
 

@@ -1,0 +1,298 @@
+"""Amended models driven again: numbers hidden in a MuJoCo twin, found by `diagnose`, written by `amend`.
+
+    python -m benchmarks.amend -o DIR [--seeds 4]
+
+A user's MJCF and the "real" robot differ by hidden numbers: laser mount, wheel radii, wheelbase, lag and dead time.
+The real robot drives in the shipped square arena. `diagnose` gets its run, the map and the user's robot.yaml, and
+`amend` writes what it found into the user's MJCF. All three models then repeat another drive of the real robot,
+with its commands:
+
+    gap = rms(run of the real robot - model) / rms(run of the real robot - real model),
+
+for the ranges at the true poses, for the twist of the wheels, and for the final position of segments of 5 s. The
+denominator is the noise floor: noise of the laser and of the encoders.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import sensorgraph as sg
+from logs.run import Run
+from sensorgraph.exporting.twin import drive_twin
+from sensorgraph.world.robot import Robot, parse_robot
+
+ROBOT = """name: bot
+footprint_radius: 0.2
+limits: {v: 0.4, omega: 1.0, a: 0.5, alpha: 2.0}
+sensor: {mount: [0.1, 0.0, 0.0], n_rays: 181, range_max: 8.0, sigma: 0.01, rate: 10, height: 0.3}
+wheels: {radius: 0.10, base: 0.40, rate: 20}
+actuators: {tau: 0.1, delay: 0.0}
+"""
+TRUTH_STEP = 0.01
+"""[s] Step of the comparison."""
+SEGMENT = 5.0
+"""[s] Length of a repeated segment."""
+WARM_UP = 2.0
+"""[s] Time before a segment in which lag and delay settle."""
+SETTLE = 1.0
+"""[s] Time in which the robot settles on its wheels."""
+VIEWS = 24
+"""Number of views of the drive that is diagnosed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """Numbers of one model."""
+
+    mount: tuple[float, float, float] = (0.1, 0.0, 0.0)
+    left: float = 0.10
+    """[m] Radius."""
+    right: float = 0.10
+    base: float = 0.40
+    tau: float = 0.1
+    delay: float = 0.0
+
+
+def mjcf(n: Numbers) -> str:
+    """Return a robot with wheels, a caster ball, and a laser on a body for itself."""
+    history = f' delay="{n.delay}" nsample="{round(n.delay / 0.001) + 2}"' if n.delay else ""
+    wheels = "".join(
+        f"""
+      <body name="{side}_wheel" pos="0 {y} {radius - 0.1}">
+        <joint name="{side}_wheel" type="hinge" axis="0 1 0" armature="0.01"/>
+        <geom type="ellipsoid" size="{radius} 0.02 {radius}" mass="0.5" friction="2 0.005 0.0001"
+              solref="0.002 1" priority="1"/>
+      </body>"""
+        for side, y, radius in (("left", n.base / 2, n.left), ("right", -n.base / 2, n.right))
+    )
+    motors = "".join(
+        f"""
+    <general name="{side}" joint="{side}_wheel" gainprm="20" biastype="affine" biasprm="0 0 -20"
+             dyntype="filterexact" dynprm="{n.tau}"{history}/>"""
+        for side in ("left", "right")
+    )
+    return f"""<mujoco model="bot">
+  <compiler angle="radian"/>
+  <option timestep="0.001" cone="elliptic" impratio="200" integrator="implicitfast"/>
+  <worldbody>
+    <geom type="plane" size="20 20 .1"/>
+    <body name="base_link" pos="0 0 0.1">
+      <freejoint name="base"/>
+      <geom type="cylinder" size="0.19 0.05" pos="0 0 0.02" mass="10" contype="0" conaffinity="0"/>
+      <geom type="sphere" size="0.02" pos="0.15 0 -0.08" mass="0.05" friction="0 0 0" condim="1" priority="1"/>
+      <geom type="sphere" size="0.02" pos="-0.15 0 -0.08" mass="0.05" friction="0 0 0" condim="1" priority="1"/>{wheels}
+      <body name="laser" pos="{n.mount[0]} {n.mount[1]} 0.2" euler="0 0 {n.mount[2]}"> <!-- data sheet -->
+        <site name="ray" zaxis="1 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{motors}
+  </actuator>
+  <sensor>
+    <rangefinder name="scan" site="ray" cutoff="8"/>
+  </sensor>
+</mujoco>
+"""
+
+
+class Twin:
+    """A model driven by twists; its controller assumes the radius and the wheelbase of robot.yaml."""
+
+    name = f"MuJoCo {mujoco.__version__}"
+    has_motors = True
+
+    def __init__(self, text: str, robot: Robot) -> None:
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self.data = mujoco.MjData(self.model)
+        self.robot = robot
+        self.heading = 0.0
+
+    @property
+    def mount(self) -> np.ndarray:
+        """(3,) [m, m, rad] Laser in base_link."""
+        laser = self.model.body("laser")
+        return np.array([*laser.pos[:2], 2 * np.arctan2(laser.quat[3], laser.quat[0])])
+
+    def place(self, pose: np.ndarray) -> None:
+        """Put the robot at a pose, at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.heading = float(pose[2])
+        self.data.qpos[:7] = [*pose[:2], 0.1, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
+        mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
+
+    def shift(self, pose: np.ndarray) -> None:
+        """Move the body; this world has no slip."""
+        raise NotImplementedError
+
+    def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
+        """Cast rays; the walls are those of the arena."""
+        return cast(self.walls, ox, oy, ux, uy)
+
+    walls: np.ndarray
+
+    def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move; return the pose and the twist that the driver computes from its encoders."""
+        radius, base = self.robot.wheels.radius, self.robot.wheels.base
+        self.data.ctrl[:] = [(v - omega * base / 2) / radius, (v + omega * base / 2) / radius]
+        mujoco.mj_step(self.model, self.data, round(duration / self.model.opt.timestep))
+        left, right = (self.data.joint(f"{side}_wheel").qvel[0] * radius for side in ("left", "right"))
+        w, x, y, z = self.data.qpos[3:7]
+        phi = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self.heading += np.remainder(phi - self.heading + np.pi, 2 * np.pi) - np.pi
+        return np.array([*self.data.qpos[:2], self.heading]), np.array(
+            [(left + right) / 2, (right - left) / base]
+        )
+
+
+def cast(walls: np.ndarray, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
+    """Intersect rays with walls (n, 2, 2); inf without a hit."""
+    best = np.full(np.shape(ox), np.inf)
+    for (ax, ay), (bx, by) in walls:
+        ex, ey = bx - ax, by - ay
+        with np.errstate(divide="ignore", invalid="ignore"):
+            det = ex * uy - ey * ux
+            r = (ex * (ay - oy) - ey * (ax - ox)) / det
+            t = (ux * (ay - oy) - uy * (ax - ox)) / det
+            best = np.where((r > 0) & (t >= 0) & (t <= 1) & (r < best), r, best)
+    return best
+
+
+def draw(rng: np.random.Generator) -> Numbers:
+    """Draw the hidden numbers, some three to eight times what a careful setup has."""
+
+    def sign() -> float:
+        return float(rng.choice([-1.0, 1.0]))
+
+    mean, diff = 0.1 / (1 + sign() * rng.uniform(0.012, 0.03)), sign() * rng.uniform(0.006, 0.012)
+    return Numbers(
+        mount=(
+            0.1 + sign() * rng.uniform(0.015, 0.03), sign() * rng.uniform(0.015, 0.03), sign() * rng.uniform(0.01, 0.03),
+        ),
+        left=mean * (1 + diff / 2), right=mean * (1 - diff / 2), base=0.4 / (1 + sign() * rng.uniform(0.015, 0.04)),
+        tau=0.1 + rng.uniform(0.06, 0.12), delay=round(rng.uniform(0.06, 0.12), 3),
+    )  # fmt: skip
+
+
+def drive(text: str, robot: Robot, arena: sg.Arena, seed: int, views: int) -> tuple[Run, Twin]:
+    """Drive a plan in the model and record it with the model's laser."""
+    twin = Twin(text, robot)
+    twin.walls = arena.walls
+    placed = replace(robot, sensor=replace(robot.sensor, mount=twin.mount))
+    plan = sg.plan(arena, robot, views=views, seed=seed)
+    run = drive_twin(twin, plan.trajectory, arena, placed, (), seed=seed)
+    return replace(run, sensor=robot.sensor), twin
+
+
+def repeat(twin: Twin, run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Repeat the commands of a run in segments; return twists at the odometry stamps, and final positions."""
+    twists, ends = [], []
+    starts = np.arange(WARM_UP, run.cmd_stamps[-1] - SEGMENT, SEGMENT)
+    for start in starts:
+        first = np.searchsorted(run.cmd_stamps, start - WARM_UP)
+        begin = run.cmd_stamps[first]
+        twin.place(run.poses_at(begin))
+        stamps, poses, speeds = [], [], []
+        for k in range(round((SEGMENT + WARM_UP) / TRUTH_STEP)):
+            t = begin + k * TRUTH_STEP
+            command = run.commands[np.searchsorted(run.cmd_stamps, t + 1e-9, side="right") - 1]
+            pose, twist = twin.step(*command, TRUTH_STEP)
+            stamps.append(t + TRUTH_STEP)
+            poses.append(pose)
+            speeds.append(twist)
+        at = run.odom_stamps[(run.odom_stamps >= start) & (run.odom_stamps < start + SEGMENT)]
+        travelled = np.cumsum(
+            np.array(speeds) * TRUTH_STEP, axis=0
+        )  # an encoder shows the mean over its period
+        rate = 1 / float(np.median(np.diff(run.odom_stamps)))
+        twists.append(
+            np.column_stack(
+                [
+                    (np.interp(at, stamps, part) - np.interp(at - 1 / rate, stamps, part)) * rate
+                    for part in travelled.T
+                ]
+            )
+        )
+        a, b = (
+            np.array([np.interp(t, stamps, part) for part in np.array(poses).T])
+            for t in (start, start + SEGMENT)
+        )
+        ends.append(_relative(a, b))
+    return np.concatenate(twists), np.array(ends)
+
+
+def _relative(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[:2] - a[:2]
+    return np.array([c * dx + s * dy, -s * dx + c * dy, np.remainder(b[2] - a[2] + np.pi, 2 * np.pi) - np.pi])
+
+
+def errors(run: Run, twin: Twin, arena: sg.Arena) -> np.ndarray:
+    """Return the rms of ranges [m], twist in standard deviations, and position and heading of segments."""
+    x0, y0, phi = (part[:, None] for part in run.poses_at(run.stamps).T)
+    mx, my, yaw = twin.mount
+    ox, oy = x0 + np.cos(phi) * mx - np.sin(phi) * my, y0 + np.sin(phi) * mx + np.cos(phi) * my
+    angle = phi + yaw + run.sensor.bearings
+    simulated = cast(arena.walls, ox + 0 * angle, oy + 0 * angle, np.cos(angle), np.sin(angle))
+    off = run.ranges - simulated
+    off = off[np.isfinite(off)]
+    twists, ends = repeat(twin, run)
+    starts = np.arange(WARM_UP, run.cmd_stamps[-1] - SEGMENT, SEGMENT)
+    inside = np.concatenate(
+        [np.flatnonzero((run.odom_stamps >= t) & (run.odom_stamps < t + SEGMENT)) for t in starts]
+    )
+    wheels = twin.robot.wheels
+    twist_off = (run.odom_twists[inside] - twists) / [wheels.sigma_v, wheels.sigma_omega]
+    true_ends = np.array([_relative(run.poses_at(t), run.poses_at(t + SEGMENT)) for t in starts])
+    end_off = ends - true_ends
+    # a ray that passes an edge differs by metres, so that the median of the squares would hide it and the mean is all of it
+    return np.array(
+        [
+            np.sqrt(np.mean(np.minimum(np.abs(off), 0.05) ** 2)),
+            np.sqrt(np.mean(twist_off**2)),
+            np.sqrt(np.mean(end_off[:, :2] ** 2)),
+            np.sqrt(np.mean(end_off[:, 2] ** 2)),
+        ]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for models and reports")
+    parser.add_argument("--seeds", type=int, default=4)
+    args = parser.parse_args()
+    robot, arena = parse_robot(ROBOT), sg.load_arena("square")
+    args.out.mkdir(parents=True, exist_ok=True)
+    print(
+        "| seed | | ranges | twist | position after 5 s | heading after 5 s |\n|---|---|---:|---:|---:|---:|"
+    )
+    for seed in range(args.seeds):
+        hidden = draw(np.random.default_rng([56, seed]))
+        user = args.out / f"bot_{seed}.xml"
+        user.write_text(mjcf(Numbers()), encoding="utf-8")
+        real = mjcf(hidden)
+        run, _ = drive(real, robot, arena, seed=2 * seed, views=VIEWS)
+        report = sg.diagnose(run, arena=arena, robot=robot)
+        effects = report.effects
+        found = sg.amend(user, effects)
+        (args.out / f"bot_{seed}.diff").write_text(found.diff, encoding="utf-8")
+        amended = found.files[0].text.decode()
+        (args.out / f"amended_{seed}.xml").write_text(amended, encoding="utf-8")
+        other, twin = drive(real, robot, arena, seed=2 * seed + 1, views=VIEWS // 2)
+        floor = errors(other, twin, arena)
+        print(f"| {seed} | floor | {' | '.join(f'{one:.2g}' for one in floor)} |")
+        for name, text in (("user's model", mjcf(Numbers())), ("amended", amended)):
+            gap = errors(other, Twin(text, robot), arena) / floor
+            print(f"| {seed} | {name} | {' | '.join(f'{one:.3f}' for one in gap)} |", flush=True)
+        print(f"<!-- hidden {hidden}; found {effects}; left out {found.left_out} -->", flush=True)
+
+
+if __name__ == "__main__":
+    main()

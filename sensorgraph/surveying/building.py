@@ -1,0 +1,113 @@
+"""Changes of a building that one located run shows: things where the map is free, and walls that are gone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from logs.run import Run, pair
+from sensorgraph.types import Floats
+from sensorgraph.world.raycast import cast_laser, laser_poses
+
+CELL = 0.25
+"""[m] Side of a cell of changes."""
+CLEAR = 0.3
+"""[m] Distance from the walls of the map beyond which a point is something new."""
+BEYOND = 0.5
+"""[m] Distance that a ray passes beyond a wall of the map if the wall is gone."""
+MIN_SCANS, MIN_SECONDS = 3, 2.0
+"""Number of scans that show a change, and the time over which they do; a person moves on."""
+MAX_SCANS = 400
+"""Maximum number of scans that are compared, spread evenly over the run."""
+SPACING = 0.05
+"""[m] Distance of the points that represent walls."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChangedPlaces:
+    """Cells of the building that differ from the map."""
+
+    new: Floats
+    """(n, 2) [m] Centres of cells with something that the map lacks."""
+    gone: Floats
+    """(n, 2) [m] Centres of cells with a wall that is no longer there."""
+    share: float
+    """Share of the returns that the map does not explain."""
+    offset: float | None
+    """[m] Median of measured minus expected range over the returns from walls; None without any."""
+    offset_error: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the cells as plain data."""
+        return {"new": self.new.tolist(), "gone": self.gone.tolist(), "share": self.share}
+
+
+def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
+    """Compare a located run with the walls of its place.
+
+    Parameters
+    ----------
+    walls : (n, 2, 2) [m, map]
+    """
+    pairing = pair(run)
+    index = np.flatnonzero(pairing.paired)
+    index = index[np.unique(np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp))]
+    sensor, ranges = run.sensor, run.ranges[index]
+    lasers = laser_poses(pairing.poses[index], sensor.mount)
+    expected, _ = cast_laser(walls, lasers, sensor.bearings, sensor.range_max)
+    angle = lasers[:, 2:] + sensor.bearings
+    hit = np.isfinite(ranges)
+    ends = lasers[:, None, :2] + np.where(hit, ranges, 0.0)[..., None] * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
+    tree = cKDTree(_points_on(walls))
+    far = np.zeros(ranges.shape, dtype=bool)
+    far[hit] = tree.query(ends[hit], distance_upper_bound=CLEAR)[0] > CLEAR
+    is_new = far & (ranges < expected - CLEAR) & np.isfinite(expected)
+    is_gone = hit & np.isfinite(expected) & (ranges > expected + BEYOND)
+    at_wall = lasers[:, None, :2] + np.where(np.isfinite(expected), expected, 0.0)[..., None] * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
+    off = np.where(
+        hit & np.isfinite(expected) & (np.abs(ranges - expected) < CLEAR), ranges - expected, np.nan
+    )
+    per_scan = np.array([np.nanmedian(one) for one in off if np.isfinite(one).any()])
+    stamps = run.stamps[index]
+    return ChangedPlaces(
+        new=_lasting_cells(ends, is_new, stamps),
+        gone=_lasting_cells(at_wall, is_gone, stamps),
+        share=float((is_new | is_gone).sum() / max(hit.sum(), 1)),
+        offset=float(np.median(per_scan)) if len(per_scan) else None,
+        offset_error=float(1.25 * np.std(per_scan) / np.sqrt(max(len(per_scan) / 10, 1.0)))
+        if len(per_scan)
+        else 0.0,
+    )
+
+
+def _points_on(walls: Floats) -> Floats:
+    """Return points (n, 2) on walls, SPACING apart."""
+    lengths = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
+    counts = np.maximum(2, np.ceil(lengths / SPACING).astype(int) + 1)
+    return np.concatenate(
+        [a + np.linspace(0, 1, n)[:, None] * (b - a) for (a, b), n in zip(walls, counts, strict=True)]
+    )
+
+
+def _lasting_cells(points: Floats, chosen: np.ndarray, stamps: Floats) -> Floats:
+    """Return the centres (n, 2) of cells that several scans over some seconds show."""
+    scan, ray = np.nonzero(chosen)
+    cells = np.floor(points[scan, ray] / CELL).astype(np.int64)
+    if len(cells) == 0:
+        return np.zeros((0, 2))
+    keys, inverse = np.unique(cells, axis=0, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    pairs = np.unique(np.column_stack([inverse, scan]), axis=0)
+    n_scans = np.bincount(pairs[:, 0], minlength=len(keys))
+    first, last = np.full(len(keys), np.inf), np.full(len(keys), -np.inf)
+    np.minimum.at(first, pairs[:, 0], stamps[pairs[:, 1]])
+    np.maximum.at(last, pairs[:, 0], stamps[pairs[:, 1]])
+    lasting = (n_scans >= MIN_SCANS) & (last - first >= MIN_SECONDS)
+    return np.asarray((keys[lasting] + 0.5) * CELL)

@@ -1,0 +1,266 @@
+"""`fleet`: survey many logs, keep the results by content, and compare logs of a robot and robots of a fleet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
+from sensorgraph.files import atomic_folder
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
+from sensorgraph.localization.locate import place_of
+from sensorgraph.surveying.cluster import cluster, surveyed
+from sensorgraph.surveying.limited import TaskLimits, end_all
+from sensorgraph.surveying.page import fleet_page, log_page
+from sensorgraph.surveying.parquet import write_parquet
+from sensorgraph.surveying.quantities import LABELS, QUANTITIES
+from sensorgraph.surveying.rerun_layer import write_layer
+from sensorgraph.surveying.result import Fleet, RobotChange
+from sensorgraph.surveying.store import ResultStore, find_logs
+from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, TrendStep, level, odd_robots, steps_of
+from sensorgraph.types import Floats, Progress
+from sensorgraph.version import __version__
+
+COLUMNS = (
+    "log", "robot", "kind", "day", "length_s", "way_m", "n_scans", "place", "place_fit", "ok_share", "no_return",
+)  # fmt: skip
+"""Columns of the table before those of the quantities."""
+
+
+@as_sensorgraph_error
+def fleet(
+    logs: Path | str | Sequence[Path | str],
+    out: Path | str,
+    *,
+    places: Path | str | Sequence[Path | str] = (),
+    robot: Path | str | None = None,
+    pattern: str | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    limits: TaskLimits | None = None,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+) -> Fleet:
+    """Survey many logs, and compare the logs of each robot and the robots with each other.
+
+    Results are kept in the output folder by the content of a log, so that a second call analyses only new logs.
+
+    Parameters
+    ----------
+    logs : Logs, folders with logs, or patterns.
+    out : Folder for fleet.html, fleet.csv, fleet.parquet, fleet.json, fleet.rrd, one page for each log, and the kept
+        results.
+    places : Sensorgraphs or arenas; each log is located in the one that fits. None: each log in a map of its own.
+    robot : robot.yaml of all robots. None: the one kept in each log.
+    pattern : Regular expression that finds the robot's name in the path of a log; its first group, if it has one.
+    scheduler : Address of a Dask scheduler, whose workers read the same paths. None: a local cluster.
+    workers : Number of logs at a time on this machine. None: one for each processor.
+    limits : TaskLimits of time and memory of each log.
+    topics : Role -> topic.
+    progress : Called with the numbers of finished and of all logs.
+
+    Returns
+    -------
+    Fleet with `rows`, `changes`, `odd` and `failures`.
+
+    Raises
+    ------
+    SensorgraphError : There is no log, a place is invalid, Dask is missing, or the scheduler does not answer.
+    """
+    paths = find_logs([logs] if isinstance(logs, str | Path) else list(logs))
+    given = [places] if isinstance(places, str | Path) else list(places)
+    known = {str(Path(one).absolute() if Path(one).exists() else one): one for one in given}
+    walls = {Path(name).name: _walls_of(name) for name in known}
+    if len(walls) < len(known):
+        raise SensorgraphError("two places have the same file name; rename one of them")
+    folder = Path(out)
+    shared = _shared(known, robot, pattern, topics or {})
+    store = ResultStore.open(folder, _settings(shared))
+    keys = {path: store.key(path) for path in paths}
+    store.keep_contents()
+    first: dict[str, Path] = {}
+    for path in paths:
+        first.setdefault(keys[path], path)
+    done = {key: result for key in first if (result := store.get(key)) is not None}
+    jobs = {key: {**shared, "path": str(path.absolute())} for key, path in first.items() if key not in done}
+    n_outdated = store.others(jobs)
+    if jobs:
+        try:
+            with cluster(scheduler, workers) as client:
+                for key, result in surveyed(client, jobs.items(), limits or TaskLimits()):
+                    store.put(key, result)
+                    done[key] = result
+                    if progress is not None:
+                        progress(len(done), len(first))
+        finally:
+            end_all()
+    rows = [{"log": str(first[key]), "key": key, **row} for key, row in done.items() if "error" not in row]
+    found = _compared(
+        rows,
+        walls=walls,
+        failures=tuple(
+            sorted((str(first[key]), row["error"]) for key, row in done.items() if "error" in row)
+        ),
+        same=tuple((str(path), str(first[keys[path]])) for path in paths if first[keys[path]] != path),
+        n_new=len(jobs),
+        n_outdated=n_outdated,
+    )
+    save(found, folder)
+    return found
+
+
+def _compared(rows: list[dict[str, Any]], **facts: Any) -> Fleet:
+    """Return the rows by robot and time, with the changes of each robot and the robots that differ."""
+    rows.sort(key=lambda row: (row["robot"], row["epoch_s"], row["log"]))
+    for row in rows:
+        row["day"] = datetime.fromtimestamp(row["epoch_s"], UTC).strftime("%Y-%m-%d")
+    changes = _changes(rows)
+    return Fleet(
+        rows=tuple(rows),
+        changes=tuple(one for one in changes if one.probability >= SURE),
+        possible=tuple(one for one in changes if POSSIBLE <= one.probability < SURE),
+        odd=tuple(one for one in _odd(rows, changes) if one.probability >= SURE),
+        **facts,
+    )
+
+
+def _shared(
+    places: Iterable[str], robot: Path | str | None, pattern: str | None, topics: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the arguments of `survey` that all logs share."""
+    return {
+        "places": list(places),
+        "robot": None if robot is None else str(Path(robot).absolute()),
+        "pattern": pattern,
+        "topics": dict(topics),
+    }
+
+
+def _walls_of(place: str) -> Floats:
+    opened = Sensorgraph.load(Path(place)) if place.endswith(".sensorgraph") else load_arena(place)
+    return place_of(opened)[0]
+
+
+def _settings(shared: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides whether a kept result is used: version, places and robot by their content."""
+    stamps = [
+        [one, Path(one).stat().st_size, Path(one).stat().st_mtime_ns] if Path(one).exists() else one
+        for one in [*shared["places"], *([shared["robot"]] if shared["robot"] else [])]
+    ]
+    return {"version": __version__, "files": stamps, "pattern": shared["pattern"], "topics": shared["topics"]}
+
+
+def _by_robot(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    out: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        out.setdefault(str(row["robot"]), []).append(row)
+    return out
+
+
+def series(rows: Sequence[Mapping[str, Any]], quantity: str) -> tuple[list[int], Floats, Floats, Floats]:
+    """Return the indices of rows with a quantity, and its times [s], values and standard errors."""
+    index = [k for k, row in enumerate(rows) if quantity in row["quantities"]]
+    pairs = np.array([rows[k]["quantities"][quantity] for k in index], dtype=np.float64).reshape(-1, 2)
+    t = np.array([rows[k]["epoch_s"] for k in index], dtype=np.float64)
+    floor = LABELS[quantity].resolution
+    return index, t, pairs[:, 0], np.hypot(pairs[:, 1], floor)
+
+
+def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the quantities to compare: each wheel if its size is known, else distance and heading."""
+    known = {name for row in rows for name in row["quantities"]}
+    redundant = {"way_scale", "heading_bias"} if "left_wheel" in known else set()
+    return [name for name in QUANTITIES if name in known - redundant]
+
+
+def _changes(rows: Sequence[Mapping[str, Any]]) -> list[RobotChange]:
+    out = []
+    for robot, own in _by_robot(rows).items():
+        for quantity in _names(own):
+            index, t, values, sigmas = series(own, quantity)
+            for step in steps_of(quantity, t, values, sigmas):
+                after = own[index[min(step.before + 1, len(index) - 1)]]
+                out.append(_change(robot, step, after))
+    return sorted(out, key=lambda one: (-one.probability, one.robot))
+
+
+def _change(robot: str, step: TrendStep, after: Mapping[str, Any]) -> RobotChange:
+    return RobotChange(
+        robot=robot, quantity=step.quantity, day=str(after["day"]), after=str(after["log"]), size=step.size,
+        sigma=step.sigma, probability=step.probability, is_drift=step.is_drift,
+    )  # fmt: skip
+
+
+def _odd(rows: Sequence[Mapping[str, Any]], changes: Sequence[RobotChange]) -> list[OddRobot]:
+    """Compare the first level of each robot, before any change, with that of robots with the same laser."""
+    kinds: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
+    for robot, own in _by_robot(rows).items():
+        kinds.setdefault(str(own[0]["kind"]), {})[robot] = own
+    out = []
+    for robots in kinds.values():
+        for quantity in _names([row for own in robots.values() for row in own]):
+            levels = {}
+            for robot, own in robots.items():
+                index, _, values, sigmas = series(own, quantity)
+                ends = [
+                    k
+                    for one in changes
+                    if (one.robot, one.quantity) == (robot, quantity)
+                    for k, at in enumerate(index)
+                    if own[at]["log"] == one.after
+                ]
+                last = min(ends, default=len(index))
+                if last:
+                    levels[robot] = level(quantity, values[:last], sigmas[:last])
+            out += odd_robots(quantity, levels)
+    return sorted(out, key=lambda one: -one.probability)
+
+
+def save(result: Fleet, folder: Path) -> None:
+    """Write table, page, rerun layer and a page for each log; either all of them or none."""
+    with atomic_folder(folder) as part:
+        (part / "fleet.csv").write_text(_csv(result), encoding="utf-8")
+        (part / "fleet.json").write_text(json.dumps(result.to_dict(), indent=1) + "\n", encoding="utf-8")
+        write_parquet([flat(row) for row in result.rows], part / "fleet.parquet")
+        (part / "logs").mkdir()
+        for row in result.rows:
+            (part / "logs" / f"{row['key']}.html").write_text(log_page(row), encoding="utf-8")
+        (part / "fleet.html").write_text(fleet_page(result), encoding="utf-8")
+        write_layer(result.rows, result.walls, part / "fleet.rrd")
+    _remove_old_pages(folder / "logs", {str(row["key"]) for row in result.rows})
+
+
+def _remove_old_pages(folder: Path, keys: set[str]) -> None:
+    for path in folder.glob("*.html"):
+        if path.stem not in keys:
+            path.unlink(missing_ok=True)
+
+
+def flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of the table: plain columns, and two for each quantity."""
+    out = {name: row.get(name) for name in COLUMNS}
+    for name in QUANTITIES:
+        value, sigma = row["quantities"].get(name, (None, None))
+        out |= {name: value, f"{name}_sigma": sigma}
+    changes = row.get("changes") or {}
+    out |= {"n_new_cells": len(changes.get("new", ())), "n_gone_cells": len(changes.get("gone", ()))}
+    return {**out, "effects": " ".join(name for name, _ in row.get("effects", ())), "seconds": row["seconds"]}
+
+
+def _csv(result: Fleet) -> str:
+    text = io.StringIO()
+    rows = [flat(row) for row in result.rows]
+    names = list(rows[0]) if rows else list(COLUMNS)
+    writer = csv.DictWriter(text, [*names, "error"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    writer.writerows({"log": log, "error": reason} for log, reason in result.failures)
+    return text.getvalue()

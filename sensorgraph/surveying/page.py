@@ -1,0 +1,200 @@
+"""fleet.html, and a page for each log: they open from disk and load nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from sensorgraph.diagnosis.report.page_shell import page_shell
+from sensorgraph.surveying.drawing import change_map, trend
+from sensorgraph.surveying.quantities import LABELS, QUANTITIES
+from sensorgraph.surveying.result import Fleet
+from sensorgraph.version import __version__
+
+MAX_TRENDS = 60
+"""Maximum number of trends that are drawn; those with changes come first."""
+WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(25rem,1fr));gap:1.4rem} .trends figure{margin:0} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
+
+
+def fleet_page(fleet: Fleet) -> str:
+    """Return fleet.html."""
+    robots = sorted({str(row["robot"]) for row in fleet.rows})
+    hours = sum(float(row["length_s"]) for row in fleet.rows) / 3600
+    changes = [str(one) for one in fleet.changes]
+    return page_shell(
+        headline=changes[0] if len(changes) == 1 else f"{len(changes)} changes" if changes else "No robot changed",
+        lead=[
+            f"{len(fleet.rows)} logs of {len(robots)} robots, {hours:.1f} h; {len(fleet.failures)} logs failed.",
+            *([] if len(changes) < 2 else [f"{one}." for one in changes[:12]]),
+        ],
+        eyebrow=f"sensorgraph fleet {__version__}",
+        kind="found" if changes or fleet.odd else "",
+        sections=[
+            WIDE, _changes(fleet), _odd(fleet), _trends(fleet), _maps(fleet), _failures(fleet), _table(fleet),
+        ],
+    )  # fmt: skip
+
+
+def _changes(fleet: Fleet) -> str:
+    if not fleet.changes and not fleet.possible:
+        return ""
+    rows = [
+        f"<tr><td>{escape(one.robot)}</td><td>{escape(LABELS[one.quantity].title)}</td>"
+        f'<td class="n">{LABELS[one.quantity].change(one.size, one.sigma)}</td>'
+        f"<td>{'drift over all logs' if one.is_drift else escape(one.day)}</td>"
+        f'<td class="n">{_percent(one.probability)}</td></tr>'
+        for one in (*fleet.changes, *fleet.possible)
+    ]
+    return (
+        "<h2>Changes</h2><table><tr><th>robot</th><th>quantity</th><th class='n'>change</th><th>since</th>"
+        f"<th class='n'>probability</th></tr>{''.join(rows)}</table>"
+        '<p class="note">Changes from 95 % on are stated; less probable ones are possible. ± is one standard error.</p>'
+    )
+
+
+def _odd(fleet: Fleet) -> str:
+    if not fleet.odd:
+        return ""
+    rows = [
+        f"<tr><td>{escape(one.robot)}</td><td>{escape(LABELS[one.quantity].title)}</td>"
+        f'<td class="n">{LABELS[one.quantity].change(one.size, one.sigma)}</td>'
+        f'<td class="n">{_percent(one.probability)}</td></tr>'
+        for one in fleet.odd
+    ]
+    return (
+        "<h2>Robots that differ from their sisters</h2><table><tr><th>robot</th><th>quantity</th>"
+        f"<th class='n'>difference</th><th class='n'>probability</th></tr>{''.join(rows)}</table>"
+    )
+
+
+def _trends(fleet: Fleet) -> str:
+    """Draw each quantity of each robot over its logs."""
+    drawn: list[tuple[bool, str]] = []
+    for robot in sorted({str(row["robot"]) for row in fleet.rows}):
+        own = [row for row in fleet.rows if row["robot"] == robot]
+        for quantity in QUANTITIES:
+            points = [
+                (float(row["epoch_s"]), *row["quantities"][quantity], str(row["day"]))
+                for row in own
+                if quantity in row["quantities"]
+            ]
+            found = [one for one in fleet.changes if (one.robot, one.quantity) == (robot, quantity)]
+            if len(points) < 2 or (
+                {"way_scale", "heading_bias"} & {quantity} and "left_wheel" in own[0]["quantities"]
+            ):
+                continue
+            at = {str(row["log"]): float(row["epoch_s"]) for row in own}
+            label = LABELS[quantity]
+            picture = trend(points, [at[one.after] for one in found if not one.is_drift], label)
+            caption = "; ".join(label.change(one.size, one.sigma) for one in found) or "no change"
+            drawn.append(
+                (
+                    bool(found),
+                    f"<figure>{picture}<figcaption>{escape(robot)}, {label.title} [{label.unit}]: {caption}</figcaption></figure>",
+                )
+            )
+    if not drawn:
+        return ""
+    drawn.sort(key=lambda one: not one[0])
+    rest = len(drawn) - MAX_TRENDS
+    more = (
+        f'<p class="note">{rest} trends without a change are not drawn; fleet.csv has all values.</p>'
+        if rest > 0
+        else ""
+    )
+    return f'<h2>Trends</h2><div class="trends">{"".join(text for _, text in drawn[:MAX_TRENDS])}</div>{more}'
+
+
+def _maps(fleet: Fleet) -> str:
+    """Draw the changes of each building, by the number of logs that show them."""
+    parts = []
+    for place, walls in fleet.walls.items():
+        own = [row for row in fleet.rows if row["place"] == place]
+        cells = {
+            kind: _counted([row["changes"].get(kind, []) for row in own if row.get("changes")])
+            for kind in ("new", "gone")
+        }
+        if own:
+            parts.append(
+                f"<figure>{change_map(walls, cells)}<figcaption>{escape(place)}, {len(own)} logs: "
+                f"{len(cells['new'])} cells with something new (orange), {len(cells['gone'])} cells where a wall is "
+                "gone (blue); the more logs show a cell, the darker it is.</figcaption></figure>"
+            )
+    return f"<h2>Changes of the building</h2>{''.join(parts)}" if parts else ""
+
+
+def _counted(cells: Sequence[Sequence[Sequence[float]]]) -> dict[tuple[float, float], int]:
+    out: dict[tuple[float, float], int] = {}
+    for log in cells:
+        for x, y in log:
+            out[x, y] = out.get((x, y), 0) + 1
+    return {cell: n for cell, n in out.items() if n > 1}
+
+
+def _failures(fleet: Fleet) -> str:
+    lines = [
+        *((log, f"the same content as {other}, counted once") for log, other in fleet.same), *fleet.failures,
+    ]  # fmt: skip
+    if not lines:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(Path(log).name)}</td><td>{escape(reason)}</td></tr>" for log, reason in lines
+    )
+    return f"<h2>Logs that failed</h2><table class='pairs'><tr><th>log</th><th>reason</th></tr>{rows}</table>"
+
+
+def _table(fleet: Fleet) -> str:
+    names = [name for name in QUANTITIES if any(name in row["quantities"] for row in fleet.rows)]
+    if "left_wheel" in names:
+        names = [name for name in names if name not in ("way_scale", "heading_bias")]
+    head = "".join(f"<th class='n'>{LABELS[name].title}</th>" for name in names)
+    rows = []
+    for row in fleet.rows:
+        cells = "".join(
+            f'<td class="n">{LABELS[name].shown(*row["quantities"][name]) if name in row["quantities"] else ""}</td>'
+            for name in names
+        )
+        changed = row.get("changes") or {}
+        rows.append(
+            f"<tr><td>{escape(str(row['robot']))}</td><td>{escape(str(row['day']))}</td>"
+            f'<td><a href="logs/{row["key"]}.html">{escape(Path(str(row["log"])).name)}</a></td>'
+            f'<td class="n">{_length(float(row["length_s"]))}</td><td>{escape(str(row["place"] or "own map"))}</td>'
+            f'<td class="n">{_percent(float(row["ok_share"]))}</td>{cells}'
+            f'<td class="n">{len(changed.get("new", ()))} / {len(changed.get("gone", ()))}</td></tr>'
+        )
+    return (
+        f"<h2>Logs</h2><div class='scroll'><table><tr><th>robot</th><th>day</th><th>log</th><th class='n'>length</th>"
+        f"<th>place</th><th class='n'>located</th>{head}<th class='n'>new / gone</th></tr>{''.join(rows)}</table></div>"
+    )
+
+
+def log_page(row: Mapping[str, Any]) -> str:
+    """Return the page of one log."""
+    lines = "".join(f"<li>{escape(str(line).strip())}</li>" for line in row.get("lines", ()))
+    notes = "".join(f"<li>{escape(str(line))}</li>" for line in (*row["warnings"], *row["location_notes"]))
+    uses = "".join(f"<tr><td>{escape(k)}</td><td>{escape(str(v))}</td></tr>" for k, v in row["use"].items())
+    return page_shell(
+        headline=f"{row['robot']}, {row['day']}: {Path(str(row['log'])).name}",
+        lead=[
+            f"{_length(float(row['length_s']))}, {float(row['way_m']):.0f} m, {row['n_scans']} scans of {row['kind']}; "
+            f"{_percent(float(row['ok_share']))} located in {row['place'] or 'a new map'}."
+        ],
+        eyebrow=f"sensorgraph fleet {__version__}",
+        kind="found" if row.get("effects") else "",
+        sections=[
+            f"<h2>Wheels and mount</h2><ul>{lines}</ul>",
+            f"<h2>What the log can be used for</h2><table>{uses}</table>",
+            f"<h2>Notes</h2><ul>{notes}</ul>" if notes else "",
+            f"<p class='note'>{escape(str(row['log']))}</p>",
+        ],
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share < 0.995 or share == 1 else f"{100 * share:.1f} %"
+
+
+def _length(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,88 @@
+"""Result of `fleet`: the table, the changes of robots, robots that differ, and the logs that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from sensorgraph.surveying.quantities import LABELS
+from sensorgraph.surveying.trends import OddRobot
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotChange:
+    """A change of one robot between two of its logs."""
+
+    robot: str
+    quantity: str
+    day: str
+    """Day of the first log after it."""
+    after: str
+    """First log after it."""
+    size: float
+    sigma: float
+    probability: float
+    is_drift: bool
+
+    def __str__(self) -> str:
+        label = LABELS[self.quantity]
+        when = "over all logs" if self.is_drift else f"since {self.day}"
+        return f"{label.title} of {self.robot} {label.change(self.size, self.sigma)} {when}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """Result of `sg.fleet`."""
+
+    rows: tuple[Mapping[str, Any], ...]
+    """One for each analysed log, by robot and time; `quantities` maps a name to [value, standard error]."""
+    failures: tuple[tuple[str, str], ...]
+    """Log and reason."""
+    same: tuple[tuple[str, str], ...]
+    """Log and the log of equal content that stands for both."""
+    changes: tuple[RobotChange, ...]
+    """Changes with a probability of at least 95 %."""
+    possible: tuple[RobotChange, ...]
+    """Changes with a probability between 50 and 95 %."""
+    odd: tuple[OddRobot, ...]
+    """Robots that differ from their sisters."""
+    n_new: int
+    """Number of logs that were analysed in this call; the others were kept."""
+    n_outdated: int
+    """Number of logs with results of another version or of other settings."""
+    walls: Mapping[str, Floats] = field(default_factory=dict, repr=False)
+    """Place -> (n, 2, 2) [m] walls, for the map of changes."""
+
+    def lines(self) -> list[str]:
+        """Return the summary as lines."""
+        robots = sorted({str(row["robot"]) for row in self.rows})
+        hours = sum(float(row["length_s"]) for row in self.rows) / 3600
+        out = [
+            f"{len(self.rows)} logs of {len(robots)} robots, {hours:.1f} h; {self.n_new} analysed now, "
+            f"{len(self.failures)} failed"
+        ]
+        if self.n_outdated:
+            out.append(
+                f"{self.n_outdated} logs had results of another version or of other settings, and were analysed again"
+            )
+        out += [str(one) for one in self.changes] or ["no robot changed"]
+        out += [
+            f"{one.robot} differs from its sisters: {LABELS[one.quantity].title} "
+            f"{LABELS[one.quantity].change(one.size, one.sigma)}"
+            for one in self.odd
+        ]
+        out += [f"possible ({100 * one.probability:.0f} %): {one}" for one in self.possible]
+        out += [f"{log}: the same content as {other}, counted once" for log, other in self.same]
+        return [*out, *(f"{log}: {reason}" for log, reason in self.failures)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table, the changes and the failures as plain data."""
+        return {
+            "rows": [dict(row) for row in self.rows],
+            "failures": [{"log": log, "reason": reason} for log, reason in self.failures],
+            "changes": [asdict(one) for one in self.changes],
+            "possible": [asdict(one) for one in self.possible],
+            "odd": [asdict(one) for one in self.odd],
+        }

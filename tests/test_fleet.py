@@ -1,0 +1,169 @@
+"""A fleet: limits of each log, results kept by content, changes by evidence, and a page that opens from disk."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logs
+import sensorgraph as sg
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.surveying.limited import TaskError, TaskLimits, run_limited
+from sensorgraph.surveying.quantities import LABELS
+from sensorgraph.surveying.store import ResultStore, find_logs
+from sensorgraph.surveying.trends import SPREAD, SURE, odd_robots, steps_of
+
+
+def series(rng: np.random.Generator, n: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Return values of a robot without a change, and their standard errors."""
+    sigmas = rng.uniform(0.002, 0.008, n)
+    return 1 + rng.normal(0, 0.003) + sigmas * rng.standard_t(4, n) / np.sqrt(2), sigmas
+
+
+def test_no_change_is_invented_and_logs_may_scatter_more_than_their_errors() -> None:
+    rng = np.random.default_rng(0)
+    found = []
+    for k in range(20):
+        values, sigmas = series(rng)
+        values = values + (k % 2) * rng.normal(0, 0.006, len(values))
+        found += [
+            one for one in steps_of("way_scale", np.arange(20.0), values, sigmas) if one.probability > SURE
+        ]
+    assert not found
+
+
+def test_a_step_is_found_with_its_place_and_size() -> None:
+    values, sigmas = series(np.random.default_rng(1))
+    values[12:] -= 0.03
+    [step] = steps_of("way_scale", np.arange(20.0), values, sigmas)
+    assert step.before == 11 and not step.is_drift and step.probability > SURE
+    assert abs(step.size + 0.03) < 3 * step.sigma
+
+
+def test_two_steps_are_found_in_one_robot() -> None:
+    values, sigmas = series(np.random.default_rng(2), 30)
+    values[10:] += 0.04
+    values[20:] -= 0.08
+    found = steps_of("way_scale", np.arange(30.0), values, sigmas)
+    assert sorted(one.before for one in found) == [9, 19]
+
+
+def test_slow_wear_is_a_drift() -> None:
+    values, sigmas = series(np.random.default_rng(3), 30)
+    values -= np.linspace(0, 0.05, 30)
+    [drift] = steps_of("way_scale", np.arange(30.0), values, sigmas)
+    assert drift.is_drift and abs(drift.size + 0.05) < 3 * drift.sigma
+
+
+def test_a_robot_differs_from_its_sisters_only_if_it_does() -> None:
+    rng = np.random.default_rng(4)
+    same = {f"amr{k}": (float(rng.normal(0, 0.002)), 0.002) for k in range(10)}
+    assert not [one for one in odd_robots("mount_phi", same) if one.probability > SURE]
+    [odd] = odd_robots("mount_phi", same | {"amr10": (0.05, 0.002)})
+    assert odd.robot == "amr10" and odd.probability > SURE and abs(odd.size - 0.05) < 3 * odd.sigma
+
+
+def test_every_quantity_has_a_name_and_a_prior() -> None:
+    assert LABELS.keys() == SPREAD.keys()
+
+
+def test_a_hang_a_crash_and_a_full_memory_cost_only_their_task() -> None:
+    limits = TaskLimits(seconds=2.0, megabytes=1500)
+    assert run_limited("builtins:len", {"a": 1}, limits) == 1
+    begin = time.monotonic()
+    with pytest.raises(TaskError, match="takes more than 2 s"):
+        run_limited("fleet_tasks:hang", {}, limits)
+    assert time.monotonic() - begin < 30
+    with pytest.raises(TaskError, match="crashed"):
+        run_limited("fleet_tasks:crash", {}, limits)
+    with pytest.raises(TaskError, match="needs more than 1500 MB"):
+        run_limited("fleet_tasks:grow", {}, limits)
+    with pytest.raises(TaskError, match="ZeroDivisionError"):
+        run_limited("fleet_tasks:fail", {}, limits)
+    assert run_limited("builtins:len", {"a": 1, "b": 2}, limits) == 2
+
+
+@pytest.fixture(autouse=True)
+def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a module with misbehaving tasks on the path of other processes."""
+    (tmp_path / "fleet_tasks.py").write_text(
+        "import os, time\n"
+        "def hang(_): time.sleep(100)\n"
+        "def crash(_): os.abort()\n"
+        "def grow(_): return len(bytearray(2_000_000_000))\n"
+        "def fail(_): return 1 / 0\n"
+    )
+    root = Path(__file__).parent.parent
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{root}")
+
+
+def test_logs_are_found_in_folders_and_by_patterns(tmp_path: Path) -> None:
+    (tmp_path / "a" / "bag").mkdir(parents=True)
+    for name in ("a/x.mcap", "a/notes.txt", "a/bag/metadata.yaml", "a/bag/0.db3", "y.log.gz"):
+        (tmp_path / name).write_text("")
+    found = [tmp_path / "a" / "bag", tmp_path / "a" / "x.mcap", tmp_path / "y.log.gz"]
+    assert find_logs([tmp_path]) == find_logs([tmp_path, tmp_path / "a" / "x.mcap"]) == found
+    assert find_logs([str(tmp_path / "a" / "*.mcap")]) == found[1:2]
+    (tmp_path / "none").mkdir()
+    with pytest.raises(SensorgraphError, match="no log in"):
+        find_logs([tmp_path / "none"])
+    with pytest.raises(SensorgraphError, match="does not exist"):
+        find_logs([tmp_path / "missing"])
+
+
+def test_results_are_kept_by_content_and_settings(tmp_path: Path) -> None:
+    log, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    log.write_bytes(b"one")
+    copy.write_bytes(b"one")
+    store = ResultStore.open(tmp_path, {"version": "1"})
+    key = store.key(log)
+    assert store.key(copy) == key
+    store.put(key, {"robot": "r"})
+    assert ResultStore.open(tmp_path, {"version": "1"}).get(key) == {"robot": "r"}
+    newer = ResultStore.open(tmp_path, {"version": "2"})
+    assert newer.get(key) is None and newer.others([key]) == 1
+    log.write_bytes(b"two!")
+    assert newer.key(log) != key
+
+
+def test_a_fleet_is_one_table_and_a_second_call_analyses_only_new_logs(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    bags = tmp_path / "bags"
+    bags.mkdir()
+    run = sg.record(sg.plan("square", views=4))
+    without = replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)))
+    logs.write(without, bags / "monday.mcap")
+    whole = (bags / "monday.mcap").read_bytes()
+    (bags / "again.mcap").write_bytes(whole)
+    (bags / "broken.mcap").write_bytes(whole[:3000])
+    out = tmp_path / "fleet"
+    found = sg.fleet(bags, out, places="square", workers=1)
+    [row] = found.rows
+    assert row["robot"] == "radix" and row["ok_share"] > 0.9 and row["day"] == "2024-01-01"
+    value, sigma = row["quantities"]["left_wheel"]
+    assert abs(value - 1) < 4 * sigma
+    assert not found.changes and len(found.failures) == 1 and found.failures[0][0].endswith("broken.mcap")
+    assert len(found.same) == 1 and found.n_new == 2
+    table = list(csv.DictReader((out / "fleet.csv").read_text().splitlines()))
+    assert {one["robot"] for one in table} == {"radix", ""} and any("broken" in one["log"] for one in table)
+    page = (out / "fleet.html").read_text(encoding="utf-8")
+    assert f"logs/{row['key']}.html" in page and (out / "logs" / f"{row['key']}.html").is_file()
+    assert "http://" not in page.replace("http://www.w3.org", "") and "<script" not in page
+    second = sg.fleet(bags, out, places="square", workers=1)
+    assert second.n_new == 0 and second.rows == found.rows
+    assert json.loads((out / "fleet.json").read_text())["rows"][0]["robot"] == "radix"
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("sensorgraph.surveying.cluster.CONNECT_TIMEOUT", 0.5)
+    (tmp_path / "x.mcap").write_bytes(b"x")
+    with pytest.raises(SensorgraphError, match="no scheduler answers") as caught:
+        sg.fleet(tmp_path / "x.mcap", tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+    assert "\n" not in str(caught.value)
