@@ -48,6 +48,28 @@ def data_key(domain: int, topic: PublishedTopic) -> str:
     return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.type)}/*"
 
 
+NO_HASH = "TypeHashNotSupported"
+"""Hash of every type in Humble."""
+
+
+def type_hash(key: str) -> str:
+    """Return the hash of the type in a token."""
+    return key.split("/")[11]
+
+
+def publisher_tokens(
+    domain: int, session: str, number: int, topic: PublishedTopic, hash_text: str
+) -> tuple[str, str]:
+    """Return the tokens of a node, and of its publisher number `number`, for a topic that is not latched."""
+    node = f"{ADMIN_SPACE}/{domain}/{session}/0"
+    named = topic.name.replace("/", "%")
+    quality = "::,10:,:,:,,"
+    return (
+        f"{node}/0/NN/%/%/sensorgraph_watch",
+        f"{node}/{number}/{PUBLISHER}/%/%/sensorgraph_watch/{named}/{dds_type(topic.type)}/{hash_text}/{quality}",
+    )
+
+
 def ros_type(name: str) -> str:
     """Return `sensor_msgs/msg/LaserScan` of `sensor_msgs::msg::dds_::LaserScan_`."""
     return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")

@@ -12,7 +12,16 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from logs.errors import LogError
-from logs.live.keys import PublishedTopic, data_key, parse_token, tokens_of
+from logs.live.keys import (
+    NO_HASH,
+    PublishedTopic,
+    data_key,
+    parse_token,
+    publisher_tokens,
+    tokens_of,
+    type_hash,
+)
+from logs.ros.definitions import typestore
 
 if TYPE_CHECKING:
     import zenoh
@@ -65,6 +74,8 @@ class RosNetwork:
         """Name -> topic announced since the connection was opened."""
         self._inbox: SimpleQueue[LiveMessage | PublishedTopic] = SimpleQueue()
         self._subscribers: dict[str, Any] = {}
+        self._publishers: dict[str, LivePublisher] = {}
+        self._has_hashes = False
         self._session = _open(self.router, CONNECT_TIMEOUT if wait is None else wait)
         self._session.liveliness().declare_subscriber(tokens_of(self.domain), self._on_token, history=True)
 
@@ -104,6 +115,15 @@ class RosNetwork:
             self.topics[item.name] = item
         return item
 
+    def publish(self, topic: PublishedTopic, payload: bytes) -> None:
+        """Publish a message (CDR), announced as a publisher of rmw_zenoh."""
+        if topic.name not in self._publishers:
+            text = typestore().hash_rihs01(topic.type) if self._has_hashes else NO_HASH
+            self._publishers[topic.name] = LivePublisher(
+                self._session, self.domain, len(self._publishers) + 1, topic, text
+            )
+        self._publishers[topic.name].put(payload)
+
     def close(self) -> None:
         """Close the connection; items already received remain available from `next`."""
         for subscriber in self._subscribers.values():
@@ -125,7 +145,26 @@ class RosNetwork:
     def _on_token(self, sample: zenoh.Sample) -> None:
         topic = parse_token(str(sample.key_expr))
         if topic is not None and sample.kind == _zenoh().SampleKind.PUT:
+            self._has_hashes |= type_hash(str(sample.key_expr)) != NO_HASH
             self._inbox.put(topic)
+
+
+class LivePublisher:
+    """Publisher of one topic, with the attachment of rmw_zenoh."""
+
+    def __init__(self, session: Any, domain: int, number: int, topic: PublishedTopic, hash_text: str) -> None:
+        key = data_key(domain, topic).removesuffix("*") + hash_text
+        self._publisher = session.declare_publisher(key)
+        tokens = publisher_tokens(domain, str(session.info.zid()), number, topic, hash_text)
+        self._tokens = [session.liveliness().declare_token(token) for token in tokens]
+        self._id = os.urandom(16)
+        self._count = 0
+
+    def put(self, payload: bytes) -> None:
+        """Publish one message."""
+        self._count += 1
+        head = self._count.to_bytes(8, "little") + time.time_ns().to_bytes(8, "little") + bytes([16])
+        self._publisher.put(payload, attachment=head + self._id)
 
 
 def endpoint_of(router: str) -> str:

@@ -12,14 +12,12 @@ from pathlib import Path
 from statistics import median
 from types import TracebackType
 
-import numpy as np
-
 from logs.errors import LogError
 from logs.formats.mcap_file import RosFile
 from logs.live.keys import PublishedTopic
 from logs.live.network import LiveMessage, RosNetwork
-from logs.ros.interpret import to_run
-from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, TF_TYPE, Recording, Topic, check_roles
+from logs.live.window import MessageWindow
+from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, check_roles
 from logs.run import Run
 
 
@@ -140,8 +138,7 @@ class LiveRecording:
         self.began: float | None = None
         """[s] time of the first message since the epoch."""
         self._looked = 0.0
-        self._recent: deque[LiveMessage] = deque()
-        self._fixed: dict[str, list[LiveMessage]] = {}
+        self._window = MessageWindow(SETTINGS.window)
         self._file = RosFile(path)
         try:
             for name, data in (attachments or {}).items():
@@ -189,19 +186,7 @@ class LiveRecording:
 
     def recent(self) -> Run | None:
         """Return the latest seconds as a run, interpreted like the file; None if they contain no scan."""
-        recording = Recording(format="mcap")
-        for message in (*(m for kept in self._fixed.values() for m in kept), *self._recent):
-            topic = recording.topics.setdefault(
-                message.topic.name, Topic(message.topic.name, message.topic.type)
-            )
-            topic.n_messages += 1
-            topic.log_times.append(message.received_ns)
-            topic.payloads.append(message.payload)
-        try:
-            with np.errstate(all="ignore"):
-                return to_run(recording, self.path.name, self.roles)
-        except LogError:
-            return None
+        return self._window.run(self.path.name, self.roles)
 
     def close(self) -> Path:
         """Write the queued messages, and give the file its final name.
@@ -284,12 +269,7 @@ class LiveRecording:
         name = item.topic.name
         self._file.put(self._file.channel(name, item.topic.type), item.received_ns, item.payload)
         self.rates[name].add(item)
-        if item.topic.type == TF_TYPE and name.rstrip("/").endswith("tf_static"):
-            self._fixed.setdefault(name, []).append(item)
-            return
-        self._recent.append(item)
-        while self._recent[0].received_ns < item.received_ns - SETTINGS.window * 1e9:
-            self._recent.popleft()
+        self._window.add(item)
 
 
 def _fits(topic: str, pattern: str) -> bool:

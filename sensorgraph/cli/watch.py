@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sensorgraph.cli.options import GraphFile, NoReturn, RunRobot, Slice, TopicsByExample
+from sensorgraph.cli.record_live import RecordDomain, RecordDuration, RecordRouter, RecordWait
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from logs.run import Run
     from sensorgraph.watching.policy import WatchPolicy
@@ -35,6 +37,9 @@ WatchPolicyFile = Annotated[
     Path | None,
     typer.Option("--policy", help="Limits (yaml) that decide the exit code: 0 ok, 1 warning, 2 error."),
 ]
+WatchLive = Annotated[
+    bool, typer.Option("--live", help="Watch your own running ROS 2 robot over zenoh, until Ctrl-C.")
+]
 WatchInit = Annotated[
     bool, typer.Option("--init-policy", help="Learn limits from good runs, and write them to OUT.")
 ]
@@ -47,6 +52,11 @@ def watch(
     json: WatchJson = None,
     policy: WatchPolicyFile = None,
     init_policy: WatchInit = False,
+    live: WatchLive = False,
+    router: RecordRouter = None,
+    domain: RecordDomain = None,
+    duration: RecordDuration = None,
+    wait: RecordWait = None,
     topic: TopicsByExample = None,
     no_return: NoReturn = None,
     robot: RunRobot = None,
@@ -61,8 +71,10 @@ def watch(
       sensorgraph watch office.sensorgraph --init-policy good1.mcap good2.mcap -o site.yaml
 
       sensorgraph watch office.sensorgraph today.mcap --policy site.yaml --json watch.jsonl
+
+      sensorgraph watch office.sensorgraph --live --router 192.168.0.5 -o watch.mcap
     """
-    from sensorgraph.cli.inputs import check_output, read_options
+    from sensorgraph.cli.inputs import check_output, print_log_notes, read_options
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.watching.policy import LEVELS, WatchPolicy, load_policy
@@ -74,19 +86,54 @@ def watch(
     if init_policy:
         _init_policy(graph, runs or [], out, reading, robot)
         return
-    if runs is None or len(runs) != 1:
+    if live == bool(runs) or len(runs or []) > 1:
         raise SensorgraphError(
-            f"{len(runs or [])} runs are given, expected one; to learn limits, add --init-policy"
+            f"{len(runs or [])} runs are given{' with --live' if live else ''}, expected one, or --live; "
+            "to learn limits, add --init-policy"
         )
     if out is not None and out.suffix != ".mcap":
         raise SensorgraphError(
             f"{out}: statements are written as *.mcap; name it {out.with_suffix('.mcap').name}"
         )
     limits = WatchPolicy() if policy is None else load_policy(policy)
-    model, run = Sensorgraph.load(graph), _read(runs[0], reading, robot)
-    level = _watch_run(model, run, limits, names=(graph.name, runs[0].name), out=out, json=json)
+    model = Sensorgraph.load(graph)
+    output = _Output(model, limits, graph.name, out, json)
+    if live:
+        level = _watch_live(output, topic, router, domain, duration, wait)
+    else:
+        assert runs is not None
+        run = _read(runs[0], reading, robot)
+        level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
+        print_log_notes(run)
+        output.print(runs[0].name)
     if policy is not None and level != "ok":
         raise typer.Exit(LEVELS.index(level))
+
+
+def _watch_live(
+    output: _Output,
+    topics: list[str] | None,
+    router: str | None,
+    domain: int | None,
+    duration: float | None,
+    wait: float | None,
+) -> str:
+    """Watch a running robot until Ctrl-C or until the time is over; return the level."""
+    from logs import parse_topics
+    from logs.live.network import DEFAULT_ROUTER, RosNetwork
+    from logs.live.watching import LiveScans
+    from sensorgraph.watching.live import LiveWatch
+
+    with RosNetwork(router or DEFAULT_ROUTER, domain, wait=wait) as network:
+        watched = LiveWatch(
+            output.model, LiveScans(network, topics=parse_topics(topics or [])), output.limits, wait=wait
+        )
+        level = output.take(
+            watched.statuses(duration), watched.epoch_ns, "live", partial(watched.publish, network)
+        )
+    output.print("live")
+    typer.echo(f"{watched.n_used:,} scans watched, {watched.n_dropped:,} left out")
+    return level
 
 
 def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
@@ -106,67 +153,74 @@ def _statuses(model: Any, run: Run, limits: WatchPolicy) -> Iterator[WatchStatus
     return watch_scans(model, observations(run), run.sensor, baseline=limits.baseline)
 
 
-def _watch_run(
-    model: Any, run: Run, limits: WatchPolicy, *, names: tuple[str, str], out: Path | None, json: Path | None
-) -> str:
-    """Watch a run, write the statements, print the result; return the level."""
-    import json as as_text
+class _Output:
+    """What is written and shown of the statements."""
 
-    from logs.files import atomic_file
-    from sensorgraph.cli.inputs import print_log_notes
-    from sensorgraph.errors import SensorgraphError
-    from sensorgraph.localization.graph_walls import walls_of_graph
-    from sensorgraph.watching.messages import WatchFile
-    from sensorgraph.watching.page import watch_page
-    from sensorgraph.watching.summary import WatchSummary
+    def __init__(
+        self, model: Any, limits: WatchPolicy, graph_name: str, out: Path | None, json: Path | None
+    ) -> None:
+        from sensorgraph.watching.summary import WatchSummary
 
-    summary, began = WatchSummary(), time.monotonic()
-    line = _StatusLine(began)
-    with ExitStack() as stack:
-        lines = (
-            None if json is None else stack.enter_context(stack.enter_context(atomic_file(json)).open("w"))
-        )
-        file = None if out is None else WatchFile(out, run.epoch_ns)
-        try:
-            for status in _statuses(model, run, limits):
-                level, reason = limits.level(status)
-                summary.add(status, level, reason)
-                if lines is not None:
-                    lines.write(as_text.dumps(status.to_dict()) + "\n")
-                if file is not None:
-                    file.add(status, limits)
-                line.show(status, summary)
-        except BaseException:
-            if file is not None:
-                file.close(interrupted=True)
-            raise
-        if file is not None:
-            file.close()
-    line.end()
-    if summary.last is None:
-        raise SensorgraphError(f"{names[1]} has no scan to watch; expected messages on /scan")
-    if out is not None:
-        page = summary.page(names[1], names[0], walls_of_graph(model)[0])
-        with atomic_file(out.with_suffix(".html")) as part:
-            part.write_text(watch_page(page), encoding="utf-8")
-    print_log_notes(run)
-    _print_summary(summary, names[1], out)
-    return summary.level
+        self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph_name, out, json
+        self.summary = WatchSummary()
 
+    def take(
+        self,
+        statuses: Iterator[WatchStatus],
+        epoch_ns: int,
+        name: str,
+        publish: Callable[[WatchStatus], None] | None = None,
+    ) -> str:
+        """Take all statements until the end or Ctrl-C, and write them; return the level."""
+        import json as as_text
 
-def _print_summary(summary: Any, name: str, out: Path | None) -> None:
-    for span in summary.spans["pose"]:
-        if span.word not in ("ok", "unknown"):
-            typer.echo(f"{span.first:.0f} to {span.last:.0f} s: {span.text}")
-    for text in summary.last.sentences():
-        typer.echo(text)
-    for note in summary.notes:
-        typer.echo(f"note: {note}")
-    if step := summary.next_step(name):
-        typer.echo(step)
-    typer.echo(f"{summary.level}{': ' + summary.reason if summary.reason else ''}")
-    if out is not None:
-        typer.echo(f"wrote {out} and {out.with_suffix('.html')}")
+        from logs.files import atomic_file
+        from sensorgraph.errors import SensorgraphError
+        from sensorgraph.localization.graph_walls import walls_of_graph
+        from sensorgraph.watching.messages import WatchFile
+        from sensorgraph.watching.page import watch_page
+
+        summary, line = self.summary, _StatusLine()
+        with ExitStack() as stack:
+            lines = None if self.json is None else stack.enter_context(
+                stack.enter_context(atomic_file(self.json)).open("w")
+            )  # fmt: skip
+            file = None if self.out is None else stack.enter_context(WatchFile(self.out, epoch_ns))
+            stack.callback(line.end)
+            with suppress(*(() if publish is None else (KeyboardInterrupt,))):
+                for status in statuses:
+                    level, reason = self.limits.level(status)
+                    summary.add(status, level, reason)
+                    if lines is not None:
+                        lines.write(as_text.dumps(status.to_dict()) + "\n")
+                    if file is not None:
+                        file.add(status, self.limits)
+                    if publish is not None:
+                        publish(status)
+                    line.show(status, summary)
+        if summary.last is None:
+            raise SensorgraphError(f"{name} has no scan to watch; expected messages on /scan")
+        if self.out is not None:
+            page = summary.page(name, self.graph_name, walls_of_graph(self.model)[0])
+            with atomic_file(self.out.with_suffix(".html")) as part:
+                part.write_text(watch_page(page), encoding="utf-8")
+        return summary.level
+
+    def print(self, name: str) -> None:
+        """Print the result."""
+        summary = self.summary
+        for span in summary.spans["pose"]:
+            if span.word not in ("ok", "unknown"):
+                typer.echo(f"{span.first:.0f} to {span.last:.0f} s: {span.text}")
+        for text in () if summary.last is None else summary.last.sentences():
+            typer.echo(text)
+        for note in summary.notes:
+            typer.echo(f"note: {note}")
+        if step := summary.next_step(name):
+            typer.echo(step)
+        typer.echo(f"{summary.level}{': ' + summary.reason if summary.reason else ''}")
+        if self.out is not None:
+            typer.echo(f"wrote {self.out} and {self.out.with_suffix('.html')}")
 
 
 def _init_policy(
@@ -189,9 +243,10 @@ def _init_policy(
 class _StatusLine:
     """One line on stderr: rewritten on a terminal, every few seconds elsewhere."""
 
-    def __init__(self, began: float) -> None:
+    def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
-        self.cpu, self.began, self.shown = time.process_time(), began, began
+        self.cpu, self.began = time.process_time(), time.monotonic()
+        self.shown = self.began
 
     def show(self, status: WatchStatus, summary: Any) -> None:
         from shutil import get_terminal_size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 
@@ -89,10 +90,14 @@ class WatchFile:
             message = pose_messages(np.array([ns], dtype=np.int64), status.pose.pose[None])
             self._put(POSE_TOPIC, POSE_TYPE, ns, message.tobytes())
 
-    def close(self, *, interrupted: bool = False) -> None:
-        """Give the file its final name, if there was a statement."""
+    def __enter__(self) -> WatchFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._file is not None:
-            self._file.finish(interrupted=interrupted)
+            self._file.finish(interrupted=exc is not None)
 
     def _put(self, topic: str, msgtype: str, ns: int, message: bytes) -> None:
         if self._file is None:
