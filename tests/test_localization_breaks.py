@@ -175,3 +175,41 @@ def test_what_nothing_connects_is_a_second_map(tmp_path: Path) -> None:
     assert set(found.status[:120]) == {"ok"} and set(found.status[120:]) == {"lost"}
     assert [one["n_scans"] for one in maps(found)] == [120, 60]
     assert any(note.startswith("map 2 (60 scans") for note in found.notes)
+
+
+def looking_around(seed: int) -> np.ndarray:
+    """Return poses (n, 3) of a robot that stops at eight places of a loop, and turns there to anywhere and on."""
+    rng, places = np.random.default_rng(seed), loop_poses(10)[:9, :2]
+    poses, phi, here = list[tuple[float, float, float]](), 1.6, places[0]
+    for there in places[1:]:
+        ahead = float(np.arctan2(*(there - here)[::-1]))
+        for heading in (phi + rng.uniform(-2.5, 2.5), ahead):
+            turn = (heading - phi + np.pi) % (2 * np.pi) - np.pi
+            n = int(abs(turn) / 0.12) + 1
+            poses += [(*here, phi + turn * k / n) for k in range(1, n + 1)]
+            phi += turn
+        poses += [(*(here + k / 8 * (there - here)), phi) for k in range(1, 9)]
+        here = there
+    return np.array(poses)
+
+
+def narrowed(run: Run, view: float) -> Run:
+    """Return a run with the rays within a field of view [deg] ahead only."""
+    kept = np.abs(run.sensor.bearings) <= np.radians(view / 2 + 0.01)
+    sensor = replace(run.sensor, bearings=run.sensor.bearings[kept])
+    return replace(run, sensor=sensor, ranges=run.ranges[:, kept])
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize(("view", "is_certain"), [(30.0, False), (58.0, True)])
+def test_new_surfaces_in_a_narrow_view_are_not_taken_for_known_ones(
+    view: float, is_certain: bool, seed: int
+) -> None:
+    """A robot that turns on the spot sees other walls in each scan; most of them fit some wall that is known."""
+    poses = looking_around(seed)
+    found = locate(narrowed(room_run(poses, n_rays=360), view))
+    assert (np.array(found.status) == "ok").any() == is_certain
+    assert any("no pose is certain" in note for note in found.notes) != is_certain
+    ok = np.array(found.status) == "ok"
+    off = errors(found, poses)[ok] if is_certain else np.zeros((1, 3))
+    assert np.abs(off[:, :2]).max() < 0.05 and np.abs(off[:, 2]).max() < 0.02

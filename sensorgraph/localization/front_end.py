@@ -15,6 +15,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
+from sensorgraph.localization.crossed_space import contradicts
 from sensorgraph.localization.line_map import line_map, thinned
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.scan_track import (
@@ -151,19 +152,39 @@ class Tracker:
                 prior_information=information_at(predicted, deviations),
                 settings=self.matching,
             )
-        off = np.zeros(3) if deviations is None else compose(invert(predicted), first.pose) / deviations
-        is_other = first.agreement < s.min_continuity * self.state.agreement or bool(
-            (np.abs(off) > s.max_slip).any()
+        is_other = first.agreement < s.min_continuity * self.state.agreement or self._has_slipped(
+            first, predicted, deviations
         )
         is_good = self._is_good(first, s.min_share_after_failure if self.state.failures else 0.0)
         found: Match | None = first if is_good else None
         if is_other or not is_good:  # the robot may have been carried
             found = self._other_starts(points, normals, predicted, first) or found
+        if (
+            found is not None
+            and self._has_slipped(found, predicted, deviations)
+            and not self._contradicts(k, predicted)
+        ):
+            found = None  # the laser looks at what it has not seen yet, and a few surfaces fit many places
         if is_other and (found is not None or self.state.last_unmatched is None):
             self.is_continuous[[self.state.last_matched + 1, k]] = (
                 False  # no scan between the two was matched
             )
         return found
+
+    def _has_slipped(self, found: Match, predicted: Floats, deviations: Floats | None) -> bool:
+        """Tell whether a match is farther from the prediction than slip explains."""
+        if deviations is None:
+            return False
+        off = compose(invert(predicted), found.pose) / deviations
+        return bool((np.abs(off) > self.settings.max_slip).any())
+
+    def _contradicts(self, k: int, predicted: Floats) -> bool:
+        """Tell whether scan k at its predicted pose contradicts the recent key frames."""
+        state = self.state
+        assert state.surfaces is not None
+        length = sum(p == state.piece[-1] for p in state.piece[-self.settings.window :])
+        recent = state.key_frames[-length:]
+        return contradicts(self.scans, k, predicted, state.surfaces.points, recent, self.poses[recent])
 
     def _is_covered(self, k: int) -> bool:
         """Tell whether all returns of a scan are within the match radius, as with a covered laser."""

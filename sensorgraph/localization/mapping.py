@@ -24,6 +24,9 @@ from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
+NARROW_VIEW = float(np.radians(44.0))
+"""[rad] Field of view up to which no pose is certain. In a room, poses from 38° were silently wrong by up to 2 m; from 45°,
+they were right within 6 cm."""
 MIN_VARIANCE = 1e-8
 """[m², rad²] Added to the independent variances of scans, since those of key frames are 0."""
 
@@ -74,17 +77,20 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if not has_odometry:
         covariances = with_unknown_motion(covariances, run.stamps, tracked, seen)
     states = map_states(tracked, closed, poses, covariances, maps, matched, seen, has_odometry=has_odometry)
+    narrow = _narrow_view(run)
+    uncertain: dict[Status, Status] = {"ok": "ambiguous"} if narrow else {}
     return Localization(
         t=run.stamps,
         poses=poses,
         covariances=covariances,
-        status=states.status,
+        status=tuple(uncertain.get(one, one) for one in states.status),
         maps=states.maps,
         kept=closed.kept,
         refused=closed.refused,
         wheels=steps.parameters(refined.poses),
         rivals=states.rivals,
         notes=(
+            *narrow,
             *_notes(run, tracked, odometry is None),
             *state_notes(run.stamps, tracked, states),
             *followed.notes,
@@ -172,6 +178,17 @@ def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Float
     moved = compose(np.broadcast_to(move, poses.shape), poses)
     moved[:, 2] = wrap(moved[:, 2])
     return moved, turn @ covariances @ turn.T
+
+
+def _narrow_view(run: Run) -> tuple[str, ...]:
+    """Return a note if the laser sees too little for a certain pose; empty if not."""
+    view = float(np.ptp(run.sensor.bearings)) if run.sensor.n_rays else 0.0
+    if run.sensor.is_composite or view > NARROW_VIEW:
+        return ()
+    return (
+        f"the laser sees {np.degrees(view):.0f}° only: few surfaces fit many places, so no pose is certain; use a wider "
+        "field of view",
+    )
 
 
 def _notes(run: Run, tracked: ScanTrack, without_odometry: bool) -> tuple[str, ...]:

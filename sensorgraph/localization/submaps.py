@@ -9,18 +9,16 @@ import numpy as np
 
 from logs.transforms import compose, invert
 from sensorgraph.localization.branch_and_bound import MaxPyramid
+from sensorgraph.localization.crossed_space import crossed, moved_points
 from sensorgraph.localization.likelihood_field import field_of_points
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.scan_track import ScanTrack, points_in
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import CLOSURES, MATCH, ClosureSettings, LineMatchSettings
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.types import Floats, Ints
 
 SEARCH_VOXEL = 0.12
 """[m] Spacing of the search points, matched to the smoothness of the likelihood field."""
-
-MAX_GAP = float(np.radians(3.0))
-"""[rad] Maximum bearing difference between neighbouring returns; in wider gaps the space is unobserved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,42 +80,16 @@ class Submap:
         Only points visible from the key frames in the middle count. A point near a surface of this submap is
         not crossed: along a wall, a small heading error displaces the end of a ray far.
         """
-        points = _moved(other.points[0], relative)
+        points = moved_points(other.points[0], relative)
         is_alone = self.pyramid.field.at(points) == 0
         in_view, through = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.bool_)
         for frame, pose in zip(self.frames[self._core], self.poses[self._core], strict=True):
             own = self.scans.of(int(frame))
             if own.stop - own.start >= 8:
-                seen, gone = _through(points, pose, self.scans, own, margin)
+                seen, gone = crossed(points, pose, self.scans, own, margin)
                 in_view |= seen
                 through |= gone
         return float((through & is_alone).sum() / max(int(in_view.sum()), 1))
-
-
-def _through(
-    points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
-) -> tuple[Bools, Bools]:
-    """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
-    start = scans.starts[own].mean(axis=0)
-    rays = scans.points[own] - start
-    bearing, length = np.arctan2(rays[:, 1], rays[:, 0]), np.hypot(*rays.T)
-    order = np.argsort(bearing)
-    bearing, length = bearing[order], length[order]
-    local = _moved(points, invert(pose)) - start
-    at, far = np.arctan2(local[:, 1], local[:, 0]), np.hypot(*local.T)
-    right = np.searchsorted(bearing, at)
-    inside = (right > 0) & (right < len(bearing))
-    right = np.clip(right, 1, len(bearing) - 1)
-    is_near = bearing[right] - bearing[right - 1] < MAX_GAP
-    in_view = inside & is_near & (far < np.maximum(length[right], length[right - 1]) + margin)
-    through = in_view & (far < np.minimum(length[right], length[right - 1]) - margin)
-    return in_view, through
-
-
-def _moved(points: Floats, pose: Floats) -> Floats:
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    moved: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
-    return moved
 
 
 def cut_submaps(scans: ScanPoints, track: ScanTrack, settings: ClosureSettings = CLOSURES) -> list[Submap]:
