@@ -206,9 +206,9 @@ def repeat(twin: Twin, run: Run) -> tuple[np.ndarray, np.ndarray]:
             poses.append(pose)
             speeds.append(twist)
         at = run.odom_stamps[(run.odom_stamps >= start) & (run.odom_stamps < start + SEGMENT)]
-        travelled = np.cumsum(
-            np.array(speeds) * TRUTH_STEP, axis=0
-        )  # an encoder shows the mean over its period
+        # an encoder shows the mean over its period
+        means = (np.array(speeds) + np.array([speeds[0], *speeds[:-1]])) / 2
+        travelled = np.cumsum(means * TRUTH_STEP, axis=0)
         rate = 1 / float(np.median(np.diff(run.odom_stamps)))
         twists.append(
             np.column_stack(

@@ -174,7 +174,7 @@ def series(rows: Sequence[Mapping[str, Any]], quantity: str) -> tuple[list[int],
     return index, t, pairs[:, 0], np.hypot(pairs[:, 1], floor)
 
 
-def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def quantities_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the quantities to compare: each wheel if its size is known, else distance and heading."""
     known = {name for row in rows for name in row["quantities"]}
     redundant = {"way_scale", "heading_bias"} if "left_wheel" in known else set()
@@ -184,7 +184,7 @@ def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def _changes(rows: Sequence[Mapping[str, Any]]) -> list[RobotChange]:
     out = []
     for robot, own in _by_robot(rows).items():
-        for quantity in _names(own):
+        for quantity in quantities_of(own):
             index, t, values, sigmas = series(own, quantity)
             for step in steps_of(quantity, t, values, sigmas):
                 after = own[index[min(step.before + 1, len(index) - 1)]]
@@ -206,7 +206,7 @@ def _odd(rows: Sequence[Mapping[str, Any]], changes: Sequence[RobotChange]) -> l
         kinds.setdefault(str(own[0]["kind"]), {})[robot] = own
     out = []
     for robots in kinds.values():
-        for quantity in _names([row for own in robots.values() for row in own]):
+        for quantity in quantities_of([row for own in robots.values() for row in own]):
             levels = {}
             for robot, own in robots.items():
                 index, _, values, sigmas = series(own, quantity)

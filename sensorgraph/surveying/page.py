@@ -26,7 +26,7 @@ def fleet_page(fleet: Fleet) -> str:
     return page_shell(
         headline=changes[0] if len(changes) == 1 else f"{len(changes)} changes" if changes else "No robot changed",
         lead=[
-            f"{len(fleet.rows)} logs of {len(robots)} robots, {hours:.1f} h; {len(fleet.failures)} logs failed.",
+            f"{len(fleet.rows)} logs of {len(robots)} robots, {hours:.1f} h; {len(fleet.failures)} failed.",
             *([] if len(changes) < 2 else [f"{one}." for one in changes[:12]]),
         ],
         eyebrow=f"sensorgraph fleet {__version__}",

@@ -23,7 +23,8 @@ class Label:
         """Return a change with its standard error, in the unit."""
         digits = 2 if self.factor * sigma < 0.1 else 1
         value = f"{self.factor * size:+.{digits}f}".replace("-", "−")
-        return f"{value} {self.unit} ± {self.factor * sigma:.{digits}f} {self.unit}"
+        unit = self.unit if self.unit.startswith("°") else f" {self.unit}"
+        return f"{value}{unit} ± {self.factor * sigma:.{digits}f}{unit}"
 
     def shown(self, value: float, sigma: float) -> str:
         """Return a value with its standard error, relative to the neutral one."""
