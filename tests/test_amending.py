@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import sensorgraph as sg
 from logs.run import RangeSensor, Run
@@ -377,9 +378,10 @@ def test_a_run_states_rate_angles_and_ranges(write: Callable[..., Path]) -> None
         pose_stamps=np.zeros(0),
         poses=np.zeros((0, 3)),
     )
-    found = sg.amend(write("model.sdf", SDF), [effect("range_noise", k=0.01)], run=run)
+    effects = [effect("range_noise", k=0.01), effect("max_range", R=5.0)]
+    found = sg.amend(write("model.sdf", SDF), effects, run=run)
     text = without_comments(found.files[0].text.decode())
-    for one in ("<update_rate>7.5<", "<samples>401<", "<min_angle>-2<", "<max_angle>2<", "<max>6<"):
+    for one in ("<update_rate>7.5<", "<samples>401<", "<min_angle>-2<", "<max_angle>2<", "<max>5<"):
         assert one in text
     rms = math.sqrt(np.mean(run.ranges**2))
     assert float(re.search(r"<stddev>([\d.]+)", text)[1]) == pytest.approx(0.01 * rms, rel=1e-4)  # type: ignore[index]
@@ -409,6 +411,17 @@ def test_bad_files_are_one_line_and_untouched(
         sg.amend(path, [effect("mount_yaw", delta=0.02)])
     assert message in str(caught.value) and "\n" not in str(caught.value)
     assert path.read_text(encoding="utf-8") == text
+
+
+def test_amcl_gets_floats_from_a_run_and_comments_stay_on_their_lines(write: Callable[..., Path]) -> None:
+    run = sg.record(sg.plan("square", views=4))
+    text = NAV2.replace("100.0\n", '100.0\n    laser_model_type: "likelihood_field"  # default\n')
+    found = sg.amend(write("nav2_params.yaml", text), [effect("max_range", R=7.0)], run=run)
+    new = yaml.safe_load(found.files[0].text)["amcl"]["ros__parameters"]
+    assert new["laser_max_range"] == 7.0 and new["z_hit"] > 0.9 and new["alpha1"] < 0.01
+    assert all(isinstance(value, float) for name, value in new.items() if name != "laser_model_type")
+    line = next(one for one in found.files[0].text.decode().splitlines() if "laser_model_type" in one)
+    assert "# default" in line and "was likelihood_field" in line
 
 
 def test_an_effect_is_not_written_twice(write: Callable[..., Path]) -> None:

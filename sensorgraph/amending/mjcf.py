@@ -57,10 +57,9 @@ def amend_mjcf(
         "mount_yaw": model.turn,
         "max_range": lambda a: model.cutoff(a["R"], why(a, "R")),
     }
-    lines = apply(amendments, handlers, WHAT, file, document.files)
     if measured is not None and model.rangefinders:
         model.cutoff(measured.range_max, Why(cause=f"as in {measured.name}"))
-    return lines
+    return apply(amendments, handlers, WHAT, file, document.files)
 
 
 class _MjcfModel:

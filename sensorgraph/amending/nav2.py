@@ -9,7 +9,7 @@ import yaml
 
 from sensorgraph.amending.findings import CannotHoldError, apply, why
 from sensorgraph.amending.text import Why
-from sensorgraph.amending.yaml_text import YamlFile, as_number, child
+from sensorgraph.amending.yaml_text import YamlFile, as_number, child, decimal
 from sensorgraph.effects import Amendment
 from sensorgraph.exporting.amcl import BootstrapEstimate, LaserModelChoice
 
@@ -43,11 +43,13 @@ def amend_nav2(
     section = _section(data)
     if section is None:
         return [*lines, f"{file}: AMCL's parameters: it has no `amcl: ros__parameters:`"]
+    if any(a.name == "max_range" for a in amendments):  # found, and not only stated by the log
+        estimates = {name: found for name, found in estimates.items() if name != "laser_max_range"}
     for name, found in estimates.items():
         node = child(section, name)
         reason = Why(cause=f"estimate {found}")
         if node is None:
-            data.add(section, (name,), f"{found.value:.3g}", reason)
+            data.add(section, (name,), decimal(float(f"{found.value:.3g}")), reason)
             continue
         old = as_number(node)
         if old is None or not found.low <= old <= found.high:
@@ -69,7 +71,7 @@ def _amcl(data: YamlFile, key: str, value: float, reason: Why) -> None:
         raise CannotHoldError("it has no `amcl: ros__parameters:`")
     node = child(section, key)
     if node is None:
-        data.add(section, (key,), f"{value:.6g}", reason)
+        data.add(section, (key,), decimal(value), reason)
     else:
         data.put(node, value, reason)
 

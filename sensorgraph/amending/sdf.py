@@ -43,8 +43,11 @@ def amend_sdf(
         "mount_yaw": model.turn,
         **sensor_handlers(sensor, measured),
     }
-    lines = apply(amendments, handlers, WHAT, file, document.files)
-    return [*lines, *finish_sensor(sensor, measured, file)]
+    lines = write_measured(sensor, measured, file)
+    lines += apply(amendments, handlers, WHAT, file, document.files)
+    if sensor is not None:
+        sensor.finish()
+    return lines
 
 
 def sensor_handlers(sensor: GazeboSensor | None, measured: MeasuredLaser | None) -> dict:  # type: ignore[type-arg]
@@ -64,17 +67,14 @@ def sensor_handlers(sensor: GazeboSensor | None, measured: MeasuredLaser | None)
     }
 
 
-def finish_sensor(sensor: GazeboSensor | None, measured: MeasuredLaser | None, file: str) -> list[str]:
-    """Write the settings of a measured laser; return a line if the file has no laser for them."""
-    if sensor is None:
+def write_measured(sensor: GazeboSensor | None, measured: MeasuredLaser | None, file: str) -> list[str]:
+    """Write the settings of a measured laser, before effects; return a line if the file has no laser for them."""
+    if sensor is None or measured is None:
         return []
     try:
-        if measured is not None:
-            sensor.measured(measured)
+        sensor.measured(measured)
     except CannotHoldError as exc:
-        return [f"{file}: the laser of {measured.name}: {exc}"] if measured is not None else []
-    finally:
-        sensor.finish()
+        return [f"{file}: the laser of {measured.name}: {exc}"]
     return []
 
 

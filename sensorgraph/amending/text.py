@@ -91,8 +91,9 @@ class TextFile:
 
     def amended(self) -> bytes:
         """Return the file with all edits and comments."""
-        pieces = [(start, end, new) for (start, end), new in self.edits.items()]
-        pieces += [(at, at, self._comment(phrases)) for at, phrases in self.notes.items()]
+        # a comment stays on its line, and an insertion at the same offset starts the next one
+        pieces = [(at, at, self._comment(phrases)) for at, phrases in self.notes.items()]
+        pieces += [(start, end, new) for (start, end), new in self.edits.items()]
         out, last = [], 0
         for start, end, new in sorted(pieces, key=lambda piece: piece[:2]):
             out += [self.data[last:start], new.encode()]

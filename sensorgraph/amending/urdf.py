@@ -10,7 +10,7 @@ from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply,
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
 from sensorgraph.amending.numbers import number, scale
 from sensorgraph.amending.place import known, rotation, shift, shift_of, triple, turn
-from sensorgraph.amending.sdf import finish_sensor, sensor_handlers
+from sensorgraph.amending.sdf import sensor_handlers, write_measured
 from sensorgraph.amending.text import note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
@@ -48,8 +48,10 @@ def amend_urdf(
         "mount_yaw": model.turn,
         **sensor_handlers(model.sensor, measured),
     }
-    lines = apply(amendments, handlers, WHAT, file, document.files)
-    lines += finish_sensor(model.sensor, measured, file)
+    lines = write_measured(model.sensor, measured, file)
+    lines += apply(amendments, handlers, WHAT, file, document.files)
+    if model.sensor is not None:
+        model.sensor.finish()
     if document.unknown and lines:
         lines.append(
             f"{file}: no given file defines the macros {', '.join(f'`{one}`' for one in document.unknown[:8])}; "

@@ -52,7 +52,7 @@ class YamlFile:
         old = as_number(node)
         if old is not None and abs(value - old) <= CHANGE * max(1.0, abs(old)):
             return
-        text = _decimal(value) if "." in node.value or "e" in node.value else number_text(value)
+        text = decimal(value) if "." in node.value or "e" in node.value else number_text(value)
         self.file.replace(span, text, note(node.value, why), self.file.line_end(span[1]))
 
     def put_text(self, node: yaml.ScalarNode, value: str, phrase: str) -> None:
@@ -104,7 +104,7 @@ def as_number(node: Any) -> float | None:
         return None
 
 
-def _decimal(value: float) -> str:
+def decimal(value: float) -> str:
     """Return a number that YAML and ROS read as a float."""
-    text = number_text(value)
-    return text if "." in text or "e" in text else f"{text}.0"
+    digits, e, exponent = number_text(value).partition("e")
+    return f"{digits if '.' in digits else f'{digits}.0'}{e}{exponent}"
