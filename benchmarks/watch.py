@@ -42,7 +42,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.policy import learn
-from sensorgraph.watching.pose import state_pose
+from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.tracker import PoseTracker
 from sensorgraph.watching.watcher import watch_scans
@@ -254,7 +254,8 @@ def seconds(
     graph: Sensorgraph, readings: GraphReadings, watched: Watched, alarms: Alarms
 ) -> list[tuple[float, str, dict[str, float]]]:
     """Return time since the change [s], status and the alarms of each second."""
-    tracker, out, before, said = PoseTracker(graph, readings), [], "ok", -np.inf
+    tracker, out, said = PoseTracker(graph, readings), [], -np.inf
+    judge = PoseJudge(tracker)
     began = watched.stamps[watched.changed] if watched.changed < len(watched.stamps) else np.inf
     for one in watched.observations():
         if tracker.is_due(one):
@@ -262,8 +263,7 @@ def seconds(
         found = alarms.add(one)
         if one.stamp - said >= 1.0:
             said = one.stamp
-            statement = state_pose(tracker, one, before)  # type: ignore[arg-type]
-            before = statement.status
+            statement = judge.state(one)
             out.append((one.stamp - began, statement.status, {"watch": statement.p_wrong, **found}))
     return out
 

@@ -53,6 +53,10 @@ class TopicInfo:
     last: float | None
     offset: float | None
     """[s] median of log time minus header stamp; None without a header."""
+    longest_gap: float | None = None
+    """[s] longest time between two messages; None for fewer than two."""
+    n_back: int = 0
+    """Number of messages whose stamp is before that of the previous message."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +205,7 @@ def _topics(recording: Recording) -> list[TopicInfo]:
 
 def _topic(topic: Topic, start: int) -> TopicInfo:
     logged = np.sort(np.array(topic.log_times, dtype=np.int64))
-    frame, offset = "", None
+    frame, offset, n_back = "", None, 0
     stamps = logged
     if topic.type in KEPT_TYPES and topic.type != TF_TYPE and topic.payloads:
         headers, frames = logged.copy(), dict[str, int]()
@@ -214,6 +218,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
             frames[name] = frames.get(name, 0) + len(block.index)
         if offset is not None:
             offset = float(np.median(raw - headers)) / 1e9
+            n_back = int((np.diff(headers) < 0).sum())
             stamps = np.sort(headers)
         frame = ", ".join(frames)
     span = len(logged) > 0
@@ -226,6 +231,8 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
         first=(int(logged[0]) - start) / 1e9 if span else None,
         last=(int(logged[-1]) - start) / 1e9 if span else None,
         offset=offset,
+        longest_gap=_longest(stamps / 1e9),
+        n_back=n_back,
     )
 
 
@@ -241,10 +248,14 @@ def _signals(run: Run | None) -> list[TopicInfo]:
     return [
         TopicInfo(
             name=name, type=kind, n_messages=len(stamps), rate=_rate(stamps), frame=frame,
-            first=float(stamps[0]), last=float(stamps[-1]), offset=None,
+            first=float(stamps[0]), last=float(stamps[-1]), offset=None, longest_gap=_longest(stamps),
         )
         for name, kind, stamps, frame in rows if len(stamps)
     ]  # fmt: skip
+
+
+def _longest(stamps: Floats) -> float | None:
+    return float(np.diff(stamps).max()) if len(stamps) > 1 else None
 
 
 def _rate(stamps: Floats) -> float | None:

@@ -114,3 +114,39 @@ def test_a_run_of_another_laser_is_refused_and_writes_nothing(
     assert "built with this laser" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.mcap"]
     assert np.isfinite(other.ranges).all()
+
+
+def test_inspect_judges_topics_by_the_same_policy(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = tmp_path / "site.yaml"
+    good = logs.read(folder / "good.mcap")
+    assert (
+        cli(
+            [
+                "watch",
+                str(folder / "room.sensorgraph"),
+                "--init-policy",
+                str(folder / "good.mcap"),
+                "-o",
+                str(policy),
+            ]
+        )
+        == 0
+    )
+    assert cli(["inspect", str(folder / "good.mcap"), "--policy", str(policy)]) == 0
+    keep = np.abs(np.arange(good.n_scans) - 100) > 4  # 2 s of scans are missing
+    logs.write(good.take_scans(keep), tmp_path / "gap.mcap")
+    assert cli(["inspect", str(tmp_path / "gap.mcap"), "--policy", str(policy)]) == 2
+    assert "/scan has a gap of 2.00 s, expected at most 1 s" in capsys.readouterr().out
+    logs.write(
+        replace(
+            good,
+            odom_stamps=good.odom_stamps[:0],
+            odometry=good.odometry[:0],
+            odom_twists=good.odom_twists[:0],
+        ),
+        tmp_path / "few.mcap",
+    )
+    assert cli(["inspect", str(tmp_path / "few.mcap"), "--policy", str(policy)]) == 2
+    assert "/odom is missing" in capsys.readouterr().out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -13,11 +13,15 @@ from sensorgraph.cli.options import (
     InspectArena,
     InspectFile,
     InspectJson,
+    InspectPolicy,
     InspectTopic,
     NoReturn,
     RunRobot,
     Slice,
 )
+
+if TYPE_CHECKING:
+    from logs.inspection import Inspection
 
 
 def inspect(
@@ -25,6 +29,7 @@ def inspect(
     topic: InspectTopic = None,
     arena: InspectArena = None,
     json: InspectJson = None,
+    policy: InspectPolicy = None,
     no_return: NoReturn = None,
     robot: RunRobot = None,
     heights: Slice = None,
@@ -45,6 +50,8 @@ def inspect(
 
         sensorgraph inspect others.bag --topic scan=/front/scan --topic pose=/ground_truth
 
+        sensorgraph inspect run.mcap --policy site.yaml
+
         sensorgraph inspect others.bag --topic scan=/scan@rear_laser --topic odom=/tf --json found.json
     """
     from logs.inspection import inspect as look
@@ -53,12 +60,14 @@ def inspect(
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_in
+    from sensorgraph.watching.policy import load_topics
     from sensorgraph.world.described import differences, with_robot
     from sensorgraph.world.orientation import orientation
     from sensorgraph.world.robot import load_robot
 
     if json is not None:
         check_output(json, file)
+    expected = None if policy is None else load_topics(policy)
     if file.suffix.lower() in MAPS and file.is_file():
         facts = _map_facts(file)
         if json is not None:
@@ -90,11 +99,28 @@ def inspect(
         oriented = orientation(stated, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     if json is not None:
-        facts = {**found.to_dict(), "orientation": None}
-        if oriented is not None:
-            facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
-        write_json(json, facts)
+        names = () if oriented is None else ("best", "against", "fits")
+        turned = {name: getattr(oriented, name) for name in names} or None
+        write_json(json, {**found.to_dict(), "orientation": turned})
     typer.echo(with_flags("\n".join(found.lines(lines))))
+    _judge(found, expected)
+
+
+def _judge(found: Inspection, expected: dict[str, Any] | None) -> None:
+    """Print how a log differs from a policy, if there is one; exit with 1 for a warning and 2 for an error."""
+    from logs.expectations import deviations
+
+    if expected is None:
+        return
+
+    each = deviations(found, expected)
+    typer.echo("policy")
+    for one in each:
+        typer.echo(f"  {one.level}: {one.text}")
+    if not each:
+        typer.echo(f"  ok: {len(expected)} topics as expected")
+        return
+    raise typer.Exit(2 if any(one.level == "error" for one in each) else 1)
 
 
 def _map_facts(file: Path) -> dict[str, Any]:

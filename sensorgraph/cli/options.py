@@ -180,6 +180,15 @@ InspectArena = Annotated[
 ]
 InspectJson = Annotated[Path | None, typer.Option(help="Also write the findings to this JSON file.")]
 
+InspectPolicy = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        help="Limits of `watch --init-policy` for topics, rates, gaps and stamps; they decide the exit code: 0 ok, "
+        "1 warning, 2 error.",
+    ),
+]
+
 # recover
 RecoverFile = Annotated[
     Path,

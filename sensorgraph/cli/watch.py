@@ -226,6 +226,8 @@ class _Output:
 def _init_policy(
     graph: Path, runs: list[Path], out: Path | None, reading: dict[str, Any], robot: Path | None
 ) -> None:
+    from logs.expectations import expected_topics
+    from logs.inspection import inspect
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.watching.policy import WatchPolicy, learn, save_policy
@@ -236,7 +238,7 @@ def _init_policy(
         )
     model = Sensorgraph.load(graph)
     found = learn([list(_statuses(model, _read(path, reading, robot), WatchPolicy())) for path in runs])
-    save_policy(out, found)
+    save_policy(out, found, expected_topics([inspect(path, **reading) for path in runs]))
     typer.echo(f"{60 * found.hours:.1f} min of good runs: limits written to {out}")
 
 

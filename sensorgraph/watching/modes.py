@@ -104,7 +104,7 @@ def weighed(
     unlike = np.clip(
         1.0 - found.answered, priors.unlike, 1.0 - priors.unlike
     )  # the graph may not know the place
-    gains = weight * np.logaddexp(gains + np.log1p(-unlike), np.log(unlike))
+    gains = weight * np.logaddexp(gains, np.log(unlike))
     evidence = known.sum(axis=1) / np.maximum(found.known.sum(axis=1), 1)
     out = []
     for k, mode in enumerate(modes):

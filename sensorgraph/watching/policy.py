@@ -164,6 +164,22 @@ def save_policy(path: Path, policy: WatchPolicy, topics: Mapping[str, Any] | Non
         part.write_text(yaml.safe_dump(data, sort_keys=False))
 
 
+def load_topics(path: Path) -> dict[str, Any]:
+    """Read the limits of topics that a policy holds.
+
+    Raises
+    ------
+    SensorgraphError : The file is no policy, or holds no topics.
+    """
+    load_policy(path)
+    topics = yaml.safe_load(path.read_text()).get("topics")
+    if not isinstance(topics, dict):
+        raise SensorgraphError(
+            f"{path} holds no `topics`; make it again with watch GRAPH --init-policy RUN... -o FILE"
+        )
+    return topics
+
+
 def load_policy(path: Path) -> WatchPolicy:
     """Read a policy.
 

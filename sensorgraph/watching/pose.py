@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 from logs.transforms import compose, wrap
 from sensorgraph.types import Floats
@@ -93,10 +93,37 @@ class PoseStatement:
         }
 
 
-def state_pose(
-    tracker: PoseTracker, observation: Observation, before: PoseWord = "ok", priors: TrackingPriors = TRACKING
-) -> PoseStatement:
-    """Return the statement about the pose at a scan; `before` is the previous status."""
+class PoseJudge:
+    """Judges the believed pose by a tracker, once for each statement.
+
+    Whether the belief is right is a state that persists (a hidden Markov model). One statement counts at most
+    `most_of_one` nats, since errors of stamps and of the belief last for some scans.
+    """
+
+    def __init__(self, tracker: PoseTracker, priors: TrackingPriors = TRACKING) -> None:
+        self.tracker, self.priors = tracker, priors
+        self.odds = -priors.right
+        """[nats] Log-odds that the believed pose is off."""
+        self.before: PoseWord = "ok"
+
+    def state(self, observation: Observation) -> PoseStatement:
+        """Return the statement at a scan."""
+        found = state_pose(self.tracker, observation, self)
+        self.before = found.status
+        return found
+
+    def p_off(self, p_near: float) -> float:
+        """Return the probability that the belief is off, after a statement that it is near with a probability."""
+        s = self.priors
+        nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
+        self.odds += min(max(nats, -s.most_of_one), s.most_of_one)
+        self.odds = min(max(self.odds, -s.right), s.right)
+        return float(expit(self.odds))
+
+
+def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge) -> PoseStatement:
+    """Return the statement about the pose at a scan."""
+    priors, before = judge.priors, judge.before
     ahead, believed = tracker.ahead(observation), observation.believed
     modes = [replace(mode, pose=compose(mode.pose, ahead)) for mode in tracker.modes]
     main = max(modes, key=lambda mode: mode.score, default=None)
@@ -114,8 +141,9 @@ def state_pose(
     ]  # fmt: skip
     p_ok = best
     if believed is not None:
-        near = [_p_near(mode, believed, priors) for mode in modes]
-        p_ok = float(probabilities @ near)
+        moved = np.abs(tracker.velocity) * priors.stamp
+        near = [_p_near(mode, believed, moved, priors) for mode in modes]
+        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(float(probabilities @ near) / max(1.0 - p_lost, 1e-9)))
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
     p = p_ok
@@ -136,13 +164,16 @@ def state_pose(
     )  # fmt: skip
 
 
-def _p_near(mode: Mode, believed: Floats, priors: TrackingPriors) -> float:
-    """Return the probability that a pose of the mode is within the tolerance of the believed pose."""
+def _p_near(mode: Mode, believed: Floats, moved: Floats, priors: TrackingPriors) -> float:
+    """Return the probability that a pose of the mode is within the tolerance of the believed pose.
+
+    The motion `moved` (3,) within the error of a stamp adds to the covariance.
+    """
     off = believed - mode.pose
     off[2] = wrap(off[2])
     way = float(np.hypot(off[0], off[1]))
     along = off[:2] / way if way > 0 else np.array([1.0, 0.0])
-    deviation = math.sqrt(float(along @ mode.covariance[:2, :2] @ along))
-    turn = math.sqrt(float(mode.covariance[2, 2]))
+    deviation = math.sqrt(float(along @ mode.covariance[:2, :2] @ along + moved[:2] @ moved[:2]))
+    turn = math.sqrt(float(mode.covariance[2, 2] + moved[2] ** 2))
     within = ndtr((priors.tolerance[0] - way) / deviation) * ndtr((priors.tolerance[1] - abs(off[2])) / turn)
     return float(within)

@@ -36,6 +36,12 @@ class TrackingPriors:
     """[m, m, rad] Standard deviations of the first believed pose, and of any later one."""
     tolerance: tuple[float, float] = (0.3, 0.105)
     """[m, rad] A believed pose that is further away is off."""
+    stamp: float = 0.05
+    """[s] Standard deviation of the stamps of believed poses."""
+    right: float = 4.0
+    """[nats] Log-odds that a belief is right, at most: those of one error in a minute."""
+    most_of_one: float = 3.0
+    """[nats] Evidence of one statement about the belief, at most."""
     place_size: tuple[float, float] = (0.1, 0.05)
     """[m, rad] Sides of the cells that count as different places."""
     odometry_floor: tuple[float, float, float] = (0.005, 0.005, 0.003)

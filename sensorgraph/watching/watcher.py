@@ -14,7 +14,7 @@ from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.place import Place
-from sensorgraph.watching.pose import PoseStatement, state_pose
+from sensorgraph.watching.pose import PoseJudge, PoseStatement
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.robot import SURE, RobotHealth
 from sensorgraph.watching.scan_input import ScanInput
@@ -54,6 +54,7 @@ class Watcher:
         self.graph = graph
         self.readings = GraphReadings(graph, graph.sensor if sensor is None else sensor)
         self.tracker = PoseTracker(graph, self.readings)
+        self.judge = PoseJudge(self.tracker)
         window = self.tracker.place.window
         half = np.array([window.half_x, window.half_y]) + MARGIN
         middle = np.array([window.x, window.y])
@@ -127,7 +128,7 @@ class Watcher:
 
     def _status(self, observation: Observation) -> WatchStatus:
         stamp, before = observation.stamp, self._before
-        pose = state_pose(self.tracker, observation, "ok" if before is None else before.status)
+        pose = self.judge.state(observation)
         is_same = before is not None and before.status == pose.status
         pose = replace(pose, since=before.since if before is not None and is_same else stamp)
         self._before = pose

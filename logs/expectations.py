@@ -1,0 +1,103 @@
+"""What a log must hold: topics, rates, gaps and stamps, learned from good logs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from logs.errors import LogError
+from logs.inspection import Inspection, TopicInfo
+
+RATE_SHARES = {"warning": 0.9, "error": 0.5}
+"""Level -> share of the lowest rate in the good logs, below which a rate is too low."""
+GAP_FACTORS = {"warning": 2.0, "error": 5.0}
+"""Level -> factor of the longest gap in the good logs, above which a gap is too long."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicDeviation:
+    """One way in which a log differs from what is expected."""
+
+    level: str
+    """warning or error"""
+    text: str
+
+
+def expected_topics(good: Sequence[Inspection]) -> dict[str, Any]:
+    """Return the limits of each topic that all good logs hold, as plain data."""
+    common = set.intersection(*({topic.name for topic in one.topics} for one in good)) if good else set()
+    out: dict[str, Any] = {}
+    for name in sorted(common):
+        each = [topic for one in good for topic in one.topics if topic.name == name]
+        limits: dict[str, Any] = {"type": each[0].type}
+        rates = [topic.rate for topic in each if topic.rate is not None]
+        gaps = [topic.longest_gap for topic in each if topic.longest_gap is not None]
+        if len(rates) == len(each):
+            limits["rate_hz"] = {level: round(share * min(rates), 3) for level, share in RATE_SHARES.items()}
+        if len(gaps) == len(each):
+            limits["gap_s"] = {level: round(factor * max(gaps), 3) for level, factor in GAP_FACTORS.items()}
+        limits["n_back"] = max(topic.n_back for topic in each)
+        out[name] = limits
+    return out
+
+
+def deviations(found: Inspection, expected: Mapping[str, Any]) -> list[TopicDeviation]:
+    """Return how a log differs from the limits of its topics.
+
+    Raises
+    ------
+    LogError
+        If the limits are not those that `expected_topics` returns.
+    """
+    known = {topic.name: topic for topic in found.topics}
+    out = []
+    try:
+        for name, limits in expected.items():
+            if name not in known:
+                out.append(
+                    TopicDeviation(level="error", text=f"{name} is missing, expected {limits['type']}")
+                )
+                continue
+            out += _of_topic(known[name], limits)
+    except (KeyError, TypeError, AttributeError) as exc:
+        raise LogError(
+            f"the limits of topics are not readable ({type(exc).__name__}: {exc}); make the policy again with "
+            "watch GRAPH --init-policy RUN... -o FILE"
+        ) from exc
+    return out
+
+
+def _of_topic(topic: TopicInfo, limits: Mapping[str, Any]) -> list[TopicDeviation]:
+    out = []
+    if topic.type != limits["type"]:
+        out.append(
+            TopicDeviation(level="error", text=f"{topic.name} is {topic.type}, expected {limits['type']}")
+        )
+    for level in ("error", "warning"):
+        if "rate_hz" in limits and (topic.rate or 0.0) < limits["rate_hz"][level]:
+            rate = limits["rate_hz"][level]
+            out.append(
+                TopicDeviation(
+                    level=level, text=f"{topic.name} has {topic.rate or 0:.2f} Hz, expected {rate:g} Hz"
+                )
+            )
+            break
+    for level in ("error", "warning"):
+        if "gap_s" in limits and (topic.longest_gap or 0.0) > limits["gap_s"][level]:
+            gap = limits["gap_s"][level]
+            out.append(
+                TopicDeviation(
+                    level=level,
+                    text=f"{topic.name} has a gap of {topic.longest_gap:.2f} s, expected at most {gap:g} s",
+                )
+            )
+            break
+    if topic.n_back > limits["n_back"]:
+        out.append(
+            TopicDeviation(
+                level="error",
+                text=f"{topic.name}: stamps go back {topic.n_back} times, expected at most {limits['n_back']}",
+            )
+        )
+    return out
