@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 
 import logs
@@ -114,6 +115,29 @@ def test_a_run_of_another_laser_is_refused_and_writes_nothing(
     assert "built with this laser" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.mcap"]
     assert np.isfinite(other.ranges).all()
+
+
+def test_show_writes_a_recording_and_opens_it(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[Path] = []
+    monkeypatch.setattr("sensorgraph.show.rerun_file.open_viewer", opened.append)
+    out = tmp_path / "w.mcap"
+    assert (
+        cli(["watch", str(folder / "room.sensorgraph"), str(folder / "off.mcap"), "-o", str(out), "--show"])
+        == 0
+    )
+    assert opened == [out.with_suffix(".rrd")]
+    store = RrdReader(opened[0]).store()
+    entities = {str(column.entity_path) for column in store.schema().component_columns()}
+    assert {
+        "/plan/walls",
+        "/plan/path/ok",
+        "/plan/path/off",
+        "/plan/robot",
+        "/said/pose",
+        "/series/p_wrong",
+    } <= entities
 
 
 def test_inspect_judges_topics_by_the_same_policy(

@@ -40,6 +40,9 @@ WatchPolicyFile = Annotated[
 WatchLive = Annotated[
     bool, typer.Option("--live", help="Watch your own running ROS 2 robot over zenoh, until Ctrl-C.")
 ]
+WatchShow = Annotated[
+    bool, typer.Option("--show", help="Also write OUT.rrd, and open it in rerun's viewer at the end.")
+]
 WatchInit = Annotated[
     bool, typer.Option("--init-policy", help="Learn limits from good runs, and write them to OUT.")
 ]
@@ -53,6 +56,7 @@ def watch(
     policy: WatchPolicyFile = None,
     init_policy: WatchInit = False,
     live: WatchLive = False,
+    show: WatchShow = False,
     router: RecordRouter = None,
     domain: RecordDomain = None,
     duration: RecordDuration = None,
@@ -97,6 +101,8 @@ def watch(
         )
     limits = WatchPolicy() if policy is None else load_policy(policy)
     model = Sensorgraph.load(graph)
+    if show and out is None:
+        raise SensorgraphError("--show needs -o OUT.mcap, beside which OUT.rrd is written")
     output = _Output(model, limits, graph.name, out, json)
     if live:
         level = _watch_live(output, topic, router, domain, duration, wait)
@@ -106,6 +112,8 @@ def watch(
         level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
         print_log_notes(run)
         output.print(runs[0].name)
+    if show and out is not None:
+        output.show(out.with_suffix(".rrd"))
     if policy is not None and level != "ok":
         raise typer.Exit(LEVELS.index(level))
 
@@ -163,6 +171,7 @@ class _Output:
 
         self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph_name, out, json
         self.summary = WatchSummary()
+        self.page: Any = None
 
     def take(
         self,
@@ -201,10 +210,19 @@ class _Output:
         if summary.last is None:
             raise SensorgraphError(f"{name} has no scan to watch; expected messages on /scan")
         if self.out is not None:
-            page = summary.page(name, self.graph_name, walls_of_graph(self.model)[0])
+            self.page = summary.page(name, self.graph_name, walls_of_graph(self.model)[0])
             with atomic_file(self.out.with_suffix(".html")) as part:
-                part.write_text(watch_page(page), encoding="utf-8")
+                part.write_text(watch_page(self.page), encoding="utf-8")
         return summary.level
+
+    def show(self, path: Path) -> None:
+        """Write the recording of rerun, and open it."""
+        from sensorgraph.show.rerun_file import open_viewer
+        from sensorgraph.show.review.watched import write_watched
+
+        write_watched(self.page, path)
+        typer.echo(f"wrote {path}; open it with: rerun {path}")
+        open_viewer(path)
 
     def print(self, name: str) -> None:
         """Print the result."""

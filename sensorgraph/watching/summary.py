@@ -45,6 +45,12 @@ class PageData:
     """(n, 3) tracked poses, nan where unknown."""
     path_pieces: Sequence[tuple[int, int, str]]
     """First and end of pieces of the path, and their word."""
+    times: Floats
+    """(n,) [s] since the first statement, of the poses of the path; `words`, `p_wrong` and `shares` likewise."""
+    words: Sequence[str]
+    p_wrong: Floats
+    shares: Floats
+    """Share of the readings that the graph predicts; nan where unknown."""
     walls: Floats
     """(n, 2, 2) [m, map]"""
     notes: Sequence[str]
@@ -55,7 +61,7 @@ class WatchSummary:
 
     def __init__(self) -> None:
         self.spans: dict[str, list[Span]] = {"pose": [], "place": [], "robot": []}
-        self.points: list[tuple[float, str, Floats]] = []
+        self.points: list[tuple[float, str, Floats, float, float]] = []
         self.notes: list[str] = []
         self.first: float | None = None
         self.last: WatchStatus | None = None
@@ -76,7 +82,8 @@ class WatchSummary:
         self._extend("robot", t, "fault" if status.faults else "ok", robot)
         if self.n_statements % self._every == 0:
             at = np.full(3, np.nan) if status.pose.pose is None else status.pose.pose
-            self.points.append((t, "unknown" if unknown else word, at))
+            share = np.nan if status.share_predicted is None else status.share_predicted
+            self.points.append((t, "unknown" if unknown else word, at, status.pose.p_wrong, share))
         if len(self.points) > MOST_POINTS:
             self.points, self._every = self.points[::2], 2 * self._every
         self.notes = [*self.notes, *status.notes][-100:]
@@ -115,7 +122,7 @@ class WatchSummary:
     def page(self, run_name: str, graph_name: str, walls: Floats) -> PageData:
         """Return what the page shows."""
         assert self.last is not None and self.first is not None
-        words = [word for _, word, _ in self.points]
+        times, words, path, p_wrong, shares = zip(*self.points, strict=True)
         edges = [0, *(k for k in range(1, len(words)) if words[k] != words[k - 1]), len(words)]
         pieces = [(a, min(b + 1, len(words)), words[a]) for a, b in pairwise(edges)]
         return PageData(
@@ -123,6 +130,7 @@ class WatchSummary:
             headline=f"{self.level}: {self.reason}" if self.reason else "ok: pose, place and robot as expected",
             next_step=self.next_step(run_name), last=self.last, pose_spans=self.spans["pose"],
             place_spans=self.spans["place"], robot_spans=self.spans["robot"],
-            path=np.array([at for _, _, at in self.points]).reshape(-1, 3), path_pieces=pieces, walls=walls,
+            path=np.array(path), path_pieces=pieces, walls=walls,
+            times=np.array(times), words=words, p_wrong=np.array(p_wrong), shares=np.array(shares),
             notes=self.notes,
         )  # fmt: skip
