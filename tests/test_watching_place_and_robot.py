@@ -9,7 +9,7 @@ import pytest
 
 import sensorgraph as sg
 from logs.run import Run
-from sensorgraph.watching.evidence import Baseline, doubt_of
+from sensorgraph.watching.evidence import Baseline, FaultDoubt, doubt_of
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
 from sensorgraph.watching.status import WatchStatus
@@ -142,3 +142,23 @@ def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
         found.add(step, twist, tracked)
     values, errors = found.estimates()
     assert (np.abs(values - truth) < np.maximum(3 * errors, 0.004)).all(), (values, errors)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "stderr", "words"),
+    [
+        ("latency", {"s": -0.1112}, {"s": 0.01}, "latency −111 ± 10 ms"),
+        (
+            "wheel_radius_diff",
+            {"rad_per_m": 0.0244},
+            {"rad_per_m": 0.0043},
+            "wheel radius diff +1.40 ± 0.25°/m",
+        ),
+        ("blocked_sector", {"from_rad": -0.2, "to_rad": 0.1}, {}, "blocked sector from −11.5° to 5.73°"),
+    ],
+)
+def test_sizes_have_units_of_readers(
+    name: str, parameters: dict[str, float], stderr: dict[str, float], words: str
+) -> None:
+    doubt = FaultDoubt(name=name, p=1.0, parameters=parameters, stderr=stderr, nats=30.0)
+    assert doubt.sentence() == words

@@ -16,7 +16,14 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from scipy.special import expit
 
+from sensorgraph.diagnosis.report.quantities import number
 from sensorgraph.watching.settings import FaultPrior
+
+UNITS = {
+    "s": (1e3, " ms"), "m": (1e3, " mm"), "rad": (math.degrees(1.0), "°"), "rad_per_m": (math.degrees(1.0), "°/m"),
+    "scale": (1e2, " %"), "share": (1e2, " %"), "from_rad": (math.degrees(1.0), "°"), "to_rad": (math.degrees(1.0), "°"),
+}  # fmt: skip
+"""Key of a size -> factor and unit for readers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +60,22 @@ class FaultDoubt:
 
     def sentence(self) -> str:
         """Return the hypothesis with its sizes."""
-        sizes = ", ".join(
-            f"{key} {value:.3g}" + (f" ± {self.stderr[key]:.2g}" if math.isfinite(self.stderr.get(key, math.inf)) else "")
-            for key, value in self.parameters.items()
-        )  # fmt: skip
-        return f"{self.name} ({sizes})"
+        between = " " if "from_rad" in self.parameters else ", "
+        sizes = between.join(
+            _size(key, value, self.stderr.get(key, math.inf)) for key, value in self.parameters.items()
+        )
+        return f"{self.name.replace('_', ' ')} {sizes}"
+
+
+def _size(key: str, value: float, stderr: float) -> str:
+    """Return a size with its standard error in the unit of readers."""
+    if key not in UNITS:
+        return f"{key} {number(value, stderr)}"
+    factor, unit = UNITS[key]
+    if key in ("from_rad", "to_rad"):
+        word = "from" if key == "from_rad" else "to"
+        return f"{word} {number(factor * value)}{unit}"
+    return f"{number(factor * value, factor * stderr, signed=key != 'share')}{unit}"
 
 
 def doubt_of(
