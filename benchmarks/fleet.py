@@ -53,7 +53,7 @@ SIZES = {
 }
 """Sizes: share of the radius lost; degrees; metres."""
 FOLLOWS = {
-    "left_wheel": {"turn_scale"}, "right_wheel": {"turn_scale"}, "mount_phi": {"mount_x", "mount_y"},
+    "left_wheel": {"turn_scale", "wheel_difference"}, "right_wheel": {"turn_scale", "wheel_difference"}, "mount_phi": {"mount_x", "mount_y"},
     "range_offset": {"mount_x", "mount_y", "left_wheel", "right_wheel"},
 }  # fmt: skip
 """Quantities that a planted change moves as well: half a worn wheel is a turn scale, for example."""

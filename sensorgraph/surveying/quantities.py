@@ -34,6 +34,9 @@ class Label:
 LABELS: Mapping[str, Label] = {
     "left_wheel": Label(title="left wheel", unit="%", factor=100.0, neutral=1.0, resolution=0.0005),
     "right_wheel": Label(title="right wheel", unit="%", factor=100.0, neutral=1.0, resolution=0.0005),
+    "wheel_difference": Label(
+        title="right minus left wheel", unit="%", factor=100.0, neutral=0.0, resolution=0.0005
+    ),
     "way_scale": Label(title="distance scale", unit="%", factor=100.0, neutral=1.0, resolution=0.0005),
     "turn_scale": Label(title="turn scale", unit="%", factor=100.0, neutral=1.0, resolution=0.0005),
     "heading_bias": Label(title="heading bias", unit="°/m", factor=57.2958, neutral=0.0, resolution=0.0002),

@@ -181,7 +181,12 @@ def _each_wheel(found: DrivingCalibration, base: float) -> dict[str, list[float]
         return {}
     (way, way_error), (bias, bias_error) = found.of("way_scale"), found.of("heading_bias")
     error = float(np.hypot(way_error, bias_error * base / 2))
-    return {"left_wheel": [way - bias * base / 2, error], "right_wheel": [way + bias * base / 2, error]}
+    return {
+        "left_wheel": [way - bias * base / 2, error],
+        "right_wheel": [way + bias * base / 2, error],
+        # the error of the distance is common to both wheels
+        "wheel_difference": [bias * base, bias_error * base],
+    }
 
 
 def _laser(changes: ChangedPlaces, run: Run) -> dict[str, list[float]]:

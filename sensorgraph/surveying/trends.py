@@ -35,10 +35,10 @@ N_GRID, N_SCATTER, N_SLOPES = 161, 7, 41
 """Numbers of values on which centre, scatter and slope are averaged."""
 SPREAD = {
     "way_scale": 0.03, "turn_scale": 0.03, "heading_bias": 0.05, "mount_x": 0.05, "mount_y": 0.05, "mount_phi": 0.05,
-    "delay": 0.1, "left_wheel": 0.03, "right_wheel": 0.03, "range_offset": 0.05,
+    "delay": 0.1, "left_wheel": 0.03, "right_wheel": 0.03, "wheel_difference": 0.03, "range_offset": 0.05,
 }  # fmt: skip
 """Quantity -> prior standard deviation of a change: tyres lose a few percent, a knock turns a laser by degrees
-[1, 1, rad/m, m, m, rad, s, 1, 1, m]."""
+[1, 1, rad/m, m, m, rad, s, 1, 1, 1, m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
