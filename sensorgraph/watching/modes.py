@@ -14,7 +14,7 @@ from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
-from sensorgraph.watching.scan_input import ScanInput
+from sensorgraph.watching.scan_input import ScanInput, apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
 
@@ -44,6 +44,13 @@ class Mode:
     """[m] Distance driven since the last scan."""
     followed: float = 0.0
     """[m] Distance over which this was the probable mode, at most `TrackingPriors.confirmed`."""
+
+    def without_belief(self, believed: Floats, tolerance: tuple[float, float]) -> Mode:
+        """Return a mode that the robot believed and does not believe any more as one that was not followed."""
+        way, turn = apart(self.pose, believed)
+        if not self.is_belief or (way < tolerance[0] and turn < tolerance[1]):
+            return self
+        return replace(self, is_belief=False, followed=0.0)
 
 
 def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:

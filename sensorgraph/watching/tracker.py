@@ -118,6 +118,8 @@ class PoseTracker:
         now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=1.0 if first else weight)
         before = self.main
         self.modes = [self._moved(mode, step, deviations, dt, now) for mode in self.modes]
+        if observation.believed is not None:
+            self.modes = [mode.without_belief(observation.believed, s.tolerance) for mode in self.modes]
         self._add_belief(now)
         self._weigh(now, dt)
         self._keep(now)
