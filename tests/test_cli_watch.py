@@ -117,6 +117,7 @@ def test_a_run_of_another_laser_is_refused_and_writes_nothing(
     assert np.isfinite(other.ranges).all()
 
 
+@pytest.mark.slow
 def test_show_writes_a_recording_and_opens_it(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,6 +94,7 @@ def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: 
     assert missed(repair.drive.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() == 0
 
 
+@pytest.mark.slow
 def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> None:
     task = task_of(door_arena(9.0), "reeds_shepp", START)
     todo = np.zeros_like(task.coverage.reachable)

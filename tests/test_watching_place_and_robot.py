@@ -43,6 +43,7 @@ def test_a_box_that_came_is_outlined_by_the_third_pass_and_nothing_else_is() -> 
     assert change.first_seen < 24.0 < change.last_seen
 
 
+@pytest.mark.slow
 def test_the_box_of_the_room_that_was_taken_away_is_gone() -> None:
     end = last(laps(3, seed=11, walls=ROOM[:-4]))
     assert {change.kind for change in end.changes} == {"gone"}
@@ -81,6 +82,7 @@ def test_wheels_that_measure_too_much_are_named_with_their_size() -> None:
     assert abs(fault.parameters["scale"] - (1 / 1.05 - 1)) < 3 * fault.stderr["scale"]
 
 
+@pytest.mark.slow
 def test_unequal_wheels_are_named_after_turns_of_several_radii() -> None:
     """On a circle alone, they cannot be told from a turn that is measured wrongly."""
     spin = np.column_stack([np.zeros((60, 2)), np.linspace(0.1, 2 * np.pi, 60)])
@@ -100,6 +102,7 @@ def test_a_turned_mount_is_named_with_its_angle() -> None:
     assert fault.parameters["rad"] == pytest.approx(0.05, abs=3 * fault.stderr["rad"])
 
 
+@pytest.mark.slow
 def test_missing_returns_are_named() -> None:
     run = laps(3, seed=17)
     lost = np.random.default_rng(1).uniform(size=run.ranges.shape) < 0.1
@@ -108,6 +111,7 @@ def test_missing_returns_are_named() -> None:
     assert end.faults[0].parameters["share"] == pytest.approx(0.1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_ranges_that_are_too_long_by_an_offset_are_named() -> None:
     run = laps(3, seed=18)
     end = last(replace(run, ranges=run.ranges + 0.04))
