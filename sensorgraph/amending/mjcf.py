@@ -19,6 +19,15 @@ from sensorgraph.amending.place import known, shift, shift_of
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.max_range import MAX_RANGE
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Floats
 
 WHAT = "MJCF"
@@ -47,15 +56,15 @@ def amend_mjcf(
     """
     model = _MjcfModel(document, laser, file)
     handlers = {
-        "wheel_radius": model.radius,
-        "wheel_radius_diff": model.radius_difference,
-        "wheel_base": model.base,
-        "actuator_lag": model.lag,
-        "dead_time": model.delay,
-        "latency": model.latency,
-        "mount_xy": model.shift,
-        "mount_yaw": model.turn,
-        "max_range": lambda a: model.cutoff(a["R"], why(a, "R")),
+        WHEEL_RADIUS.name: model.radius,
+        WHEEL_RADIUS_DIFF.name: model.radius_difference,
+        WHEEL_BASE.name: model.base,
+        ACTUATOR_LAG.name: model.lag,
+        DEAD_TIME.name: model.delay,
+        LATENCY.name: model.latency,
+        MOUNT_XY.name: model.shift,
+        MOUNT_YAW.name: model.turn,
+        MAX_RANGE.name: lambda a: model.cutoff(a["R"], why(a, "R")),
     }
     if measured is not None and model.rangefinders:
         model.cutoff(measured.range_max, Why(cause=f"as in {measured.name}"))

@@ -10,6 +10,18 @@ from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply,
 from sensorgraph.amending.text import Why
 from sensorgraph.amending.yaml_text import YamlFile, as_number
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.max_range import MAX_RANGE
+from sensorgraph.effects.min_range import MIN_RANGE
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.quantisation import QUANTISATION
+from sensorgraph.effects.scan_skew import SCAN_SKEW
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.world.robot import Robot, parse_robot
 
 WHAT = "robot.yaml"
@@ -34,32 +46,32 @@ def amend_robot(
     sensor, wheels, motors = robot.sensor, robot.wheels, robot.actuators
     top = why_inverse(wheels.radius), why_inverse(wheels.base)
     handlers: dict[str, Callable[[Amendment], None]] = {
-        "mount_xy": writer.mount_xy,
-        "mount_yaw": lambda a: writer.mount(2, a["delta"], why(a, "delta")),
-        "latency": lambda a: writer.put(
+        MOUNT_XY.name: writer.mount_xy,
+        MOUNT_YAW.name: lambda a: writer.mount(2, a["delta"], why(a, "delta")),
+        LATENCY.name: lambda a: writer.put(
             "sensor", "first_ray_delay", lambda old: old - a["tau"], why(a, "tau")
         ),
-        "scan_skew": lambda a: writer.put("sensor", "sweep_time", lambda old: old + a["T"], why(a, "T")),
-        "max_range": lambda a: writer.put(
+        SCAN_SKEW.name: lambda a: writer.put("sensor", "sweep_time", lambda old: old + a["T"], why(a, "T")),
+        MAX_RANGE.name: lambda a: writer.put(
             "sensor", "range_max", lambda _: a["R"], why(a, "R"), sensor.range_max
         ),
-        "min_range": lambda a: writer.put(
+        MIN_RANGE.name: lambda a: writer.put(
             "sensor", "range_min", lambda _: a["r_min"], why(a, "r_min"), sensor.range_min
         ),
-        "quantisation": lambda a: writer.put("sensor", "resolution", lambda _: a["q"], why(a, "q")),
-        "actuator_lag": lambda a: writer.put(
+        QUANTISATION.name: lambda a: writer.put("sensor", "resolution", lambda _: a["q"], why(a, "q")),
+        ACTUATOR_LAG.name: lambda a: writer.put(
             "actuators", "tau", lambda old: max(old + a["tau"], 0.0), why(a, "tau"), motors.tau
         ),
-        "dead_time": lambda a: writer.put(
+        DEAD_TIME.name: lambda a: writer.put(
             "actuators", "delay", lambda old: max(old + a["L"], 0.0), why(a, "L"), motors.delay
         ),
-        "speed_saturation": lambda a: writer.put(
+        SPEED_SATURATION.name: lambda a: writer.put(
             "limits", "v", lambda old: min(old, a["v_max"]), why(a, "v_max"), robot.limits.v
         ),
-        "wheel_radius": lambda a: writer.put(
+        WHEEL_RADIUS.name: lambda a: writer.put(
             "wheels", "radius", lambda old: old / (1 + a["s"]), top[0](a), wheels.radius
         ),
-        "wheel_base": lambda a: writer.put(
+        WHEEL_BASE.name: lambda a: writer.put(
             "wheels", "base", lambda old: old / (1 + a["s"]), top[1](a), wheels.base
         ),
     }
@@ -68,7 +80,7 @@ def amend_robot(
         f"{file}: the odometry of old logs keeps the {a.effect.title} ({a.name}) that its driver assumed; "
         "keep the effect for them"
         for a in amendments
-        if a.name in ("wheel_radius", "wheel_base")
+        if a.name in (WHEEL_RADIUS.name, WHEEL_BASE.name)
     ]
     if measured is not None:
         cause = Why(cause=f"as in {measured.name}", sigma=measured.rate_sigma)

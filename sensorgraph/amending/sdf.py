@@ -13,6 +13,17 @@ from sensorgraph.amending.place import rotation, shift, shift_of, triple, turn
 from sensorgraph.amending.text import note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.max_range import MAX_RANGE
+from sensorgraph.effects.min_range import MIN_RANGE
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.quantisation import QUANTISATION
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.range_noise import RANGE_NOISE
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Floats
 
 WHAT = "SDF"
@@ -35,12 +46,12 @@ def amend_sdf(
     model = _SdfModel(document, laser, file)
     sensor, drive = model.sensor, DiffDrive(document, model.plugins)
     handlers = {
-        "wheel_radius": drive.radius,
-        "wheel_base": drive.base,
-        "wheel_radius_diff": model.radius_difference,
-        "speed_saturation": drive.saturation,
-        "mount_xy": model.shift,
-        "mount_yaw": model.turn,
+        WHEEL_RADIUS.name: drive.radius,
+        WHEEL_BASE.name: drive.base,
+        WHEEL_RADIUS_DIFF.name: model.radius_difference,
+        SPEED_SATURATION.name: drive.saturation,
+        MOUNT_XY.name: model.shift,
+        MOUNT_YAW.name: model.turn,
         **sensor_handlers(sensor, measured),
     }
     lines = write_measured(sensor, measured, file)
@@ -59,11 +70,11 @@ def sensor_handlers(sensor: GazeboSensor | None, measured: MeasuredLaser | None)
         return sensor
 
     return {
-        "range_bias": lambda a: there().bias(a),
-        "range_noise": lambda a: there().growing_noise(a, measured),
-        "max_range": lambda a: there().limit("max", a["R"], why(a, "R")),
-        "min_range": lambda a: there().limit("min", a["r_min"], why(a, "r_min")),
-        "quantisation": lambda a: there().limit("resolution", a["q"], why(a, "q")),
+        RANGE_BIAS.name: lambda a: there().bias(a),
+        RANGE_NOISE.name: lambda a: there().growing_noise(a, measured),
+        MAX_RANGE.name: lambda a: there().limit("max", a["R"], why(a, "R")),
+        MIN_RANGE.name: lambda a: there().limit("min", a["r_min"], why(a, "r_min")),
+        QUANTISATION.name: lambda a: there().limit("resolution", a["q"], why(a, "q")),
     }
 
 

@@ -14,6 +14,12 @@ from sensorgraph.amending.sdf import sensor_handlers, write_measured
 from sensorgraph.amending.text import note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
@@ -40,12 +46,12 @@ def amend_urdf(
     model = _UrdfModel(document, laser, file)
     drive = DiffDrive(document, model.plugins)
     handlers = {
-        "wheel_radius": drive.radius if model.plugins else model.radius,
-        "wheel_base": drive.base if model.plugins else model.base,
-        "wheel_radius_diff": model.radius_difference,
-        "speed_saturation": drive.saturation,
-        "mount_xy": model.shift,
-        "mount_yaw": model.turn,
+        WHEEL_RADIUS.name: drive.radius if model.plugins else model.radius,
+        WHEEL_BASE.name: drive.base if model.plugins else model.base,
+        WHEEL_RADIUS_DIFF.name: model.radius_difference,
+        SPEED_SATURATION.name: drive.saturation,
+        MOUNT_XY.name: model.shift,
+        MOUNT_YAW.name: model.turn,
         **sensor_handlers(model.sensor, measured),
     }
     lines = write_measured(model.sensor, measured, file)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.transforms import compose, invert, wrap
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, Pair, doubt_of
 from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors
@@ -219,4 +220,4 @@ class RobotHealth:
                 )
             ]
         lacking = 1.0 - float(true[odd, 0].sum() / max(driven[odd, 0].sum(), 1e-9))
-        return [FaultDoubt(name="wheel_slip", p=p, nats=nats, parameters={"share": lacking}, stderr={})]
+        return [FaultDoubt(name=WHEEL_SLIP.name, p=p, nats=nats, parameters={"share": lacking}, stderr={})]

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.range_scale import RANGE_SCALE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingPriors:
@@ -136,16 +143,16 @@ class FaultPrior:
 FAULTS_PER_HOUR = 0.01
 """Rate of each fault."""
 DISTANCE_FAULTS = (
-    FaultPrior(name="wheel_radius", parameter="scale", size=0.05, tolerance=0.003),
+    FaultPrior(name=WHEEL_RADIUS.name, parameter="scale", size=0.05, tolerance=0.003),
     FaultPrior(name="turn_scale", parameter="scale", size=0.08, tolerance=0.005),
-    FaultPrior(name="wheel_radius_diff", parameter="rad_per_m", size=0.05, tolerance=0.003),
-    FaultPrior(name="mount_yaw", parameter="rad", size=0.05, tolerance=0.003),
-    FaultPrior(name="latency", parameter="s", size=0.1, tolerance=0.01),
+    FaultPrior(name=WHEEL_RADIUS_DIFF.name, parameter="rad_per_m", size=0.05, tolerance=0.003),
+    FaultPrior(name=MOUNT_YAW.name, parameter="rad", size=0.05, tolerance=0.003),
+    FaultPrior(name=LATENCY.name, parameter="s", size=0.1, tolerance=0.01),
 )
 """In the order of the states of `odometry_errors`."""
 LASER_FAULTS = (
-    FaultPrior(name="range_bias", parameter="m", size=0.05, tolerance=0.005),
-    FaultPrior(name="range_scale", parameter="scale", size=0.03, tolerance=0.003),
+    FaultPrior(name=RANGE_BIAS.name, parameter="m", size=0.05, tolerance=0.005),
+    FaultPrior(name=RANGE_SCALE.name, parameter="scale", size=0.03, tolerance=0.003),
 )
 MISSING_FAULT = FaultPrior(name="missing_returns", parameter="share", size=0.1, tolerance=0.01)
 
