@@ -54,6 +54,7 @@ def test_a_search_goes_on_as_long_as_it_strides(hall: Arena, start: float) -> No
     assert found["gamma"] == pytest.approx(0.12, abs=0.01)
 
 
+@pytest.mark.slow
 def test_stretched_tolerances_do_not_hide_the_width_of_a_cone(hall: Arena) -> None:
     """Around a cone of 0.16 rad the tolerances stretch; the search through all effects still ends at 0.12."""
     cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)

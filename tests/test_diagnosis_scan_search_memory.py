@@ -58,6 +58,7 @@ def test_candidates_in_the_model_and_struck_ones_are_not_proposed_again() -> Non
     assert memory.specified([bias(10.0).amendment]) == []
 
 
+@pytest.mark.slow
 def test_a_lazy_search_fits_less_and_finds_the_same_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     hall = polygon_arena(
         [(0, 0), (6, 0), (6, 5), (0, 5)],

@@ -219,6 +219,7 @@ def test_a_drive_of_half_a_minute_shows_its_ray_times() -> None:
     assert "clockwise" in kept.notes[0] and "the log states 150.0 ms" in kept.notes[0]
 
 
+@pytest.mark.slow
 def test_opposite_times_of_a_slow_laser_are_mended_though_the_first_step_is_wide() -> None:
     """A scan smeared by 0.2 s the wrong way hides most of the effect, so that the first step seems to confirm the log."""
     sweep = 1 / RATE

@@ -93,6 +93,7 @@ def test_unequal_wheels_are_named_after_turns_of_several_radii() -> None:
     assert not names(last(laps(2, seed=15, heading_bias=0.06)))
 
 
+@pytest.mark.slow
 def test_a_turned_mount_is_named_with_its_angle() -> None:
     run = laps(3, seed=16)
     turned = seen(loop_poses(360, laps=3) + [0.0, 0.0, 0.05], run.sensor.bearings)
