@@ -392,7 +392,7 @@ def test_a_run_states_rate_angles_and_ranges(write: Callable[..., Path]) -> None
     [
         ("a.sdf", "<sdf><model>", "a.sdf: not XML: no element found in line 1"),
         ("a.xml", "<html/>", "root element is <html>; expected <robot>"),
-        ("a.yaml", "- 1\n", "no mapping; expected a nav2_params.yaml"),
+        ("a.yaml", "- 1\n", "neither XML nor a YAML mapping"),
         ("a.yaml", "sensr: {}\n", "sensr"),
         ("a.sdf", "", "is empty"),
         ("a.sdf", '<!DOCTYPE a [<!ENTITY b "c">]><sdf/>', "defines the entity b"),

@@ -35,7 +35,7 @@ class YamlFile:
             raise SensorgraphError(f"{file.path}: not YAML: {' '.join(str(exc).split())}") from exc
         if not isinstance(root, yaml.MappingNode):
             raise SensorgraphError(
-                f"{file.path}: no mapping; expected a nav2_params.yaml (`amcl:`) or a robot.yaml (`sensor:`)"
+                f"{file.path}: neither XML nor a YAML mapping; expected a URDF, xacro, SDF or MJCF file, a nav2_params.yaml or a robot.yaml"
             )
         return cls(file, root)
 
