@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sensorgraph.amending.text import TextFile, Why
-from sensorgraph.effects import Amendment
+from sensorgraph.effects import Amendment, Effect
 
 MODEL_LAYER = "`sensorgraph record --effects` simulates it, and `diagnose --effects` accounts for it"
 SCRIPT_LAYER = (
@@ -81,7 +81,7 @@ def no_place(a: Amendment, what: str) -> str:
 
 def apply(
     amendments: tuple[Amendment, ...],
-    handlers: Mapping[str, Callable[[Amendment], None]],
+    handlers: Mapping[Effect, Callable[[Amendment], None]],
     what: str,
     file: str,
     files: Sequence[TextFile],
@@ -94,9 +94,9 @@ def apply(
     for a in amendments:
         kept = [one.state() for one in files]
         try:
-            if a.name not in handlers:
+            if a.effect not in handlers:
                 raise CannotHoldError(no_place(a, what))
-            handlers[a.name](a)
+            handlers[a.effect](a)
         except CannotHoldError as exc:
             lines.append(left_out(a, str(exc), file))
             for one, state in zip(files, kept, strict=True):

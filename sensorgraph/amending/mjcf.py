@@ -56,15 +56,15 @@ def amend_mjcf(
     """
     model = _MjcfModel(document, laser, file)
     handlers = {
-        WHEEL_RADIUS.name: model.radius,
-        WHEEL_RADIUS_DIFF.name: model.radius_difference,
-        WHEEL_BASE.name: model.base,
-        ACTUATOR_LAG.name: model.lag,
-        DEAD_TIME.name: model.delay,
-        LATENCY.name: model.latency,
-        MOUNT_XY.name: model.shift,
-        MOUNT_YAW.name: model.turn,
-        MAX_RANGE.name: lambda a: model.cutoff(a["R"], why(a, "R")),
+        WHEEL_RADIUS: model.radius,
+        WHEEL_RADIUS_DIFF: model.radius_difference,
+        WHEEL_BASE: model.base,
+        ACTUATOR_LAG: model.lag,
+        DEAD_TIME: model.delay,
+        LATENCY: model.latency,
+        MOUNT_XY: model.shift,
+        MOUNT_YAW: model.turn,
+        MAX_RANGE: lambda a: model.cutoff(a["R"], why(a, "R")),
     }
     if measured is not None and model.rangefinders:
         model.cutoff(measured.range_max, Why(cause=f"as in {measured.name}"))

@@ -35,9 +35,9 @@ def amend_nav2(
     amcl : Estimates by their names in Nav2, and the better laser model; None: no run is given.
     """
     handlers = {
-        MAX_RANGE.name: lambda a: _amcl(data, "laser_max_range", a["R"], why(a, "R")),
-        MIN_RANGE.name: lambda a: _amcl(data, "laser_min_range", a["r_min"], why(a, "r_min")),
-        SPEED_SATURATION.name: lambda a: _top_speed(data, a),
+        MAX_RANGE: lambda a: _amcl(data, "laser_max_range", a["R"], why(a, "R")),
+        MIN_RANGE: lambda a: _amcl(data, "laser_min_range", a["r_min"], why(a, "r_min")),
+        SPEED_SATURATION: lambda a: _top_speed(data, a),
     }
     lines = apply(amendments, handlers, WHAT, file, [data.file])
     if amcl is None:
@@ -46,7 +46,7 @@ def amend_nav2(
     section = _section(data)
     if section is None:
         return [*lines, f"{file}: AMCL's parameters: it has no `amcl: ros__parameters:`"]
-    if any(a.name == MAX_RANGE.name for a in amendments):  # found, and not only stated by the log
+    if any(a.effect is MAX_RANGE for a in amendments):  # found, and not only stated by the log
         estimates = {name: found for name, found in estimates.items() if name != "laser_max_range"}
     for name, found in estimates.items():
         node = child(section, name)

@@ -9,7 +9,7 @@ import yaml
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.text import Why
 from sensorgraph.amending.yaml_text import YamlFile, as_number
-from sensorgraph.effects import Amendment
+from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.latency import LATENCY
@@ -45,33 +45,31 @@ def amend_robot(
     writer = _RobotFile(data, robot)
     sensor, wheels, motors = robot.sensor, robot.wheels, robot.actuators
     top = why_inverse(wheels.radius), why_inverse(wheels.base)
-    handlers: dict[str, Callable[[Amendment], None]] = {
-        MOUNT_XY.name: writer.mount_xy,
-        MOUNT_YAW.name: lambda a: writer.mount(2, a["delta"], why(a, "delta")),
-        LATENCY.name: lambda a: writer.put(
-            "sensor", "first_ray_delay", lambda old: old - a["tau"], why(a, "tau")
-        ),
-        SCAN_SKEW.name: lambda a: writer.put("sensor", "sweep_time", lambda old: old + a["T"], why(a, "T")),
-        MAX_RANGE.name: lambda a: writer.put(
+    handlers: dict[Effect, Callable[[Amendment], None]] = {
+        MOUNT_XY: writer.mount_xy,
+        MOUNT_YAW: lambda a: writer.mount(2, a["delta"], why(a, "delta")),
+        LATENCY: lambda a: writer.put("sensor", "first_ray_delay", lambda old: old - a["tau"], why(a, "tau")),
+        SCAN_SKEW: lambda a: writer.put("sensor", "sweep_time", lambda old: old + a["T"], why(a, "T")),
+        MAX_RANGE: lambda a: writer.put(
             "sensor", "range_max", lambda _: a["R"], why(a, "R"), sensor.range_max
         ),
-        MIN_RANGE.name: lambda a: writer.put(
+        MIN_RANGE: lambda a: writer.put(
             "sensor", "range_min", lambda _: a["r_min"], why(a, "r_min"), sensor.range_min
         ),
-        QUANTISATION.name: lambda a: writer.put("sensor", "resolution", lambda _: a["q"], why(a, "q")),
-        ACTUATOR_LAG.name: lambda a: writer.put(
+        QUANTISATION: lambda a: writer.put("sensor", "resolution", lambda _: a["q"], why(a, "q")),
+        ACTUATOR_LAG: lambda a: writer.put(
             "actuators", "tau", lambda old: max(old + a["tau"], 0.0), why(a, "tau"), motors.tau
         ),
-        DEAD_TIME.name: lambda a: writer.put(
+        DEAD_TIME: lambda a: writer.put(
             "actuators", "delay", lambda old: max(old + a["L"], 0.0), why(a, "L"), motors.delay
         ),
-        SPEED_SATURATION.name: lambda a: writer.put(
+        SPEED_SATURATION: lambda a: writer.put(
             "limits", "v", lambda old: min(old, a["v_max"]), why(a, "v_max"), robot.limits.v
         ),
-        WHEEL_RADIUS.name: lambda a: writer.put(
+        WHEEL_RADIUS: lambda a: writer.put(
             "wheels", "radius", lambda old: old / (1 + a["s"]), top[0](a), wheels.radius
         ),
-        WHEEL_BASE.name: lambda a: writer.put(
+        WHEEL_BASE: lambda a: writer.put(
             "wheels", "base", lambda old: old / (1 + a["s"]), top[1](a), wheels.base
         ),
     }
@@ -80,7 +78,7 @@ def amend_robot(
         f"{file}: the odometry of old logs keeps the {a.effect.title} ({a.name}) that its driver assumed; "
         "keep the effect for them"
         for a in amendments
-        if a.name in (WHEEL_RADIUS.name, WHEEL_BASE.name)
+        if a.effect in (WHEEL_RADIUS, WHEEL_BASE)
     ]
     if measured is not None:
         cause = Why(cause=f"as in {measured.name}", sigma=measured.rate_sigma)

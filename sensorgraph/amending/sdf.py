@@ -46,12 +46,12 @@ def amend_sdf(
     model = _SdfModel(document, laser, file)
     sensor, drive = model.sensor, DiffDrive(document, model.plugins)
     handlers = {
-        WHEEL_RADIUS.name: drive.radius,
-        WHEEL_BASE.name: drive.base,
-        WHEEL_RADIUS_DIFF.name: model.radius_difference,
-        SPEED_SATURATION.name: drive.saturation,
-        MOUNT_XY.name: model.shift,
-        MOUNT_YAW.name: model.turn,
+        WHEEL_RADIUS: drive.radius,
+        WHEEL_BASE: drive.base,
+        WHEEL_RADIUS_DIFF: model.radius_difference,
+        SPEED_SATURATION: drive.saturation,
+        MOUNT_XY: model.shift,
+        MOUNT_YAW: model.turn,
         **sensor_handlers(sensor, measured),
     }
     lines = write_measured(sensor, measured, file)
@@ -70,11 +70,11 @@ def sensor_handlers(sensor: GazeboSensor | None, measured: MeasuredLaser | None)
         return sensor
 
     return {
-        RANGE_BIAS.name: lambda a: there().bias(a),
-        RANGE_NOISE.name: lambda a: there().growing_noise(a, measured),
-        MAX_RANGE.name: lambda a: there().limit("max", a["R"], why(a, "R")),
-        MIN_RANGE.name: lambda a: there().limit("min", a["r_min"], why(a, "r_min")),
-        QUANTISATION.name: lambda a: there().limit("resolution", a["q"], why(a, "q")),
+        RANGE_BIAS: lambda a: there().bias(a),
+        RANGE_NOISE: lambda a: there().growing_noise(a, measured),
+        MAX_RANGE: lambda a: there().limit("max", a["R"], why(a, "R")),
+        MIN_RANGE: lambda a: there().limit("min", a["r_min"], why(a, "r_min")),
+        QUANTISATION: lambda a: there().limit("resolution", a["q"], why(a, "q")),
     }
 
 

@@ -46,12 +46,12 @@ def amend_urdf(
     model = _UrdfModel(document, laser, file)
     drive = DiffDrive(document, model.plugins)
     handlers = {
-        WHEEL_RADIUS.name: drive.radius if model.plugins else model.radius,
-        WHEEL_BASE.name: drive.base if model.plugins else model.base,
-        WHEEL_RADIUS_DIFF.name: model.radius_difference,
-        SPEED_SATURATION.name: drive.saturation,
-        MOUNT_XY.name: model.shift,
-        MOUNT_YAW.name: model.turn,
+        WHEEL_RADIUS: drive.radius if model.plugins else model.radius,
+        WHEEL_BASE: drive.base if model.plugins else model.base,
+        WHEEL_RADIUS_DIFF: model.radius_difference,
+        SPEED_SATURATION: drive.saturation,
+        MOUNT_XY: model.shift,
+        MOUNT_YAW: model.turn,
         **sensor_handlers(model.sensor, measured),
     }
     lines = write_measured(model.sensor, measured, file)

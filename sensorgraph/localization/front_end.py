@@ -141,17 +141,10 @@ class Tracker:
         if self._is_covered(k):
             return None
         points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
-        if deviations is None:
-            first = match(points, normals, self.state.surfaces, predicted, settings=self.matching)
-        else:
-            first = match(
-                points,
-                normals,
-                self.state.surfaces,
-                predicted,
-                prior_information=information_at(predicted, deviations),
-                settings=self.matching,
-            )
+        prior = None if deviations is None else information_at(predicted, deviations)
+        first = match(
+            points, normals, self.state.surfaces, predicted, prior_information=prior, settings=self.matching
+        )
         is_other = first.agreement < s.min_continuity * self.state.agreement or self._has_slipped(
             first, predicted, deviations
         )
@@ -182,8 +175,7 @@ class Tracker:
         """Tell whether scan k at its predicted pose contradicts the recent key frames."""
         state = self.state
         assert state.surfaces is not None
-        length = sum(p == state.piece[-1] for p in state.piece[-self.settings.window :])
-        recent = state.key_frames[-length:]
+        recent = self._recent_key_frames()
         return contradicts(self.scans, k, predicted, state.surfaces.points, recent, self.poses[recent])
 
     def _is_covered(self, k: int) -> bool:
@@ -271,8 +263,7 @@ class Tracker:
             state.is_carried.append(is_carried)
         state.key_frames.append(k)
         state.piece.append(state.piece[-1] + int(is_new) if state.piece else 0)
-        length = sum(p == state.piece[-1] for p in state.piece[-s.window :])
-        recent = state.key_frames[-length:]
+        recent = self._recent_key_frames()
         state.surfaces = line_map(
             *thinned(*points_in(self.scans, recent, self.poses[recent])), side=self.matching.first_radius
         )
@@ -287,8 +278,13 @@ class Tracker:
             )
         turn = turn_matrices(self.poses[k, 2])
         state.projections.append(turn.T @ found.projection @ turn)
-        if determines_all(found.projection) or length == 1:
+        if determines_all(found.projection) or len(recent) == 1:
             state.determined_at = float(self.stamps[k])
+
+    def _recent_key_frames(self) -> list[int]:
+        """Return the last key frames of the present track segment, at most `window`."""
+        piece = self.state.piece
+        return self.state.key_frames[-sum(p == piece[-1] for p in piece[-self.settings.window :]) :]
 
     def _is_apart(self, k: int, found: Match) -> bool:
         """Tell whether scan k ends a stretch whose length is not known, as after a corridor without odometry."""
