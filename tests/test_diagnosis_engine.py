@@ -39,8 +39,10 @@ class Regression:
             default=None,
         )
 
-    def refit(self, model: Sequence[str]) -> None:
+    def added(self, model: Sequence[str]) -> None:
         self.models.append(tuple(model))
+
+    removed = added
 
     def evidence(self, model: Sequence[str], hypothesis: str) -> float:
         rest = [name for name in model if name != hypothesis]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
+from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
@@ -63,7 +64,7 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     ends = lasers[:, None, :2] + np.where(hit, ranges, 0.0)[..., None] * np.stack(
         [np.cos(angle), np.sin(angle)], axis=-1
     )
-    tree = cKDTree(_points_on(walls))
+    tree = cKDTree(points_on(walls, SPACING))
     far = np.zeros(ranges.shape, dtype=bool)
     far[hit] = tree.query(ends[hit], distance_upper_bound=CLEAR)[0] > CLEAR
     is_new = far & (ranges < expected - CLEAR) & np.isfinite(expected)
@@ -84,15 +85,6 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
         offset_error=float(1.25 * np.std(per_scan) / np.sqrt(max(len(per_scan) / 10, 1.0)))
         if len(per_scan)
         else 0.0,
-    )
-
-
-def _points_on(walls: Floats) -> Floats:
-    """Return points (n, 2) on walls, SPACING apart."""
-    lengths = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
-    counts = np.maximum(2, np.ceil(lengths / SPACING).astype(int) + 1)
-    return np.concatenate(
-        [a + np.linspace(0, 1, n)[:, None] * (b - a) for (a, b), n in zip(walls, counts, strict=True)]
     )
 
 

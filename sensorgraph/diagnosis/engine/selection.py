@@ -1,6 +1,6 @@
 """Choose hypotheses by evidence: add the best one, refit, and remove those that the others make superfluous.
 
-    E(h | M) = log p(data | M with h) - log p(data | M without h) - price of h
+    E(h | M) = log p(data | M with h) - log p(data | M without h) - price of h.
 
 A hypothesis enters the model M if its evidence E is at least the threshold, and stays as long as it has what it needs.
 """
@@ -20,8 +20,12 @@ class EvidenceChannel(Protocol[H]):
         """Return the best further hypothesis and its evidence [nats]; None if all are in the model."""
         ...
 
-    def refit(self, model: Sequence[H]) -> None:
-        """Take a changed model as the present one."""
+    def added(self, model: Sequence[H]) -> None:
+        """Refit after the last hypothesis of the model has entered."""
+        ...
+
+    def removed(self, model: Sequence[H]) -> None:
+        """Refit after a hypothesis was removed from the model."""
         ...
 
     def evidence(self, model: Sequence[H], hypothesis: H) -> float:
@@ -46,7 +50,7 @@ def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[
         if found is None or found[1] < threshold:
             break
         model.append(found[0])
-        channel.refit(model)
+        channel.added(model)
         remove_superfluous(channel, model)
     return model
 
@@ -59,4 +63,4 @@ def remove_superfluous(channel: EvidenceChannel[H], model: list[H]) -> None:
         if spare[weakest] >= 0.0:
             return
         model.remove(weakest)
-        channel.refit(model)
+        channel.removed(model)

@@ -80,10 +80,12 @@ class MotorChannel:
         best = max(gains, key=lambda term: gains[term])
         return best, gains[best] - self.fit.log_posterior - EVIDENCE.price
 
-    def refit(self, model: Sequence[MotorTerm]) -> None:
+    def added(self, model: Sequence[MotorTerm]) -> None:
         """Fit a changed model from the present motors."""
         self.fit = self._fit(model)
         self._fits = {}
+
+    removed = added
 
     def _fit(self, model: Sequence[MotorTerm]) -> DriveFit:
         key = frozenset(model)

@@ -65,8 +65,6 @@ class WheelChannel:
 
     def __init__(self, model: WheelModel, rng: np.random.Generator) -> None:
         self.model, self.rng = model, rng
-        self._new_patch: int | None = None
-        self._count = 0
 
     def best(self, model: Sequence[WheelTerm]) -> tuple[WheelTerm, float] | None:
         """Return the best further effect or patch, and its evidence [nats]."""
@@ -78,19 +76,18 @@ class WheelChannel:
         wheels.last_patch = None if patch is None else (patch, patch_gain)
         if patch is not None and patch_gain >= max(top, EVIDENCE.threshold):
             wheels.patches.append(patch)
-            self._new_patch = len(wheels.patches) - 1
-            return wheels.patch_term(self._new_patch), patch_gain
+            return wheels.patch_term(len(wheels.patches) - 1), patch_gain
         return None if best is None else (best, top)
 
-    def refit(self, model: Sequence[WheelTerm]) -> None:
-        """Refine a patch that has entered; fit the noise after an addition."""
-        if self._new_patch is not None:
+    def added(self, model: Sequence[WheelTerm]) -> None:
+        """Refine a patch that has entered, and fit the noise."""
+        if model[-1].effect is WHEEL_SLIP:
             self.model.whiten()
-            refine_patch(self.model, self._new_patch, model, self.rng)
-            self._new_patch = None
-        if len(model) > self._count:
-            self.model.fit_noise()
-        self._count = len(model)
+            refine_patch(self.model, len(self.model.patches) - 1, model, self.rng)
+        self.model.fit_noise()
+
+    def removed(self, model: Sequence[WheelTerm]) -> None:
+        """Keep the noise, which was fitted with all effects free."""
 
     def evidence(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
         """Return the evidence [nats] for an effect in addition to the others."""
