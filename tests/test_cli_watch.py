@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +38,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     off[100:, 1] += 0.7
     logs.write(replace(run, poses=off), out / "off.mcap")
     return out
+
+
+@contextmanager
+def ended(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    """Yield the leader of a process group, which is ended afterwards: `rerun` is a script with a child."""
+    try:
+        yield process
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait()
+
+
+def entities_of(recording: Path) -> set[str]:
+    """Return the entities of an .rrd; one that is still written has no footer."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return {str(chunk.entity_path) for chunk in RrdReader(recording).stream().to_chunks()}
 
 
 def test_statements_page_and_messages_of_a_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,27 +143,30 @@ def test_a_run_of_another_laser_is_refused_and_writes_nothing(
 
 
 @pytest.mark.slow
-def test_show_writes_a_recording_and_opens_it(
+def test_show_streams_to_a_viewer_and_writes_the_same_recording(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    opened: list[Path] = []
-    monkeypatch.setattr("sensorgraph.show.rerun_file.open_viewer", opened.append)
-    out = tmp_path / "w.mcap"
-    assert (
-        cli(["watch", str(folder / "room.sensorgraph"), str(folder / "off.mcap"), "-o", str(out), "--show"])
-        == 0
-    )
-    assert opened == [out.with_suffix(".rrd")]
-    store = RrdReader(opened[0]).store()
-    entities = {str(column.entity_path) for column in store.schema().component_columns()}
-    assert {
-        "/plan/walls",
-        "/plan/path/ok",
-        "/plan/path/off",
-        "/plan/robot",
-        "/said/pose",
-        "/series/p_wrong",
-    } <= entities
+    started: list[list[str]] = []
+
+    def headless(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        started.append([command[0], "--serve-grpc", *command[1:-1]])  # a server without a window
+        return viewers.enter_context(ended(popen(started[0], **options)))
+
+    popen, out = subprocess.Popen, tmp_path / "w.mcap"
+    with ExitStack() as viewers:
+        monkeypatch.setattr("sensorgraph.show.rerun_file.subprocess.Popen", headless)
+        arguments = [str(folder / "room.sensorgraph"), str(folder / "off.mcap"), "-o", str(out), "--show"]
+        assert cli(["watch", *arguments]) == 0
+        port = started[0][started[0].index("--port") + 1]
+        copy = tmp_path / "streamed.rrd"
+        save = [started[0][0], f"rerun+http://127.0.0.1:{port}/proxy", "--port", "auto", "--save", str(copy)]
+        with ended(popen(save, start_new_session=True)):
+            until = time.monotonic() + 20
+            while not (copy.exists() and entities_of(copy)) and time.monotonic() < until:
+                time.sleep(0.5)
+    expected = {"/plan/walls", "/plan/path", "/plan/robot", "/said/pose", "/series/p_wrong"}
+    assert expected <= entities_of(out.with_suffix(".rrd"))
+    assert expected <= entities_of(copy)
 
 
 def test_inspect_judges_topics_by_the_same_policy(

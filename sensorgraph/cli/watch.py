@@ -17,7 +17,10 @@ from sensorgraph.cli.record_live import RecordDomain, RecordDuration, RecordRout
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from contextlib import AbstractContextManager
+
     from logs.run import Run
+    from sensorgraph.show.review.watched import WatchRecording
     from sensorgraph.watching.policy import WatchPolicy
     from sensorgraph.watching.status import WatchStatus
 
@@ -41,7 +44,7 @@ WatchLive = Annotated[
     bool, typer.Option("--live", help="Watch your own running ROS 2 robot over zenoh, until Ctrl-C.")
 ]
 WatchShow = Annotated[
-    bool, typer.Option("--show", help="Also write OUT.rrd, and open it in rerun's viewer at the end.")
+    bool, typer.Option("--show", help="Also show each statement in rerun's viewer as it comes, and write OUT.rrd.")
 ]
 WatchInit = Annotated[
     bool, typer.Option("--init-policy", help="Learn limits from good runs, and write them to OUT.")
@@ -103,7 +106,7 @@ def watch(
     model = Sensorgraph.load(graph)
     if show and out is None:
         raise SensorgraphError("--show needs -o OUT.mcap, beside which OUT.rrd is written")
-    output = _Output(model, limits, graph.name, out, json)
+    output = _Output(model, limits, graph.name, out, json, show=show)
     if live:
         level = _watch_live(output, topic, router, domain, duration, wait)
     else:
@@ -112,8 +115,6 @@ def watch(
         level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
         print_log_notes(run)
         output.print(runs[0].name)
-    if show and out is not None:
-        output.show(out.with_suffix(".rrd"))
     if policy is not None and level != "ok":
         raise typer.Exit(LEVELS.index(level))
 
@@ -165,13 +166,20 @@ class _Output:
     """What is written and shown of the statements."""
 
     def __init__(
-        self, model: Any, limits: WatchPolicy, graph_name: str, out: Path | None, json: Path | None
+        self,
+        model: Any,
+        limits: WatchPolicy,
+        graph_name: str,
+        out: Path | None,
+        json: Path | None,
+        *,
+        show: bool,
     ) -> None:
         from sensorgraph.watching.summary import WatchSummary
 
         self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph_name, out, json
+        self.rrd = out.with_suffix(".rrd") if show and out is not None else None
         self.summary = WatchSummary()
-        self.page: Any = None
 
     def take(
         self,
@@ -189,12 +197,13 @@ class _Output:
         from sensorgraph.watching.messages import WatchFile
         from sensorgraph.watching.page import watch_page
 
-        summary, line = self.summary, _StatusLine()
+        summary, line, walls = self.summary, _StatusLine(), walls_of_graph(self.model)[0]
         with ExitStack() as stack:
             lines = None if self.json is None else stack.enter_context(
                 stack.enter_context(atomic_file(self.json)).open("w")
             )  # fmt: skip
             file = None if self.out is None else stack.enter_context(WatchFile(self.out, epoch_ns))
+            recording = None if self.rrd is None else stack.enter_context(_recording(walls, self.rrd))
             stack.callback(line.end)
             with suppress(*(() if publish is None else (KeyboardInterrupt,))):
                 for status in statuses:
@@ -204,25 +213,18 @@ class _Output:
                         lines.write(as_text.dumps(status.to_dict()) + "\n")
                     if file is not None:
                         file.add(status, self.limits)
+                    if recording is not None:
+                        recording.add(status)
                     if publish is not None:
                         publish(status)
                     line.show(status, summary)
         if summary.last is None:
             raise SensorgraphError(f"{name} has no scan to watch; expected messages on /scan")
         if self.out is not None:
-            self.page = summary.page(name, self.graph_name, walls_of_graph(self.model)[0])
+            page = watch_page(summary.page(name, self.graph_name, walls))
             with atomic_file(self.out.with_suffix(".html")) as part:
-                part.write_text(watch_page(self.page), encoding="utf-8")
+                part.write_text(page, encoding="utf-8")
         return summary.level
-
-    def show(self, path: Path) -> None:
-        """Write the recording of rerun, and open it."""
-        from sensorgraph.show.rerun_file import open_viewer
-        from sensorgraph.show.review.watched import write_watched
-
-        write_watched(self.page, path)
-        typer.echo(f"wrote {path}; open it with: rerun {path}")
-        open_viewer(path)
 
     def print(self, name: str) -> None:
         """Print the result."""
@@ -238,7 +240,15 @@ class _Output:
             typer.echo(step)
         typer.echo(f"{summary.level}{': ' + summary.reason if summary.reason else ''}")
         if self.out is not None:
-            typer.echo(f"wrote {self.out} and {self.out.with_suffix('.html')}")
+            rrd = "" if self.rrd is None else f", {self.rrd}"
+            typer.echo(f"wrote {self.out}{rrd} and {self.out.with_suffix('.html')}")
+
+
+def _recording(walls: Any, path: Path) -> AbstractContextManager[WatchRecording]:
+    """Return the recording of rerun, with the viewer open."""
+    from sensorgraph.show.review.watched import watched_recording
+
+    return watched_recording(walls, path, viewer=True)
 
 
 def _init_policy(

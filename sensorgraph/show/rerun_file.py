@@ -5,6 +5,7 @@ Writing needs no viewer. An .rrd has no wall-clock time and can be made again fr
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -28,6 +29,10 @@ WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
 WALL, DIM, BACKGROUND = (150, 150, 165), (80, 100, 135), (18, 18, 22)
 """Walls; background objects such as the driven path; the background."""
 
+SETTLE = 1.5
+"""[s] Time after which a viewer without a display has ended; its server answers before."""
+FLUSH = 5.0
+"""[s] Longest time for which the end of a recording waits for the viewer."""
 LOOPBACK = "127.0.0.1"
 """Viewers accept connections from this machine only."""
 
@@ -55,6 +60,40 @@ def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.Record
             recording.disconnect()
     finally:
         rr.set_strict_mode(was_strict)
+
+
+@contextmanager
+def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Iterator[rr.RecordingStream]:
+    """Open rerun's viewer on this machine and yield a recording that it shows at once. The viewer stays open at the end.
+
+    Parameters
+    ----------
+    patience : [s] Time limit for the start of the viewer.
+
+    Raises
+    ------
+    SensorgraphError : There is no viewer, or it does not start.
+    """
+    (port,) = _free_ports(1)
+    command = [_viewer(None), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon"]
+    viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    end, answered = time.monotonic() + patience, math.inf
+    while time.monotonic() < answered + SETTLE:
+        if math.isinf(answered) and _answers(port):
+            answered = time.monotonic()
+        if viewer.poll() is not None or time.monotonic() > end:
+            raise SensorgraphError(
+                "rerun's viewer does not start, as it needs a display; leave out --show, and open OUT.rrd elsewhere"
+            )
+        time.sleep(0.1)
+    recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
+    recording.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    recording.send_blueprint(layout, make_active=True, make_default=True)
+    yield recording
+    if viewer.poll() is None:  # nobody has closed it
+        with suppress(RuntimeError):
+            recording.flush(timeout_sec=FLUSH)
+    recording.disconnect()
 
 
 def folded() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
@@ -122,14 +161,15 @@ sys.exit(subprocess.call(sys.argv[1:], stdin=subprocess.DEVNULL))
 """Runs a command in a process group that ends when the pipe to this process closes, even if this process is killed."""
 
 
-def _viewer(path: Path) -> str:
-    """Return the viewer of this environment, else the viewer in PATH."""
+def _viewer(path: Path | None) -> str:
+    """Return the viewer of this environment, else the viewer in PATH; `path` is the file to open, if there is one yet."""
     own = Path(sys.executable).parent
     viewer = shutil.which("rerun", path=str(own)) or shutil.which("rerun")
     if viewer is None:
         raise SensorgraphError(
-            f"no viewer: expected {own / 'rerun'} or `rerun` in PATH; {path} is written, open it where "
-            "rerun-sdk is installed (`pip install rerun-sdk`)"
+            f"no viewer: expected {own / 'rerun'} or `rerun` in PATH; "
+            + ("" if path is None else f"{path} is written, open it where rerun-sdk is installed ")
+            + "(`pip install rerun-sdk`)"
         )
     return viewer
 

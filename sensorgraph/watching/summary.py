@@ -16,6 +16,12 @@ MOST_POINTS = 4000
 """Number of statements that are kept for the path; older ones are thinned."""
 
 
+def word_of(status: WatchStatus) -> str:
+    """Return the word of the pose for a picture: its status, or `unknown` outside what the graph knows."""
+    is_outside = status.pose.status == "ok" and not status.pose.is_known_place
+    return "unknown" if is_outside else status.pose.status
+
+
 @dataclass(frozen=True, kw_only=True)
 class Span:
     """An interval with one statement."""
@@ -73,17 +79,15 @@ class WatchSummary:
     def add(self, status: WatchStatus, level: Level, reason: str) -> None:
         """Add one statement."""
         self.first = status.t if self.first is None else self.first
-        t = status.t - self.first
+        t, word = status.t - self.first, word_of(status)
         pose, place, robot = status.sentences()
-        word = status.pose.status
-        unknown = word == "ok" and not status.pose.is_known_place
-        self._extend("pose", t, "unknown" if unknown else word, pose)
+        self._extend("pose", t, word, pose)
         self._extend("place", t, "changed" if status.changes else "ok", place)
         self._extend("robot", t, "fault" if status.faults else "ok", robot)
         if self.n_statements % self._every == 0:
             at = np.full(3, np.nan) if status.pose.pose is None else status.pose.pose
             share = np.nan if status.share_predicted is None else status.share_predicted
-            self.points.append((t, "unknown" if unknown else word, at, status.pose.p_wrong, share))
+            self.points.append((t, word, at, status.pose.p_wrong, share))
         if len(self.points) > MOST_POINTS:
             self.points, self._every = self.points[::2], 2 * self._every
         self.notes = [*self.notes, *status.notes][-100:]

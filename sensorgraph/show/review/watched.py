@@ -1,75 +1,124 @@
-"""Write a watched run as a file for rerun's viewer: the map with the tracked robot, and the three statements over time."""
+"""A watched run in rerun, statement by statement: the map with the tracked robot, and the three statements over time.
+
+The same calls write a file and feed a viewer that is open while the robot drives.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
-from sensorgraph.watching.summary import PageData
+from sensorgraph.show.rerun_file import BACKGROUND, ORANGE, WALL, WHITE, folded, recorded, streamed
+from sensorgraph.types import Floats
+from sensorgraph.watching.status import WatchStatus
+from sensorgraph.watching.summary import word_of
 
 COLOURS = {
     "ok": (60, 150, 175), "unknown": (110, 115, 130), "ambiguous": (224, 160, 48), "off": (209, 52, 91), "lost": (150, 30, 70),
 }  # fmt: skip
-NEW, GONE = (209, 52, 91), (90, 130, 240)
+OUTLINES = {"new": (209, 52, 91), "gone": (90, 130, 240)}
 ARROW = 0.6
 """[m] Length of the arrow of the robot."""
+PATH = "plan/path"
 SERIES = {
     "p_wrong": ("probability that the pose is wrong", ORANGE),
     "share": ("share that the graph predicts", WHITE),
 }
 
 
-def write_watched(data: PageData, path: Path) -> None:
-    """Write a watched run as `path` (.rrd)."""
-    with recorded(path, "watch", _layout(data)) as recording:
-        recording.log("plan", rr.Transform3D(scale=[1, -1, 1]), static=True)  # the 2-D view's y points down
-        recording.log("plan/walls", rr.LineStrips2D(list(data.walls), colors=WALL, radii=-0.8), static=True)
-        for word in dict.fromkeys(word for _, _, word in data.path_pieces):
-            lines = [data.path[a:b, :2] for a, b, own in data.path_pieces if own == word]
-            strips = rr.LineStrips2D(lines, colors=COLOURS.get(word, DIM), radii=-0.8)
-            recording.log(f"plan/path/{word}", strips, static=True)
-        for kind, colour in (("new", NEW), ("gone", GONE)):
-            outlines = [
-                line for change in data.last.changes if change.kind == kind for line in change.outlines
-            ]
-            if outlines:
-                strips = rr.LineStrips2D(outlines, colors=colour, radii=-2.0)
-                recording.log(f"plan/{kind}", strips, static=True)
-        _send_statements(recording, data)
+@contextmanager
+def watched_recording(walls: Floats, path: Path, *, viewer: bool = False) -> Iterator[WatchRecording]:
+    """Yield a recording of statements; the file is complete at the end.
+
+    Parameters
+    ----------
+    walls : (n, 2, 2) [m, map]
+    viewer : Whether rerun's viewer opens at once and shows each statement as it comes.
+
+    Raises
+    ------
+    SensorgraphError : There is no viewer, or it does not start.
+    """
+    with ExitStack() as stack:
+        layout = _layout(walls)
+        streams = [stack.enter_context(streamed("watch", layout))] if viewer else []
+        streams.append(stack.enter_context(recorded(path, "watch", layout)))
+        yield WatchRecording(streams, walls)
 
 
-def _send_statements(recording: rr.RecordingStream, data: PageData) -> None:
-    """Send pose, sentences and series of all statements."""
-    known = np.isfinite(data.path[:, 0])
-    poses = data.path[known]
-    vectors = ARROW * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    time = [rr.TimeColumn("time", duration=data.times[known])]
-    colours = [COLOURS.get(word, DIM) for word, is_known in zip(data.words, known, strict=True) if is_known]
-    columns = rr.Arrows2D.columns(origins=poses[:, :2], vectors=vectors, colors=colours)
-    recording.send_columns("plan/robot", time, columns)
-    every = [rr.TimeColumn("time", duration=data.times)]
-    for name, values in (("p_wrong", data.p_wrong), ("share", data.shares)):
-        label, colour = SERIES[name]
-        recording.log(f"series/{name}", rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
-        recording.send_columns(f"series/{name}", every, rr.Scalars.columns(scalars=values))
-    for row, spans in (("pose", data.pose_spans), ("place", data.place_spans), ("robot", data.robot_spans)):
-        begun = [rr.TimeColumn("time", duration=[span.first for span in spans])]
-        texts = [f"**{span.word}** at {span.first:.0f} s\n\n{span.text}" for span in spans]
-        kinds = ["text/markdown"] * len(spans)
-        recording.send_columns(f"said/{row}", begun, rr.TextDocument.columns(text=texts, media_type=kinds))
+class WatchRecording:
+    """Statements over time; `add` takes one after the other."""
+
+    def __init__(self, streams: Sequence[rr.RecordingStream], walls: Floats) -> None:
+        self.streams = streams
+        self._first: float | None = None
+        self._at: Floats | None = None
+        self._said: dict[str, str] = {}
+        self._n_outlines = -1
+        self._log(
+            "plan", rr.Transform3D(scale=[1, -1, 1]), static=True
+        )  # the y-axis of a 2-D view points down
+        self._log("plan/walls", rr.LineStrips2D(list(walls), colors=WALL, radii=-0.8), static=True)
+        for name, (label, colour) in SERIES.items():
+            self._log(
+                f"series/{name}", rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True
+            )
+
+    def add(self, status: WatchStatus) -> None:
+        """Show one status."""
+        self._first = status.t if self._first is None else self._first
+        t, word = status.t - self._first, word_of(status)
+        for stream in self.streams:
+            stream.set_time("time", duration=t)
+        self._add_pose(status, word)
+        self._log("series/p_wrong", rr.Scalars(status.pose.p_wrong))
+        if status.share_predicted is not None:
+            self._log("series/share", rr.Scalars(status.share_predicted))
+        words = {"place": "changed" if status.changes else "ok", "robot": "fault" if status.faults else "ok"}
+        for row, text in zip(("pose", "place", "robot"), status.sentences(), strict=True):
+            if text != self._said.get(row):
+                self._said[row] = text
+                since = status.pose.since - self._first if row == "pose" else t
+                page = f"**{words.get(row, word)}** since {since:.0f} s\n\n{text}"
+                self._log(f"said/{row}", rr.TextDocument(page, media_type="text/markdown"))
+        if len(status.changes) != self._n_outlines:
+            self._n_outlines = len(status.changes)
+            for kind, colour in OUTLINES.items():
+                lines = [line for one in status.changes if one.kind == kind for line in one.outlines]
+                self._log(f"plan/{kind}", rr.LineStrips2D(lines, colors=colour, radii=-2.0))
+
+    def _add_pose(self, status: WatchStatus, word: str) -> None:
+        """Show the robot, and its way since the last status."""
+        pose, before = status.pose.pose, self._at
+        self._at = None if pose is None else pose[:2]
+        if pose is None:
+            self._log("plan/robot", rr.Arrows2D.cleared())
+            return
+        arrow = ARROW * np.array([[np.cos(pose[2]), np.sin(pose[2])]])
+        self._log("plan/robot", rr.Arrows2D(origins=[pose[:2]], vectors=arrow, colors=COLOURS[word]))
+        if before is not None:
+            self._log(PATH, rr.LineStrips2D([[before, pose[:2]]], colors=COLOURS[word], radii=-0.8))
+
+    def _log(self, entity: str, what: rr.AsComponents, *, static: bool = False) -> None:
+        for stream in self.streams:
+            stream.log(entity, what, static=static)
 
 
-def _layout(data: PageData) -> rrb.Blueprint:
+def _layout(walls: Floats) -> rrb.Blueprint:
     """Return the layout: the map on the left, the statements on the right, the series below."""
-    ends = np.concatenate([data.walls.reshape(-1, 2), data.path[np.isfinite(data.path[:, 0]), :2]])
+    ends = walls.reshape(-1, 2)
     (x0, y0), (x1, y1) = ends.min(axis=0) - 1.0, ends.max(axis=0) + 1.0
+    whole = rrb.VisibleTimeRanges(
+        timeline="time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
     plan = rrb.Spatial2DView(
         name="teal ok, grey outside the graph, orange ambiguous, pink off, dark lost; pink outlines new, blue gone",
-        origin="/", contents=["/plan/**"], background=BACKGROUND,
+        origin="/", contents=["/plan/**"], background=BACKGROUND, overrides={PATH: whole},
         visual_bounds=rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0]),
     )  # fmt: skip
     said = [rrb.TextDocumentView(name=row, origin=f"/said/{row}") for row in ("pose", "place", "robot")]
