@@ -13,8 +13,8 @@ import pytest
 from sensorgraph.cli import run as cli
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
-SLOW = {"controller", "hidden_effect", "mujoco_twin", "nav2", "plan_to_sensorgraph", "sensor_model"}
-NEEDS = {"mujoco_twin": "mujoco"}
+SLOW = {"controller", "hidden_effect", "mujoco_twin", "nav2", "plan_to_sensorgraph", "sensor_model", "watch_twin"}
+NEEDS = {"mujoco_twin": "mujoco", "watch_twin": "mujoco"}
 """Script -> a package of an extra, without which it is skipped."""
 SCRIPTS = [
     pytest.param(script, marks=[pytest.mark.slow] if script.stem in SLOW else [], id=script.stem)
