@@ -13,7 +13,15 @@ import pytest
 from sensorgraph.cli import run as cli
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
-SLOW = {"controller", "hidden_effect", "mujoco_twin", "nav2", "plan_to_sensorgraph", "sensor_model", "watch_twin"}
+SLOW = {
+    "controller",
+    "hidden_effect",
+    "mujoco_twin",
+    "nav2",
+    "plan_to_sensorgraph",
+    "sensor_model",
+    "watch_twin",
+}
 NEEDS = {"mujoco_twin": "mujoco", "watch_twin": "mujoco"}
 """Script -> a package of an extra, without which it is skipped."""
 SCRIPTS = [

@@ -16,7 +16,6 @@ from sensorgraph.cli.record_live import RecordDomain, RecordDuration, RecordRout
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
     from contextlib import AbstractContextManager
 
     from logs.run import Run
@@ -44,7 +43,8 @@ WatchLive = Annotated[
     bool, typer.Option("--live", help="Watch your own running ROS 2 robot over zenoh, until Ctrl-C.")
 ]
 WatchShow = Annotated[
-    bool, typer.Option("--show", help="Also show each statement in rerun's viewer as it comes, and write OUT.rrd.")
+    bool,
+    typer.Option("--show", help="Also show each statement in rerun's viewer as it comes, and write OUT.rrd."),
 ]
 WatchInit = Annotated[
     bool, typer.Option("--init-policy", help="Learn limits from good runs, and write them to OUT.")

@@ -76,7 +76,9 @@ def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Ite
     """
     (port,) = _free_ports(1)
     command = [_viewer(None), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon"]
-    viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    viewer = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     end, answered = time.monotonic() + patience, math.inf
     while time.monotonic() < answered + SETTLE:
         if math.isinf(answered) and _answers(port):

@@ -65,9 +65,7 @@ class WatchRecording:
         )  # the y-axis of a 2-D view points down
         self._log("plan/walls", rr.LineStrips2D(list(walls), colors=WALL, radii=-0.8), static=True)
         for name, (label, colour) in SERIES.items():
-            self._log(
-                f"series/{name}", rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True
-            )
+            self._log(f"series/{name}", rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
 
     def add(self, status: WatchStatus) -> None:
         """Show one status."""
