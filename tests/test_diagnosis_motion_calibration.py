@@ -16,7 +16,10 @@ import sensorgraph as sg
 from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.engine.ledger import Ledger
+from sensorgraph.diagnosis.engine.verdict import Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
+from sensorgraph.diagnosis.motion.calibration.considered import driving_ledger
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
@@ -268,3 +271,32 @@ def test_wheels_of_a_located_run_that_driving_alone_cannot_tell_are_not_looked_a
     assert told.unknown is None
     assert not told.effects
     assert told.channels["odometry"].skipped.endswith("drive longer")
+
+
+def test_the_ledger_of_driving_alone_says_of_each_effect_what_decided() -> None:
+    motion = drive(turns=1.03)
+    found = calibrate(motion)
+    finding = DrivingFinding(
+        runs={"run": found}, changes={"run": None}, differences=(), effects=effects_of(found, BASE), base=BASE
+    )
+    verdicts = {entry.name: entry.verdict for entry in finding.ledger}
+    assert {name for name, one in verdicts.items() if one is Verdict.NAMED} == {
+        a.name for a in finding.effects
+    }
+    assert "its evidence is" in finding.why("wheel_base") and "named" in finding.why("wheel base")
+    assert "nats, but it needs" in finding.why("wheel_radius_diff")
+    assert "without an arena" in finding.why("glass")
+    assert "which of the two is late" in finding.why("latency")
+    assert Ledger.from_list(finding.ledger.to_list()).names == finding.ledger.names
+    with pytest.raises(SensorgraphError, match="did you mean glass"):
+        finding.why("glas")
+
+
+def test_a_change_during_the_drive_is_the_unknown_of_its_ledger() -> None:
+    motion = drive(later_turns=1.04, n=16_000)
+    found = calibrate(motion)
+    change = change_within(motion, found)
+    (entry,) = (one for one in driving_ledger(found, change, BASE) if one.verdict is Verdict.UNKNOWN)
+    assert entry.name == "wheels_jump" and "turn scale" in entry.estimate
+    short = driving_ledger(calibrate(drive(n=900)), None, BASE).of("wheels_jump")[0]
+    assert "too short" in short.reason

@@ -170,14 +170,9 @@ def _drive_alone(
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.driving_files import save_driving
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.intake import log_notes
     from sensorgraph.world.robot import load_robot
 
-    if why is not None:
-        raise SensorgraphError(
-            "--why needs an arena, without which only wheels and mount are estimated; add --arena"
-        )
     machine = None if robot is None else load_robot(robot)
     loaded = [
         with_robot(run, str(path), machine, str(robot)) for run, path in zip(loaded, paths, strict=True)
@@ -203,6 +198,8 @@ def _drive_alone(
             "effects.yaml lacks the heading bias: unequal wheel radii need a known wheelbase; give --robot with wheels.base"
         )
     typer.echo(f"wrote {out / 'report.html'}, report.json, effects.yaml, calibration.png")
+    if why is not None:
+        typer.echo(f"\n{finding.why(why)}")
 
 
 def _check(

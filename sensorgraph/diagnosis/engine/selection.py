@@ -7,24 +7,27 @@ A hypothesis enters the model M if its evidence E is at least the threshold, and
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
-H = TypeVar("H", bound=Hashable)
+H = TypeVar("H")
 
 
 class EvidenceChannel(Protocol[H]):
-    """Measurements that hypotheses compete to explain."""
+    """Measurements that hypotheses compete to explain.
+
+    A refit may replace hypotheses in the list by the same ones with other values, or by fewer that explain as much.
+    """
 
     def best(self, model: Sequence[H]) -> tuple[H, float] | None:
-        """Return the best further hypothesis and its evidence [nats]; None if all are in the model."""
+        """Return the best further hypothesis and its evidence [nats]; None if no further one is worthwhile."""
         ...
 
-    def added(self, model: Sequence[H]) -> None:
+    def added(self, model: list[H]) -> None:
         """Refit after the last hypothesis of the model has entered."""
         ...
 
-    def removed(self, model: Sequence[H]) -> None:
+    def removed(self, model: list[H]) -> None:
         """Refit after a hypothesis was removed from the model."""
         ...
 
@@ -45,7 +48,7 @@ def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[
     threshold : [nats] Evidence that a hypothesis needs to enter.
     """
     model: list[H] = []
-    for _ in range(most):
+    while len(model) < most:
         found = channel.best(model)
         if found is None or found[1] < threshold:
             break
@@ -58,9 +61,9 @@ def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[
 def remove_superfluous(channel: EvidenceChannel[H], model: list[H]) -> None:
     """Remove the hypotheses that have less evidence than they need, the weakest first."""
     while model:
-        spare = {one: channel.evidence(model, one) - channel.needed(model, one) for one in model}
-        weakest = min(model, key=lambda one: spare[one])
+        spare = [channel.evidence(model, one) - channel.needed(model, one) for one in model]
+        weakest = spare.index(min(spare))
         if spare[weakest] >= 0.0:
             return
-        model.remove(weakest)
+        del model[weakest]
         channel.removed(model)

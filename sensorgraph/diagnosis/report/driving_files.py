@@ -12,6 +12,7 @@ from typing import Any
 from logs.files import atomic_file
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
+from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import effect_dict, plain
 from sensorgraph.diagnosis.report.driving import UNITS, calibrations, driving_section
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
@@ -76,6 +77,7 @@ def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
         "gap": None,
         "within_tolerance": [],
         "not_observable": {**finding.hidden, **ABSORBED},
+        "ledger": finding.ledger.to_list(),
         "next_run": None,
         "intake": {"reference": "none: located from scans and wheels", "runs": list(finding.runs)},
         "calibration": calibrations(finding),
@@ -107,5 +109,6 @@ def _page(finding: DrivingFinding, drawn: Path, log_notes: Sequence[str]) -> str
         sections=[
             driving_section(finding, drawn, heading=""),
             f"<h2>What the poses absorb</h2><ul>{absorbed}</ul>",
+            considered_section(finding.ledger),
         ],
     )

@@ -1,10 +1,15 @@
-"""Forward selection of effects by evidence: add one effect at a time, refit all jointly, remove superfluous ones."""
+"""Effects of the scans as hypotheses of the engine: try further effects, refit all jointly, merge what is one effect.
+
+`engine.selection.select` adds and removes them by evidence.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from sensorgraph.diagnosis.engine.selection import select
 from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, searched
 from sensorgraph.diagnosis.scan.first_gains import name_at_place
 from sensorgraph.diagnosis.scan.fit import (
@@ -12,6 +17,7 @@ from sensorgraph.diagnosis.scan.fit import (
     fit,
     start_state,
 )
+from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.merging import fewer_effects
 from sensorgraph.diagnosis.scan.ranking import ranked
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -62,61 +68,9 @@ def explain(
     progress: ProgressBars = no_progress,
 ) -> Explained:
     """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
-    casts = 1 if data.posed is None else SCAN.fit.pose_casts
-    with progress("fitting the simulator", ""):
-        null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=casts, inner=7)
-    current, n_small = null, 0
-    steps: list[Step] = []
-    rivals: dict[str, tuple[Amendment, float]] = {}
-    memory = SearchMemory()
-    while len(current.model) < most:
-        begun = current.j
-        with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
-            tried, also = _try(data, current, noise_bounds, memory, current.j - null.j, tick)
-        tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
-        if not tried:
-            if not memory.repeat_in_full():
-                break
-            continue
-        order = ranked(data, led_on_plain_walls(data, tried, current), threshold)
-        best, gain = order[0]
-        if gain >= threshold:
-            again = fit(data, current.model, best.state, noise_bounds, outer=casts, inner=4)
-            if again.j > current.j:
-                current = again
-                null = null if current.model else current
-            gain = worth(data, best.model[-1], best, current)
-        stood = memory.first.still_has(best.model[-1])
-        enough = gain >= max(threshold, least_gain(current.model, best.model[-1], current.j - null.j, stood))
-        steps.append(
-            Step(
-                tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
-                chosen=best.model[-1].name if enough else "",
-            )
-        )
-        if not enough and current.j > begun + SCAN.selection.min_refit_gain:
-            continue  # the gains refer to a fit that had not converged
-        if not enough:
-            if not memory.repeat_in_full():
-                break
-            continue
-        memory.is_lazy = True
-        mine = name_at_place(best.model[-1])
-        others = [*((f.model[-1], g) for f, g in order[1:]), *also]
-        others = [(a, order[0][1] - g) for a, g in others if name_at_place(a) != mine]
-        if others:
-            rivals[mine] = min(others, key=lambda t: t[1])
-        before, small = current, best.model[-1].ratio < current.state.map_scale
-        pruned = _pruned(data, best, noise_bounds, threshold, memory.struck)
-        current = _merged(data, pruned, noise_bounds)
-        if current is not pruned:
-            steps[-1] = replace(steps[-1], became=current.model)
-        is_same = {name_at_place(a) for a in current.model} == {name_at_place(a) for a in before.model}
-        if is_same and current.j < before.j + threshold:
-            break
-        n_small += small
-        if n_small == 2:  # the remaining effects are smaller still
-            break
+    search = EffectSearch(data, noise_bounds, threshold, progress)
+    select(search, threshold=threshold, most=most)
+    current = search.current
     current = _without_usual(data, current, noise_bounds)
     gains, n = {}, len(current.model)
     with progress("weighing effects", "effects") as tick:
@@ -127,12 +81,135 @@ def explain(
             gains[index] = worth(data, one, current, rest)
         tick(n, n + 1)
         errors = standard_errors(current, noise_bounds)
+    rivals = search.rivals
     kept = {i: rivals[name_at_place(a)] for i, a in enumerate(current.model) if name_at_place(a) in rivals}
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(
-        null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept, expected=memory.first.latest
+        null=search.null,
+        final=final,
+        gains=gains,
+        steps=tuple(search.steps),
+        rivals=kept,
+        expected=search.expected,
     )
+
+
+class EffectSearch:
+    """Effects as hypotheses about the scans; `current` is the fit of the present model. One loop over rounds of fits."""
+
+    def __init__(
+        self, data: ScanData, noise_bounds: NoiseBounds, threshold: float, progress: ProgressBars
+    ) -> None:
+        self.data, self.noise_bounds, self.threshold, self.progress = data, noise_bounds, threshold, progress
+        self.casts = 1 if data.posed is None else SCAN.fit.pose_casts
+        with progress("fitting the simulator", ""):
+            self.null = self._fit((), start_state(data, noise_bounds), self.casts, 7)
+        self.current = self.null
+        self.steps: list[Step] = []
+        self.rivals: dict[str, tuple[Amendment, float]] = {}
+        """Effect at its place -> the second best explanation when it entered, and its deficit [nats]."""
+        self._memory = SearchMemory()
+        self._chosen = self._before = self.null
+        self._n_small = 0
+        self._rests: dict[int, Fitted] = {}
+        """Index in the model -> the fit without this effect."""
+
+    @property
+    def expected(self) -> Mapping[str, Candidate]:
+        """Name of each effect -> its best start in the last round, whether or not it was fitted."""
+        return self._memory.first.latest
+
+    def best(self, model: Sequence[Amendment]) -> tuple[Amendment, float] | None:
+        """Return the best further effect and its evidence [nats], in as many rounds of fits as this needs."""
+        memory = self._memory
+        while not self._has_ended():
+            begun = self.current.j
+            with self.progress(f"trying effects, round {len(self.steps) + 1}", "candidates") as tick:
+                tried, also = _try(
+                    self.data, self.current, self.noise_bounds, memory, self.current.j - self.null.j, tick
+                )
+            tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
+            if not tried:
+                if not memory.repeat_in_full():
+                    return None
+                continue
+            order = ranked(self.data, led_on_plain_walls(self.data, tried, self.current), self.threshold)
+            self._chosen, gain = order[0]
+            effect = self._chosen.model[-1]
+            if gain >= self.threshold:
+                gain = self._against_refitted()
+            stood = memory.first.still_has(effect)
+            least = least_gain(self.current.model, effect, self.current.j - self.null.j, stood)
+            enough = gain >= max(self.threshold, least)
+            weighed = _best_of_each([*((f.model[-1], g) for f, g in order), *also])
+            self.steps.append(Step(tried=weighed, chosen=effect.name if enough else ""))
+            if enough:
+                memory.is_lazy = True
+                mine = name_at_place(effect)
+                others = [*((f.model[-1], g) for f, g in order[1:]), *also]
+                others = [(a, order[0][1] - g) for a, g in others if name_at_place(a) != mine]
+                if others:
+                    self.rivals[mine] = min(others, key=lambda t: t[1])
+                return effect, gain
+            had_converged = self.current.j <= begun + SCAN.selection.min_refit_gain
+            if had_converged and not memory.repeat_in_full():
+                return None
+        return None
+
+    def _against_refitted(self) -> float:
+        """Return the evidence [nats] of the chosen effect over the present model, fitted again from its state."""
+        again = self._fit(self.current.model, self._chosen.state, self.casts, 4)
+        if again.j > self.current.j:
+            self.current = again
+            self.null = self.null if again.model else again
+        return worth(self.data, self._chosen.model[-1], self._chosen, self.current)
+
+    def _has_ended(self) -> bool:
+        """Tell whether the last effects changed nothing, or were so small that the remaining ones are smaller still."""
+        same = {name_at_place(a) for a in self.current.model} == {
+            name_at_place(a) for a in self._before.model
+        }
+        is_stuck = (
+            self._before is not self.current and same and self.current.j < self._before.j + self.threshold
+        )
+        return (is_stuck and bool(self._before.model)) or self._n_small == 2
+
+    def added(self, model: list[Amendment]) -> None:
+        """Take the fit with the effect, and merge it with an earlier one that is the same."""
+        self._before = self.current
+        self._n_small += self._chosen.model[-1].ratio < self.current.state.map_scale
+        merged = _merged(self.data, self._chosen, self.noise_bounds)
+        if merged is not self._chosen:
+            self.steps[-1] = replace(self.steps[-1], became=merged.model)
+        self._take(merged, model)
+
+    def removed(self, model: list[Amendment]) -> None:
+        """Take the fit without the effect, which is not tried again."""
+        (index,) = (k for k, a in enumerate(self.current.model) if all(a is not one for one in model))
+        gone = self.current.model[index]
+        self._memory.struck.add((gone.name, gone.place))
+        self._take(self._rests[index], model)
+
+    def _take(self, fitted: Fitted, model: list[Amendment]) -> None:
+        self.current, self._rests = fitted, {}
+        model[:] = fitted.model
+
+    def evidence(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
+        """Return the evidence [nats] for an effect in addition to the others; the last one has just been weighed."""
+        index = next(k for k, a in enumerate(model) if a is hypothesis)
+        if index == len(model) - 1:
+            return math.inf
+        if index not in self._rests:
+            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, 2, 4)
+        return worth(self.data, hypothesis, self.current, self._rests[index])
+
+    def needed(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
+        """Return the evidence [nats] that an effect needs to stay."""
+        return self.threshold
+
+    def _fit(self, model: tuple[Amendment, ...], state: State, outer: int, inner: int) -> Fitted:
+        return fit(self.data, model, state, self.noise_bounds, outer=outer, inner=inner)
 
 
 def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
@@ -179,23 +256,6 @@ def _try(
         fits.add(more[: SCAN.selection.max_candidates // 2], tick)
     fits.search()
     return fits.to_all_scans(), fits.behind
-
-
-def _pruned(
-    data: ScanData, best: Fitted, noise_bounds: NoiseBounds, threshold: float, struck: set[tuple[str, str]]
-) -> Fitted:
-    """Remove earlier effects that the model no longer needs."""
-    index = 0
-    while len(best.model) > 1 and index < len(best.model) - 1:
-        rest = fit(data, without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
-        one = best.model[index]
-        if worth(data, one, best, rest) < threshold:
-            struck.add((best.model[index].name, best.model[index].place))
-            best = rest
-            index = 0
-        else:
-            index += 1
-    return best
 
 
 def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:

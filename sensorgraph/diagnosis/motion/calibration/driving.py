@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from logs.run import Run
+from sensorgraph.diagnosis.engine.ledger import Ledger
+from sensorgraph.diagnosis.engine.why import why
 from sensorgraph.diagnosis.motion.calibration.comparison import (
     Change,
     Difference,
@@ -13,6 +16,7 @@ from sensorgraph.diagnosis.motion.calibration.comparison import (
     compare,
     is_long_enough,
 )
+from sensorgraph.diagnosis.motion.calibration.considered import driving_ledger
 from sensorgraph.diagnosis.motion.calibration.estimate import DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
 from sensorgraph.diagnosis.motion.calibration.verdict import (
@@ -41,6 +45,8 @@ class DrivingFinding:
     """Second run minus first run, in the order of PARAMETERS; empty with one run."""
     effects: tuple[Amendment, ...]
     """Material effects of the last run; for `record` and `export`."""
+    base: float | None = None
+    """[m] Wheelbase that the odometry uses; None: unknown."""
 
     @property
     def verdict(self) -> list[str]:
@@ -54,6 +60,22 @@ class DrivingFinding:
         """Return the calibration of one run, one line per quantity."""
         found = self.runs[name]
         return [*lines_of(found), *change_lines(self.changes[name], is_tested=is_long_enough(found))]
+
+    @cached_property
+    def ledger(self) -> Ledger:
+        """All hypotheses, with the verdicts on the last run."""
+        name, found = list(self.runs.items())[-1]
+        return driving_ledger(found, self.changes[name], self.base)
+
+    def why(self, name: str) -> str:
+        """Return why an effect was or was not named.
+
+        Raises
+        ------
+        SensorgraphError
+            The ledger has no such name; the message lists the known ones.
+        """
+        return why(self.ledger, name)
 
     @property
     def hidden(self) -> dict[str, str]:
@@ -111,4 +133,5 @@ def diagnose_driving(
         changes=changes,
         differences=compare(first, others[0]) if others else (),
         effects=effects_of(others[0] if others else first, base),
+        base=base,
     )

@@ -22,8 +22,8 @@ LEAST_DRIFT = 0.005
 """[m/m] minimum drift with the floor that is reported."""
 
 
-def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment, ...]:
-    """Return the material effects of wheels and mount, for `record` and `export`.
+def calibrated_effects(found: DrivingCalibration, base: float | None) -> list[Amendment]:
+    """Return the effects of wheels and mount with their sizes and evidence, whether or not these are material.
 
     Parameters
     ----------
@@ -43,14 +43,27 @@ def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment
     ]
     if base is not None:
         known.append((WHEEL_RADIUS_DIFF, {"s": -bias * base}, {"s": bias_sd * base}))
-    named = []
-    for effect, values, errors in known:
-        sizes = {p.name: abs(values[p.name]) / errors[p.name] for p in effect.parameters}
-        if any(
-            sizes[p.name] > SURE and abs(values[p.name]) > (p.materiality or 0.0) for p in effect.parameters
-        ):
-            evidence = 0.5 * max(sizes.values()) ** 2
-            named.append(Amendment(effect=effect, parameters=values, stderr=errors, evidence=evidence))
+    return [
+        Amendment(
+            effect=effect,
+            parameters=values,
+            stderr=errors,
+            evidence=0.5 * max(abs(values[name]) / errors[name] for name in values) ** 2,
+        )
+        for effect, values, errors in known
+    ]
+
+
+def is_material(a: Amendment) -> bool:
+    """Tell whether a parameter is surely not zero and large enough to matter."""
+    return any(
+        abs(a[p.name]) > max(SURE * a.stderr[p.name], p.materiality or 0.0) for p in a.effect.parameters
+    )
+
+
+def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment, ...]:
+    """Return the material effects of wheels and mount, for `record` and `export`; see `calibrated_effects`."""
+    named = [a for a in calibrated_effects(found, base) if is_material(a)]
     return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
 
 
