@@ -74,6 +74,7 @@ def test_where_nothing_can_be_kept_it_works_and_says_so_once(tmp_path: Path) -> 
     assert line.startswith("compiled code cannot be kept") and "NUMBA_CACHE_DIR" in line
 
 
+@pytest.mark.slow
 def test_compile_refuses_in_one_line_where_nothing_can_be_kept(tmp_path: Path) -> None:
     done = run(tmp_path, "from sensorgraph.cli import run\nprint(run(['compile']))", NOWHERE)
     assert done.stdout == "2\n"
@@ -117,7 +118,7 @@ print(sum_of_twice(np.arange(4.0)), len(sum_of_twice.signatures), twice(1.5), tw
 """
 
 
-@pytest.mark.parametrize("package", ["planners", "robotmodic_ident"])
+@pytest.mark.parametrize("package", ["planners", *further("robotmodic_ident")])
 def test_an_inner_kernel_is_compiled_into_kernels_and_is_a_function_of_python(
     package: str, tmp_path: Path
 ) -> None:
@@ -210,6 +211,7 @@ def test_code_is_compiled_again_after_a_change_of_what_it_calls_or_takes(
         assert run(tmp_path, script).stdout == result
 
 
+@pytest.mark.slow
 def test_the_names_of_the_kernels_are_the_same_in_every_process() -> None:
     script = (
         "import re, sys, planners.planning, sensorgraph.demo, sensorgraph.localization.locate\n"
