@@ -1,4 +1,8 @@
-"""Draw the architecture: python docs/architecture_picture.py > docs/pages/pictures/architecture.svg."""
+"""Draw the architecture, and the engine of `diagnose`.
+
+python docs/architecture_picture.py architecture > docs/pages/pictures/architecture.svg
+python docs/architecture_picture.py engine > docs/pages/pictures/engine.svg
+"""
 
 from __future__ import annotations
 
@@ -35,16 +39,58 @@ def arrow(points: str, label: str = "", at: tuple[float, float] = (0, 0), anchor
     return text
 
 
+def head(height: int) -> list[str]:
+    """Return the first lines of a picture."""
+    return [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="system-ui, DejaVu Sans, sans-serif">',
+        f'<defs><marker id="head" markerWidth="9" markerHeight="8" refX="8" refY="4" orient="auto"><path d="M0,0 L9,4 L0,8 z" fill="{INK}"/></marker>',
+        f"<style>.t{{font-size:16px;font-weight:600;text-anchor:middle}}.l{{font-size:12.5px;text-anchor:middle;fill:{INK}}}"
+        f".a{{font-size:12.5px;fill:{GREY};font-style:italic}}.h{{font-size:13px;fill:{GREY};letter-spacing:.06em}}</style></defs>",
+        f'<rect width="{WIDTH}" height="{height}" fill="{PAPER}"/>',
+    ]
+
+
+def engine() -> str:
+    """Return the engine of `diagnose`: from signals and hypotheses over evidence to verdicts."""
+    c = COLOURS
+    scan, wheels, motors = "#1d8a7d", "#2a788e", "#8a5a9e"
+    parts = [
+        *head(470),
+        '<text x="30" y="34" class="h">CHANNELS</text>',
+        box(30, 48, 210, 84, "scan", ("scans against the map,", "cast at the reference poses"), scan),
+        box(30, 150, 210, 84, "wheels", ("odometry against", "the reference poses"), wheels),
+        box(30, 252, 210, 84, "motors", ("commands against", "the measured motion"), motors),
+        '<text x="30" y="380" class="h">HYPOTHESES</text>',
+        box(30, 392, 330, 58, "effects", ("glass, mount yaw, wheel radius, dead time …",), c["ident"]),
+        box(380, 392, 330, 58, "differences without a name", ("late scans, bias by bearing, wheel play …",), c["ident"]),
+        box(330, 48, 200, 130, "fit", ("residuals, whitened;", "pose, map, mount and clock", "within their tolerances;", "effects of the model"), scan),
+        box(620, 48, 200, 130, "best hypothesis", ("evidence = J(with)", "− J(without) − price", "of each hypothesis;", "the largest wins"), scan),
+        box(620, 232, 200, 104, "superfluous?", ("evidence beside", "the others < threshold:", "remove the weakest"), scan),
+        box(880, 48, 180, 130, "ledger", ("all hypotheses:", "place, size, evidence,", "price, rival, reason"), c["planners"]),
+        box(880, 232, 180, 104, "verdict", ("named, undecided,", "unknown or silent:", "a function of the ledger"), c["planners"]),
+        box(880, 392, 180, 58, "report", ("why, gap, next run",), c["yours"]),
+        arrow("M240,90 H326"),
+        arrow("M240,192 H285 V124 H326"),
+        arrow("M240,294 H300 V150 H326"),
+        arrow("M530,113 H616", "try each", (573, 103)),
+        arrow("M195,392 V360 H590 V160 H616"),
+        arrow("M710,421 H850 V150 H876", "tested on what the model leaves", (842, 380), "end"),
+        arrow("M720,178 V228", "enough: add, refit", (730, 208), "start"),
+        arrow("M620,284 H430 V182", "refit, next round", (520, 276)),
+        arrow("M820,113 H876", "no more", (848, 103)),
+        arrow("M970,178 V228"),
+        arrow("M970,336 V388"),
+        "</svg>",
+    ]  # fmt: skip
+    return "\n".join(parts) + "\n"
+
+
 def picture() -> str:
     """Return the picture as SVG."""
     c = COLOURS
     row = 70
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="system-ui, DejaVu Sans, sans-serif">',
-        f'<defs><marker id="head" markerWidth="9" markerHeight="8" refX="8" refY="4" orient="auto"><path d="M0,0 L9,4 L0,8 z" fill="{INK}"/></marker>',
-        f"<style>.t{{font-size:16px;font-weight:600;text-anchor:middle}}.l{{font-size:12.5px;text-anchor:middle;fill:{INK}}}"
-        f".a{{font-size:12.5px;fill:{GREY};font-style:italic}}.h{{font-size:13px;fill:{GREY};letter-spacing:.06em}}</style></defs>",
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="{PAPER}"/>',
+        *head(HEIGHT),
         '<text x="30" y="34" class="h">DATA FLOW</text>',
         box(30, row, 150, 112, "arena, robot", ("lab.geojson", "robot.yaml"), c["yours"]),
         box(250, row, 150, 112, "plan", ("every reachable", "(x, y, φ), checked"), c["planners"]),
@@ -76,4 +122,4 @@ def picture() -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(picture())
+    sys.stdout.write({"architecture": picture, "engine": engine}[sys.argv[1]]())

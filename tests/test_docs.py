@@ -85,10 +85,11 @@ def test_every_rule_that_takes_a_name_is_on_the_page_of_rules() -> None:
     assert len(rules) > 15 and rules <= listed
 
 
-def test_the_picture_of_the_architecture_is_what_its_script_draws() -> None:
-    drawn = runpy.run_path(str(ROOT / "docs" / "architecture_picture.py"))["picture"]()
-    assert (SITE / "pictures" / "architecture.svg").read_text() == drawn, (
-        "python docs/architecture_picture.py > docs/pages/pictures/architecture.svg"
+@pytest.mark.parametrize(("name", "function"), [("architecture", "picture"), ("engine", "engine")])
+def test_a_drawn_picture_is_what_its_script_draws(name: str, function: str) -> None:
+    drawn = runpy.run_path(str(ROOT / "docs" / "architecture_picture.py"))[function]()
+    assert (SITE / "pictures" / f"{name}.svg").read_text() == drawn, (
+        f"python docs/architecture_picture.py {name} > docs/pages/pictures/{name}.svg"
     )
 
 
