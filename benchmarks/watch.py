@@ -8,7 +8,8 @@ truth: the whole log, located together. Parts:
 - `clean`: false alarms per hour on the second half, and the load
 - `pose`: `--n` kidnaps (the log goes on at another place) and as many beliefs put off by 0.5 to 1 m or 10° to 20°; share
   said within 5 s, and the area under the curve of each alarm over the seconds before and after
-- `robot`: planted faults of laser and wheels on the second half, with a policy from the first half
+
+`benchmarks.watch_planted` plants faults of laser and wheels, and things in the place.
 
 Alarms beside ours, all at the believed pose: the spread of AMCL's particles (Nav2's defaults, which start at the belief), the
 mean likelihood of the returns in a 5 cm grid of the first half with the best of three widths on the first half, and a
@@ -21,7 +22,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +42,6 @@ from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.watching.observation import Observation
-from sensorgraph.watching.policy import learn
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.tracker import PoseTracker
@@ -337,84 +337,6 @@ def clean_part(data: Halves, graph: Sensorgraph) -> None:
     print(f"named without a policy, in seconds: {dict(named)}")
 
 
-PLANTS: Mapping[str, float] = {
-    "blocked_sector": 5.0, "missing_returns": 60.0, "mount_yaw": 60.0, "range_bias": 120.0, "wheel_radius": 120.0,
-}  # fmt: skip
-"""Fault -> [s] of driving within which it must be named."""
-
-
-def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator) -> Watched:
-    """Return the scans with one fault of the size of the issue."""
-    ranges, odometry = watched.ranges, watched.odometry
-    if name == "blocked_sector":
-        first = int(rng.integers(20, data.second.sensor.n_rays - 40))
-        width = round(np.radians(10) / abs(np.diff(data.second.sensor.bearings[:2])[0]))
-        ranges = ranges.copy()
-        ranges[:, first : first + width] = np.inf
-    elif name == "missing_returns":
-        ranges = np.where(rng.random(ranges.shape) < 0.05, np.inf, ranges)
-    elif name == "mount_yaw":  # the laser is turned by 2 degrees: whole rays, and the rest interpolated
-        bearings = data.second.sensor.bearings
-        with np.errstate(invalid="ignore"):
-            ranges = np.array(
-                [
-                    np.interp(bearings + np.radians(2), bearings, row)
-                    for row in np.where(np.isfinite(ranges), ranges, 1e6)
-                ]
-            )
-        ranges = np.where(ranges > data.second.sensor.range_max, np.inf, ranges)
-    elif name == "range_bias":
-        ranges = ranges + 0.03
-    elif name == "wheel_radius":
-        steps = compose(invert(odometry[:-1]), odometry[1:]) * [1.02, 1.02, 1.0]
-        out = [odometry[0]]
-        for step in steps:
-            out.append(compose(out[-1], step))
-        odometry = np.array(out)
-    return replace(watched, ranges=ranges, odometry=odometry)
-
-
-def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
-    """Print how often planted faults are named, with a policy from one half of the covered stretches."""
-    odometry, stamps = driven(data.second), data.second.stamps
-    known = np.flatnonzero(np.isfinite(data.truth[:, 0]))
-    middle = known[len(known) // 2]
-    good = stretch(data, odometry, known[0], middle)
-    sensor = data.second.sensor
-    policy = learn([list(watch_scans(graph, good.observations(), sensor))])
-    print(
-        "baseline: " + ", ".join(f"{k} {v.value:.4f} ± {v.tolerance:.4f}" for k, v in policy.baseline.items())
-    )
-    share = np.convolve(data.covered, np.ones(25) / 25, "same")
-    starts = np.flatnonzero((share > 0.9) & (stamps > stamps[middle]) & (stamps < stamps[-1] - 130))
-    if len(starts) == 0:
-        print("no stretch to plant in")
-        return
-    for name, limit in ({"healthy": 120.0} | dict(PLANTS)).items():
-        right = wrong = total = 0
-        for _ in range(n):
-            at = int(rng.choice(starts))
-            last = int(np.searchsorted(stamps, stamps[at] + max(limit, 20.0) * 1.5))
-            watched = stretch(data, odometry, at, last)
-            if np.isnan(watched.believed).any():
-                continue
-            said = list(
-                watch_scans(
-                    graph, planted(data, watched, name, rng).observations(), sensor, baseline=policy.baseline
-                )
-            )
-            found = {
-                fault.name
-                for status in said
-                if status.t - said[0].t <= 1.5 * limit
-                for fault in status.faults
-            }
-            total += 1
-            right += name in found
-            wrong += bool(found - {name})
-        print(f"{name}: named in {right} of {total}, another fault in {wrong}", flush=True)
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(
@@ -422,7 +344,7 @@ def main() -> None:
     )
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--part", choices=("clean", "pose", "robot"), default="clean")
+    parser.add_argument("--part", choices=("clean", "pose"), default="clean")
     parser.add_argument("--n", type=int, default=50)
     options = parser.parse_args()
     data = halves(options.log, options.work)
@@ -434,10 +356,8 @@ def main() -> None:
     )
     if options.part == "clean":
         clean_part(data, graph)
-    elif options.part == "pose":
-        pose_part(data, graph, options.n, rng)
     else:
-        robot_part(data, graph, options.n, rng)
+        pose_part(data, graph, options.n, rng)
 
 
 if __name__ == "__main__":

@@ -128,6 +128,13 @@ def test_evidence_grows_with_the_size_and_is_against_a_fault_at_the_baseline(fau
     assert nats == sorted(nats)
 
 
+def test_a_standard_error_from_few_measurements_is_weaker_evidence() -> None:
+    fault = DISTANCE_FAULTS[0]
+    nats = [doubt_of(fault, 0.05, 0.01, -8.0, freedom=freedom).nats for freedom in (3.0, 10.0, 100.0, 1e7)]
+    assert nats == sorted(nats) and nats[0] < 0.5 * nats[-1]
+    assert nats[-1] == pytest.approx(doubt_of(fault, 0.05, 0.01, -8.0).nats, rel=1e-4)
+
+
 def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
     """A drive whose odometry is made here, with exact poses: every error at once."""
     rng = np.random.default_rng(2)

@@ -6,6 +6,9 @@ with the standard error e has the log Bayes factor
     log N(estimate; b, e² + t² + s²) - log N(estimate; b, e² + t²).
 
 The wider prior is the Occam factor. With the prior odds of a fault, it gives a probability.
+
+Where e comes from the scatter of few measurements, with ν degrees of freedom, N is Student's t with ν in place of the
+normal distribution. After two seconds of driving, the scatter itself is hardly known.
 """
 
 from __future__ import annotations
@@ -79,19 +82,37 @@ def _size(key: str, value: float, stderr: float) -> str:
 
 
 def doubt_of(
-    fault: FaultPrior, estimate: float, stderr: float, log_odds: float, baseline: Baseline | None = None
+    fault: FaultPrior,
+    estimate: float,
+    stderr: float,
+    log_odds: float,
+    baseline: Baseline | None = None,
+    freedom: float = math.inf,
 ) -> FaultDoubt:
-    """Return the doubt about one parameter from its estimate; `log_odds` are those of the fault before."""
+    """Return the doubt about one parameter from its estimate; `log_odds` are those of the fault before.
+
+    Parameters
+    ----------
+    freedom : Degrees of freedom of the standard error.
+    """
     base = baseline or Baseline()
     tolerance = max(fault.tolerance, base.tolerance)
     healthy = stderr**2 + tolerance**2
     faulty = healthy + fault.size**2
     square = (estimate - base.value) ** 2
-    nats = 0.5 * square * (1.0 / healthy - 1.0 / faulty) - 0.5 * math.log(faulty / healthy)
+    nats = _misfit(square / healthy, freedom) - _misfit(square / faulty, freedom)
+    nats -= 0.5 * math.log(faulty / healthy)
     return FaultDoubt(
         name=fault.name, p=float(expit(nats + log_odds)), nats=nats,
         parameters={fault.parameter: estimate - base.value}, stderr={fault.parameter: math.sqrt(healthy)},
     )  # fmt: skip
+
+
+def _misfit(square: float, freedom: float) -> float:
+    """Return the negative logarithm of a t density at a squared deviation in standard errors, relative to its maximum."""
+    if math.isinf(freedom):
+        return 0.5 * square
+    return 0.5 * (freedom + 1.0) * math.log1p(square / freedom)
 
 
 class Collects(Protocol):

@@ -43,17 +43,25 @@ class OdometryErrors:
         self.covariance = np.diag(np.concatenate([np.full(3, 1e-3), sizes**2]))
         self.has_pose = False
         self.scale, self.n = 1.0, 0
+        self.weight = 0.0
+        """Number of independent poses."""
         self.n_odd = 0
 
-    def add(self, step: Floats, twist: Floats, tracked: Floats) -> float:
-        """Take a step (3,) of the odometry, the twist (2,) and the tracked pose (3,); return the squared innovation."""
+    def add(self, step: Floats, twist: Floats, tracked: Floats, weight: float = 1.0) -> float:
+        """Take a step (3,) of the odometry, the twist (2,) and the tracked pose (3,); return the squared innovation.
+
+        Parameters
+        ----------
+        weight : Share of new evidence in the scan, 0 to 1: scans from one place see the same surfaces, with the same errors.
+        """
         if not self.has_pose:
             self.mean[:3] = tracked
             self.covariance[:3, :3] = np.diag(POSE_NOISE**2)
             self.has_pose = True
             return 0.0
         self._move(step)
-        return self._correct(twist, tracked)
+        self.weight += weight
+        return self._correct(twist, tracked, POSE_NOISE**2 / max(weight, 1e-3))
 
     def forget_pose(self) -> None:
         """Begin at the next tracked pose again, as the motion up to there is not known."""
@@ -68,6 +76,11 @@ class OdometryErrors:
         own = 1.0 / np.maximum(1.0 / variance - 1.0 / prior, 1e-9)  # [of the data]
         values = self.mean[3:] / variance * own
         return values, np.sqrt(own * max(self.scale, 1.0))
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the standard errors: three values of each independent pose, less what was fitted."""
+        return max(3.0 * self.weight - N_ERRORS, 1.0)
 
     def _move(self, step: Floats) -> None:
         phi, e_d, e_t, k, a = self.mean[2:7]
@@ -86,7 +99,7 @@ class OdometryErrors:
         self.covariance = jacobian @ self.covariance @ jacobian.T
         self.covariance[:3, :3] += (turn * noise) @ turn.T
 
-    def _correct(self, twist: Floats, tracked: Floats) -> float:
+    def _correct(self, twist: Floats, tracked: Floats, noise: Floats) -> float:
         _, _, phi, *_, late = self.mean
         v, omega = twist
         cos, sin = np.cos(phi), np.sin(phi)
@@ -97,7 +110,7 @@ class OdometryErrors:
         h[:, -1] = v * cos, v * sin, omega
         off = tracked - expected
         off[2] = wrap(off[2])
-        innovation = h @ self.covariance @ h.T + np.diag(POSE_NOISE**2)
+        innovation = h @ self.covariance @ h.T + np.diag(noise)
         square = float(off @ np.linalg.solve(innovation, off))
         if square > OUTLIER:
             self.n_odd += 1

@@ -82,7 +82,7 @@ class RobotHealth:
             is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
             twist = np.array([step[0], step[2]]) / dt
             for motion in self.motion.both:
-                motion.add(step, twist, pose)
+                motion.add(step, twist, pose, now.weight)
             if np.hypot(step[0], step[1]) > MOVING or np.hypot(*(pose - self._last[2])[:2]) > MOVING:
                 self._steps.append((step, compose(invert(self._last[2]), pose)))
         if odometry is not None:
@@ -138,6 +138,7 @@ class RobotHealth:
                         float(errors[k]),
                         self.log_odds,
                         self.baseline.get(fault.name),
+                        one.freedom,
                     )
                 )
             each.append(max(doubts, key=lambda doubt: doubt.p))

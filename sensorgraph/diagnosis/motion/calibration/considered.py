@@ -38,7 +38,7 @@ def driving_ledger(found: DrivingCalibration, change: Change | None, base: float
         delay, error = found.of("delay")
         hidden[LATENCY.name] = (
             f"the scan delay of {QUANTITIES['delay'].text(delay, error)} is relative to the odometry; "
-            "reference poses are needed to tell which of the two is late"
+            "only reference poses can show which of the two is late"
         )
     entries = []
     for a in calibrated_effects(found, base):

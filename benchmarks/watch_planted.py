@@ -1,0 +1,220 @@
+"""Faults of laser and wheels, and things in the place, planted into the second half of a raw log: does `watch` name them.
+
+    python -m benchmarks.watch_planted ../shared/data/raw-carmen/fr079.clf.bz2 --work /tmp/in_map --part robot --n 50
+    python -m benchmarks.watch_planted ../shared/data/raw-carmen/fr079.clf.bz2 --work /tmp/in_map --part place --n 8
+
+The graph is of the first half, as in `benchmarks.watch`. Parts:
+
+- `robot`: one fault of the size of the issue in each stretch, with a policy from one half of the covered stretches
+- `place`: `--n` round things of 30 cm that stand all the time where the robot passes at least three times; each is found if
+  it is reported while the third pass lasts. The same log without them gives the changes that are reported anyway: people who
+  stand, doors, and whatever else differs between the halves
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sensorgraph as sg
+from benchmarks.localize_in_map import Halves, halves
+from benchmarks.particle_filter import driven
+from benchmarks.watch import Watched, stretch
+from logs.transforms import compose, invert
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.watching.place import PlaceChange
+from sensorgraph.watching.policy import learn
+from sensorgraph.watching.watcher import watch_scans
+
+Floats = NDArray[np.float64]
+RADIUS = 0.15
+"""[m] of a planted thing."""
+IN_SIGHT, CLEAR, APART, NEAR = 4.0, 0.5, 2.0, 0.4
+"""[m] Distance at which a thing counts as in sight; from walls and from the path; between things; of a change from its thing."""
+GAP = 10.0
+"""[s] out of sight, after which another pass begins."""
+
+
+PLANTS: Mapping[str, float] = {
+    "blocked_sector": 5.0, "missing_returns": 60.0, "mount_yaw": 60.0, "range_bias": 120.0, "wheel_radius": 120.0,
+}  # fmt: skip
+"""Fault -> [s] of driving within which it must be named."""
+
+
+def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator) -> Watched:
+    """Return the scans with one fault of the size of the issue."""
+    ranges, odometry = watched.ranges, watched.odometry
+    if name == "blocked_sector":
+        first = int(rng.integers(20, data.second.sensor.n_rays - 40))
+        width = round(np.radians(10) / abs(np.diff(data.second.sensor.bearings[:2])[0]))
+        ranges = ranges.copy()
+        ranges[:, first : first + width] = np.inf
+    elif name == "missing_returns":
+        ranges = np.where(rng.random(ranges.shape) < 0.05, np.inf, ranges)
+    elif name == "mount_yaw":  # the laser is turned by 2 degrees: whole rays, and the rest interpolated
+        bearings = data.second.sensor.bearings
+        with np.errstate(invalid="ignore"):
+            ranges = np.array(
+                [
+                    np.interp(bearings + np.radians(2), bearings, row)
+                    for row in np.where(np.isfinite(ranges), ranges, 1e6)
+                ]
+            )
+        ranges = np.where(ranges > data.second.sensor.range_max, np.inf, ranges)
+    elif name == "range_bias":
+        ranges = ranges + 0.03
+    elif name == "wheel_radius":
+        steps = compose(invert(odometry[:-1]), odometry[1:]) * [1.02, 1.02, 1.0]
+        out = [odometry[0]]
+        for step in steps:
+            out.append(compose(out[-1], step))
+        odometry = np.array(out)
+    return replace(watched, ranges=ranges, odometry=odometry)
+
+
+def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
+    """Print how often planted faults are named, with a policy from one half of the covered stretches."""
+    odometry, stamps = driven(data.second), data.second.stamps
+    known = np.flatnonzero(np.isfinite(data.truth[:, 0]))
+    middle = known[len(known) // 2]
+    good = stretch(data, odometry, known[0], middle)
+    sensor = data.second.sensor
+    policy = learn([list(watch_scans(graph, good.observations(), sensor))])
+    print(
+        "baseline: " + ", ".join(f"{k} {v.value:.4f} ± {v.tolerance:.4f}" for k, v in policy.baseline.items())
+    )
+    share = np.convolve(data.covered, np.ones(25) / 25, "same")
+    starts = np.flatnonzero((share > 0.9) & (stamps > stamps[middle]) & (stamps < stamps[-1] - 130))
+    if len(starts) == 0:
+        print("no stretch to plant in")
+        return
+    for name, limit in ({"healthy": 120.0} | dict(PLANTS)).items():
+        right = wrong = total = 0
+        for _ in range(n):
+            at = int(rng.choice(starts))
+            last = int(np.searchsorted(stamps, stamps[at] + max(limit, 20.0) * 1.5))
+            watched = stretch(data, odometry, at, last)
+            if np.isnan(watched.believed).any():
+                continue
+            said = list(
+                watch_scans(
+                    graph, planted(data, watched, name, rng).observations(), sensor, baseline=policy.baseline
+                )
+            )
+            found = {
+                fault.name
+                for status in said
+                if status.t - said[0].t <= 1.5 * limit
+                for fault in status.faults
+            }
+            total += 1
+            right += name in found
+            wrong += bool(found - {name})
+        print(f"{name}: named in {right} of {total}, another fault in {wrong}", flush=True)
+
+
+def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:
+    """Return the scans with round things (n, 2) [m] that stop the rays."""
+    sensor = data.second.sensor
+    lasers = compose(watched.believed, np.tile(sensor.mount, (len(watched.stamps), 1)))
+    ranges = watched.ranges.copy()
+    angles = lasers[:, 2:] + sensor.bearings
+    for thing in things:
+        off = thing - lasers[:, :2]
+        along = off[:, :1] * np.cos(angles) + off[:, 1:] * np.sin(angles)
+        aside = off[:, :1] * np.sin(angles) - off[:, 1:] * np.cos(angles)
+        meets = (np.abs(aside) < RADIUS) & (along > 0)
+        reach = along - np.sqrt(np.where(meets, RADIUS**2 - aside**2, 0.0))
+        ranges = np.where(meets & ~(ranges < reach), reach, ranges)
+    return replace(watched, ranges=ranges)
+
+
+def passes_of(watched: Watched, data: Halves, thing: Floats) -> list[tuple[float, float]]:
+    """Return begin and end [s] of each pass with a thing in sight, ahead of the walls."""
+    shown = with_things(watched, data, thing[None]).ranges < watched.ranges - 0.1
+    near = np.hypot(*(watched.believed[:, :2] - thing).T) < IN_SIGHT
+    stamps = watched.stamps[near & (shown.sum(axis=1) >= 3)]
+    if len(stamps) == 0:
+        return []
+    cuts = np.flatnonzero(np.diff(stamps) > GAP)
+    first, last = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(stamps) - 1]])
+    return [(float(stamps[a]), float(stamps[b])) for a, b in zip(first, last, strict=True)]
+
+
+def chosen_things(watched: Watched, data: Halves, n: int, rng: np.random.Generator) -> Iterator[Floats]:
+    """Yield places of things: off the path, off the walls, apart, with three passes."""
+    found: list[Floats] = []
+    ends = data.walls.reshape(-1, 2)
+    for _ in range(2000):
+        at = watched.believed[rng.integers(len(watched.stamps)), :2] + rng.uniform(-2.0, 2.0, 2)
+        is_free = np.hypot(*(watched.believed[:, :2] - at).T).min() > CLEAR
+        is_free &= np.hypot(*(ends - at).T).min() > CLEAR
+        is_free &= all(np.hypot(*(one - at)) > APART for one in found)
+        if is_free and len(passes_of(watched, data, at)) >= 3:
+            found.append(at)
+            yield at
+        if len(found) == n:
+            return
+
+
+def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
+    """Print how many planted things are found by the third pass, and how many changes are reported besides."""
+    known = np.flatnonzero(np.isfinite(data.truth[:, 0]) & data.covered)
+    odometry, sensor = driven(data.second), data.second.sensor
+    whole = np.flatnonzero(np.isfinite(data.truth[:, 0]))
+    watched = Watched(
+        stamps=data.second.stamps[whole], ranges=data.second.ranges[whole], odometry=odometry[whole],
+        believed=data.truth[whole], changed=len(whole),
+    )  # fmt: skip
+    seen = replace(watched, stamps=data.second.stamps[known], ranges=data.second.ranges[known],
+                   odometry=odometry[known], believed=data.truth[known])  # fmt: skip
+    things = np.array(list(chosen_things(seen, data, n, rng))).reshape(-1, 2)
+    hours = float(np.ptp(watched.stamps)) / 3600
+    plain = _changes(graph, watched, data)
+    print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour", flush=True)
+    told = list(watch_scans(graph, with_things(watched, data, things).observations(), sensor))
+    found = 0
+    for thing in things:
+        third = passes_of(seen, data, thing)[2][1]
+        when = next((s.t for s in told if any(_is_at(change, thing) for change in s.changes)), np.inf)
+        found += when <= third + 1.0
+        print(
+            f"({thing[0]:.1f}, {thing[1]:.1f}) m: third pass ends at {third:.0f} s, reported at {when:.0f} s"
+        )
+    others = [c for c in told[-1].changes if not any(_is_at(c, thing) for thing in things)]
+    print(f"found by the third pass: {found} of {len(things)}; other changes {len(others)}", flush=True)
+
+
+def _changes(graph: Sensorgraph, watched: Watched, data: Halves) -> list[PlaceChange]:
+    *_, last = watch_scans(graph, watched.observations(), data.second.sensor)
+    return list(last.changes)
+
+
+def _is_at(change: PlaceChange, thing: Floats) -> bool:
+    half = change.size / 2 + NEAR
+    return change.kind == "new" and bool((np.abs(thing - change.centre) < half).all())
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("log", type=Path)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--part", choices=("robot", "place"), required=True)
+    parser.add_argument("--n", type=int, default=8)
+    options = parser.parse_args()
+    data = halves(options.log, options.work)
+    graph = sg.load(options.work / f"{options.log.name}.first.sensorgraph")
+    part = robot_part if options.part == "robot" else place_part
+    part(data, graph, options.n, np.random.default_rng(0))
+
+
+if __name__ == "__main__":
+    main()
