@@ -99,6 +99,11 @@ class MissingReturns:
         variance = max(self.square / self.weight - mean**2, 1e-5)
         return mean, math.sqrt(variance * self.effective) / self.weight
 
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the standard error, which is the scatter of the scans."""
+        return max(self.weight**2 / max(self.effective, 1e-9) - 1.0, 1.0)
+
 
 class BlockedSectors:
     """Judges for each sector of the laser whether something covers it: close readings or none, whatever is ahead."""

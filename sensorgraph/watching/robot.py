@@ -164,7 +164,10 @@ class RobotHealth:
 
     def _of_missing(self) -> list[FaultDoubt]:
         base = self.baseline.get(MISSING_FAULT.name)
-        doubts = [doubt_of(MISSING_FAULT, *one.estimate(), self.log_odds, base) for one in self.missing.both]
+        doubts = [
+            doubt_of(MISSING_FAULT, *one.estimate(), self.log_odds, base, one.freedom)
+            for one in self.missing.both
+        ]
         above = [doubt for doubt in doubts if doubt.parameters["share"] > 0]
         return [max(above, key=lambda doubt: doubt.p)] if above else []
 
