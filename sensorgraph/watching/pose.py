@@ -112,9 +112,16 @@ class PoseJudge:
         self.before = found.status
         return found
 
-    def p_off(self, p_near: float) -> float:
-        """Return the probability that the belief is off, after a statement that it is near with a probability."""
+    def p_off(self, p_near: float, *, is_known: bool) -> float:
+        """Return the probability that the belief is off, after a statement that it is near with a probability.
+
+        Parameters
+        ----------
+        is_known : Whether the graph knows the surroundings; if not, the tracked pose drifts and is no evidence.
+        """
         s = self.priors
+        if not is_known:
+            return float(expit(self.odds))
         nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
         self.odds += min(max(nats, -s.most_of_one), s.most_of_one)
         self.odds = min(max(self.odds, -s.right), s.right)
@@ -140,10 +147,12 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         if mode is not main and p > RIVAL * best
     ]  # fmt: skip
     p_ok = best
+    is_known = main.answered >= priors.supported and main.alone < priors.alone
     if believed is not None:
         moved = np.abs(tracker.velocity) * priors.stamp
         near = [_p_near(mode, believed, moved, priors) for mode in modes]
-        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(float(probabilities @ near) / max(1.0 - p_lost, 1e-9)))
+        p_near = float(probabilities @ near) / max(1.0 - p_lost, 1e-9)
+        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, is_known=is_known))
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
     p = p_ok
@@ -153,7 +162,6 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         status, p = "ambiguous", 1.0 - best
     elif believed is not None and p_off > 0.5:
         status, p = "off", p_off
-    is_known = main.answered >= priors.supported and main.alone < priors.alone
     if not is_known and status in ("off", "ambiguous") and before not in ("off", "ambiguous"):
         status, p = "ok", p_ok  # nothing that the graph knows is in sight: no news
     offset = (0.0, 0.0) if believed is None else apart(main.pose, believed)
