@@ -12,7 +12,10 @@ import sensorgraph as sg
 from logs.run import Run
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.observation import Observation, observations
+from sensorgraph.watching.pose import PoseJudge
+from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.status import WatchStatus
+from sensorgraph.watching.tracker import PoseTracker
 from sensorgraph.watching.watcher import Watcher
 from tests.localization_samples import loop_poses, room_run
 
@@ -116,3 +119,15 @@ def test_a_stopped_pose_a_clock_that_goes_back_and_a_foreign_scan_are_noted_and_
 def test_a_laser_with_other_rays_is_refused_in_one_line() -> None:
     with pytest.raises(sg.errors.SensorgraphError, match="built with this laser"):
         next(iter(sg.watch(graph(), room_run(loop_poses(5), n_rays=60))))
+
+
+def test_where_the_graph_knows_nothing_disagreement_is_no_evidence_but_agreement_is() -> None:
+    tracker = PoseTracker(graph(), GraphReadings(graph(), graph().sensor))
+    judge = PoseJudge(tracker)
+    for _ in range(20):
+        unknown = judge.p_off(1e-6, known=0.0)
+    assert unknown == pytest.approx(judge.p_off(0.5), abs=1e-9) and unknown < 0.05
+    for _ in range(3):
+        known = judge.p_off(1e-6)
+    assert known > 0.9
+    assert judge.p_off(1.0, known=0.0) < known

@@ -112,18 +112,17 @@ class PoseJudge:
         self.before = found.status
         return found
 
-    def p_off(self, p_near: float, *, is_known: bool) -> float:
+    def p_off(self, p_near: float, known: float = 1.0) -> float:
         """Return the probability that the belief is off, after a statement that it is near with a probability.
 
         Parameters
         ----------
-        is_known : Whether the graph knows the surroundings; if not, the tracked pose drifts and is no evidence.
+        known : How far the graph knows the surroundings, 0 to 1. Where it does not, the tracked pose drifts: if it leaves
+            the belief, this is no evidence, but if both agree, it is.
         """
         s = self.priors
-        if not is_known:
-            return float(expit(self.odds))
         nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
-        self.odds += min(max(nats, -s.most_of_one), s.most_of_one)
+        self.odds += min(max(min(nats, known * nats), -s.most_of_one), known * s.most_of_one)
         self.odds = min(max(self.odds, -s.right), s.right)
         return float(expit(self.odds))
 
@@ -152,7 +151,8 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         moved = np.abs(tracker.velocity) * priors.stamp
         near = [_p_near(mode, believed, moved, priors) for mode in modes]
         p_near = float(probabilities @ near) / max(1.0 - p_lost, 1e-9)
-        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, is_known=is_known))
+        known = min(main.answered / priors.supported, 1.0)
+        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known))
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
     p = p_ok
