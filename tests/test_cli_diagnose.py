@@ -92,6 +92,7 @@ def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
 
 
 @pytest.mark.usefixtures("no_pictures")
+@pytest.mark.slow
 def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -55,6 +55,7 @@ def test_the_model_file_holds_what_is_promised(
     assert "the range of the training data" in said
 
 
+@pytest.mark.slow
 def test_noise_lags_auto_finds_how_many_and_the_file_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

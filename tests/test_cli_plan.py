@@ -68,6 +68,7 @@ def test_plan_json_keeps_its_keys_and_agrees_with_the_trajectory(folder: Path) -
     assert check(trajectory, shipped("square"), Vehicle()).count == 0
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(folder: Path, tmp_path: Path) -> None:
     assert cli(["plan", "square", *COARSE, "--seed", "4", "-o", str(tmp_path)]) == 0
     names = {path.name for path in folder.iterdir()}

@@ -92,6 +92,7 @@ def test_statements_page_and_messages_of_a_run(folder: Path, capsys: pytest.Capt
     assert last.status[0].message.startswith("off by 0.7")
 
 
+@pytest.mark.slow
 def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ SLOW = {
     "plan_to_sensorgraph",
     "sensor_model",
     "watch_twin",
+    "real_log",
 }
 NEEDS = {"mujoco_twin": "mujoco", "watch_twin": "mujoco"}
 """Script -> a package of an extra, without which it is skipped."""

@@ -50,6 +50,7 @@ def test_any_35_singles_hold_each_effect_once() -> None:
     assert len(made) == 60  # clean and dirty
 
 
+@pytest.mark.slow
 def test_same_arguments_give_the_same_bytes(brief: None, tmp_path: Path) -> None:
     def run(folder: str, first: int, n: int) -> None:
         for k in range(n):

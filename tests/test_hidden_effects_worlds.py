@@ -80,6 +80,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_it_generates_answers_and_scores_where_the_product_is_not_installed(tmp_path: Path) -> None:
     pytest.importorskip("mcap_ros2")
 

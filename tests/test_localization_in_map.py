@@ -305,6 +305,7 @@ def test_covariance_grows_where_returns_lie_on_no_wall() -> None:
     assert sd[1] > 1.05 * sd[0]  # a ninth of the returns is of the box
 
 
+@pytest.mark.slow
 def test_grid_of_seen_cells_is_where_the_log_of_a_graph_has_looked() -> None:
     run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
     seen = seen_by_graph(build([run], model="cells"))

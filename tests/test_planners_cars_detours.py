@@ -30,6 +30,7 @@ def repair_of(task: Task, todo: Bools, curve: Curve) -> CarRepair:
 
 
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+@pytest.mark.slow
 def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) -> None:
     task = task_of(door_arena(9.0), drive, START)
     curve = straight(task, 2.8)

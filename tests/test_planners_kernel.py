@@ -152,6 +152,7 @@ for kind in (options.DefaultOptions, *cpu.CPUTargetOptions.__mro__):
 """
 
 
+@pytest.mark.slow
 def test_kernels_need_no_private_option_of_numba(tmp_path: Path) -> None:
     (tmp_path / "lean.py").write_text(LEAN)
     script = (
@@ -191,6 +192,7 @@ PACKAGE = {
 
 
 @pytest.mark.parametrize("package", ["planners", *further("robotmodic_ident")])
+@pytest.mark.slow
 def test_code_is_compiled_again_after_a_change_of_what_it_calls_or_takes(
     package: str, tmp_path: Path
 ) -> None:

@@ -121,6 +121,7 @@ def test_ompl_has_its_problem_solved_from_start_to_goal_through_every_bin() -> N
             assert found["length"] == pytest.approx(found["path_m"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_ompls_benchmark_runs_all_our_planners_beside_rrtconnect() -> None:
     found = said(BENCHMARK)
     runs = found["runs"]

@@ -76,6 +76,7 @@ def test_a_covered_sector_is_named_and_the_pose_stays_ok() -> None:
     assert {status.pose.status for status in said} == {"ok"}
 
 
+@pytest.mark.slow
 def test_wheels_that_measure_too_much_are_named_with_their_size() -> None:
     (fault,) = last(laps(3, seed=15, way_scale=1.05)).faults
     assert fault.name == "wheel_radius"

@@ -287,8 +287,9 @@ class _StatusLine:
         if now - self.shown < (0.1 if self.is_terminal else PLAIN_EVERY):
             return
         self.shown = now
-        rate = (status.t - (summary.first or 0.0)) / max(now - self.began, 1e-9)
-        load = (time.process_time() - self.cpu) / max(now - self.began, 1e-9)
+        driven = max(status.t - (summary.first or 0.0), 1.0)
+        rate = driven / max(now - self.began, 1e-9)
+        load = (time.process_time() - self.cpu) / driven  # at the pace of the robot, also in a replay
         text = f"{status.t:.0f} s ({rate:.0f}x, {load:.0%} of a core): {'; '.join(status.sentences())}"
         if self.is_terminal:
             width = get_terminal_size().columns - 1

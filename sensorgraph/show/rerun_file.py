@@ -91,11 +91,13 @@ def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Ite
     recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
     recording.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
     recording.send_blueprint(layout, make_active=True, make_default=True)
-    yield recording
-    if viewer.poll() is None:  # nobody has closed it
-        with suppress(RuntimeError):
-            recording.flush(timeout_sec=FLUSH)
-    recording.disconnect()
+    try:
+        yield recording
+        if viewer.poll() is None:  # nobody has closed it
+            with suppress(RuntimeError):
+                recording.flush(timeout_sec=FLUSH)
+    finally:
+        recording.disconnect()
 
 
 def folded() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
