@@ -70,8 +70,7 @@ def explain(
     """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
     search = EffectSearch(data, noise_bounds, threshold, progress)
     select(search, threshold=threshold, most=most)
-    current = search.current
-    current = _without_usual(data, current, noise_bounds)
+    current = _without_usual(data, search.current, noise_bounds)
     gains, n = {}, len(current.model)
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
@@ -126,9 +125,7 @@ class EffectSearch:
         while not self._has_ended():
             begun = self.current.j
             with self.progress(f"trying effects, round {len(self.steps) + 1}", "candidates") as tick:
-                tried, also = _try(
-                    self.data, self.current, self.noise_bounds, memory, self.current.j - self.null.j, tick
-                )
+                tried, also = self._try(tick)
             tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
             if not tried:
                 if not memory.repeat_in_full():
@@ -140,7 +137,7 @@ class EffectSearch:
             if gain >= self.threshold:
                 gain = self._against_refitted()
             stood = memory.first.still_has(effect)
-            least = least_gain(self.current.model, effect, self.current.j - self.null.j, stood)
+            least = least_gain(self.current.model, effect, self._gained, stood)
             enough = gain >= max(self.threshold, least)
             weighed = _best_of_each([*((f.model[-1], g) for f, g in order), *also])
             self.steps.append(Step(tried=weighed, chosen=effect.name if enough else ""))
@@ -157,6 +154,30 @@ class EffectSearch:
                 return None
         return None
 
+    @property
+    def _gained(self) -> float:
+        """[nats] Gain of the present model over the bare simulator."""
+        return self.current.j - self.null.j
+
+    def _try(self, tick: Progress) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
+        """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind."""
+        data, current, memory = self.data, self.current, self._memory
+        memory.begin()
+        candidates = shortlist(data, current, self._gained, memory)
+        fits = CandidateFits(data, current, self.noise_bounds, memory, self._gained)
+        fits.add(candidates, tick)
+        if fits.is_strained:  # widened tolerances may hide an effect, so search again with the specified ones
+            if memory.at_specified is not None and fits.has_sure_winner():
+                memory.has_passed = True
+            else:
+                told = replace(self.noise_bounds, max_scale=1.0)
+                tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
+                memory.at_specified = shortlist(data, tight, self._gained, memory)
+            more = [c for c in memory.specified(current.model) if not any(is_same(c, o) for o in candidates)]
+            fits.add(more[: SCAN.selection.max_candidates // 2], tick)
+        fits.search()
+        return fits.to_all_scans(), fits.behind
+
     def _against_refitted(self) -> float:
         """Return the evidence [nats] of the chosen effect over the present model, fitted again from its state."""
         again = self._fit(self.current.model, self._chosen.state, self.casts, 4)
@@ -167,13 +188,9 @@ class EffectSearch:
 
     def _has_ended(self) -> bool:
         """Tell whether the last effects changed nothing, or were so small that the remaining ones are smaller still."""
-        same = {name_at_place(a) for a in self.current.model} == {
-            name_at_place(a) for a in self._before.model
-        }
-        is_stuck = (
-            self._before is not self.current and same and self.current.j < self._before.j + self.threshold
-        )
-        return (is_stuck and bool(self._before.model)) or self._n_small == 2
+        before, now = ({name_at_place(a) for a in one.model} for one in (self._before, self.current))
+        is_same = bool(before) and before == now
+        return self._n_small == 2 or (is_same and self.current.j < self._before.j + self.threshold)
 
     def added(self, model: list[Amendment]) -> None:
         """Take the fit with the effect, and merge it with an earlier one that is the same."""
@@ -230,32 +247,6 @@ def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amend
     for a, gain in sorted(tried, key=lambda t: -t[1]):
         out.setdefault(name_at_place(a), (a, gain))
     return tuple(out.values())
-
-
-def _try(
-    data: ScanData,
-    current: Fitted,
-    noise_bounds: NoiseBounds,
-    memory: SearchMemory,
-    gained: float,
-    tick: Progress,
-) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
-    """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind."""
-    memory.begin()
-    candidates = shortlist(data, current, gained, memory)
-    fits = CandidateFits(data, current, noise_bounds, memory, gained)
-    fits.add(candidates, tick)
-    if fits.is_strained:  # widened tolerances may hide an effect, so search again with the specified ones
-        if memory.at_specified is not None and fits.has_sure_winner():
-            memory.has_passed = True
-        else:
-            told = replace(noise_bounds, max_scale=1.0)
-            tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
-            memory.at_specified = shortlist(data, tight, gained, memory)
-        more = [c for c in memory.specified(current.model) if not any(is_same(c, o) for o in candidates)]
-        fits.add(more[: SCAN.selection.max_candidates // 2], tick)
-    fits.search()
-    return fits.to_all_scans(), fits.behind
 
 
 def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:

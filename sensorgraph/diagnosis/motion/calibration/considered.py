@@ -42,13 +42,12 @@ def driving_ledger(found: DrivingCalibration, change: Change | None, base: float
         )
     entries = []
     for a in calibrated_effects(found, base):
-        is_sure = (a.evidence or 0.0) > THRESHOLD
+        why = hidden.get(a.name, "")
+        evidence = None if why else a.evidence
         facts = Facts(
-            has_name=True, accepted=is_sure and a.name not in hidden, evidence=a.evidence, threshold=THRESHOLD,
-            is_material=is_material(a), not_observable=hidden.get(a.name, ""),
+            has_name=True, accepted=evidence is not None and evidence > THRESHOLD, evidence=evidence, threshold=THRESHOLD,
+            is_material=is_material(a), not_observable=why,
         )  # fmt: skip
-        if a.name in hidden:
-            facts = replace(facts, evidence=None)
         entry = effect_entry(a, facts)
         entries.append(replace(entry, remark=f"it is smaller than what matters ({least_size(a.effect)})"))
     known = {entry.name for entry in entries}
