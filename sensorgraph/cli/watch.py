@@ -105,7 +105,7 @@ def watch(
     limits = WatchPolicy() if policy is None else load_policy(policy)
     model = Sensorgraph.load(graph)
     if show and out is None:
-        raise SensorgraphError("--show needs -o OUT.mcap, beside which OUT.rrd is written")
+        raise SensorgraphError("--show needs -o OUT.mcap; OUT.rrd is written to the same folder")
     output = _Output(model, limits, graph.name, out, json, show=show)
     if live:
         level = _watch_live(output, topic, router, domain, duration, wait)
@@ -248,7 +248,7 @@ def _recording(walls: Any, path: Path) -> AbstractContextManager[WatchRecording]
     """Return the recording of rerun, with the viewer open."""
     from sensorgraph.show.review.watched import watched_recording
 
-    return watched_recording(walls, path, viewer=True)
+    return watched_recording(walls, path)
 
 
 def _init_policy(

@@ -5,7 +5,6 @@ Writing needs no viewer. An .rrd has no wall-clock time and can be made again fr
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import signal
@@ -13,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote
@@ -79,15 +78,13 @@ def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Ite
     viewer = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
-    end, answered = time.monotonic() + patience, math.inf
-    while time.monotonic() < answered + SETTLE:
-        if math.isinf(answered) and _answers(port):
-            answered = time.monotonic()
-        if viewer.poll() is not None or time.monotonic() > end:
-            raise SensorgraphError(
-                "rerun's viewer does not start, as it needs a display; leave out --show, and open OUT.rrd elsewhere"
-            )
-        time.sleep(0.1)
+    if _has_started(viewer, [port], patience):
+        time.sleep(SETTLE)
+    if viewer.poll() is not None or not _answers(port):
+        _end(viewer)
+        raise SensorgraphError(
+            "rerun's viewer does not start, as it needs a display; leave out --show, and open OUT.rrd elsewhere"
+        )
     recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
     recording.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
     recording.send_blueprint(layout, make_active=True, make_default=True)
@@ -139,17 +136,12 @@ def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:
-        end = time.monotonic() + patience
-        while not (_answers(page) and _answers(data)):
-            if server.poll() is not None or time.monotonic() > end:
-                raise SensorgraphError(f"rerun's web viewer does not start; try: {' '.join(command)}")
-            time.sleep(0.1)
+        if not _has_started(server, [page, data], patience):
+            raise SensorgraphError(f"rerun's web viewer does not start; try: {' '.join(command)}")
         source = quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
         yield f"http://{LOOPBACK}:{page}/?url={source}"
     finally:
-        with suppress(ProcessLookupError):
-            os.killpg(server.pid, signal.SIGTERM)  # `rerun` is a script that starts the viewer as a child
-        server.communicate()
+        _end(server)
 
 
 WITH_PARENT = """
@@ -172,8 +164,12 @@ def _viewer(path: Path | None) -> str:
     if viewer is None:
         raise SensorgraphError(
             f"no viewer: expected {own / 'rerun'} or `rerun` in PATH; "
-            + ("" if path is None else f"{path} is written, open it where rerun-sdk is installed ")
-            + "(`pip install rerun-sdk`)"
+            + (
+                "install rerun-sdk"
+                if path is None
+                else f"{path} is written, open it where rerun-sdk is installed"
+            )
+            + " (`pip install rerun-sdk`)"
         )
     return viewer
 
@@ -185,6 +181,23 @@ def _free_ports(count: int) -> list[int]:
         for one in sockets:
             one.bind((LOOPBACK, 0))
         return [int(one.getsockname()[1]) for one in sockets]
+
+
+def _has_started(viewer: subprocess.Popen[bytes], ports: Sequence[int], patience: float) -> bool:
+    """Wait until a viewer answers on all ports; return whether it does so before it ends and before `patience` [s]."""
+    end = time.monotonic() + patience
+    while not all(map(_answers, ports)):
+        if viewer.poll() is not None or time.monotonic() > end:
+            return False
+        time.sleep(0.1)
+    return True
+
+
+def _end(viewer: subprocess.Popen[bytes]) -> None:
+    """End the process group of a viewer: `rerun` is a script that starts the viewer as a child."""
+    with suppress(ProcessLookupError):
+        os.killpg(viewer.pid, signal.SIGTERM)
+    viewer.communicate()
 
 
 def _answers(port: int) -> bool:

@@ -122,7 +122,8 @@ class PoseJudge:
         """
         s = self.priors
         nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
-        self.odds += min(max(min(nats, known * nats), -s.most_of_one), known * s.most_of_one)
+        nats = min(max(nats, -s.most_of_one), s.most_of_one)
+        self.odds += known * nats if nats > 0 else nats
         self.odds = min(max(self.odds, -s.right), s.right)
         return float(expit(self.odds))
 

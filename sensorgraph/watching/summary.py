@@ -16,10 +16,18 @@ MOST_POINTS = 4000
 """Number of statements that are kept for the path; older ones are thinned."""
 
 
-def word_of(status: WatchStatus) -> str:
-    """Return the word of the pose for a picture: its status, or `unknown` outside what the graph knows."""
+ROWS = ("pose", "place", "robot")
+"""The three statements."""
+
+
+def words_of(status: WatchStatus) -> tuple[str, str, str]:
+    """Return a word for each of the three statements; that of the pose is `unknown` outside what the graph knows."""
     is_outside = status.pose.status == "ok" and not status.pose.is_known_place
-    return "unknown" if is_outside else status.pose.status
+    return (
+        "unknown" if is_outside else status.pose.status,
+        "changed" if status.changes else "ok",
+        "fault" if status.faults else "ok",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +74,7 @@ class WatchSummary:
     """Collects statements in constant memory."""
 
     def __init__(self) -> None:
-        self.spans: dict[str, list[Span]] = {"pose": [], "place": [], "robot": []}
+        self.spans: dict[str, list[Span]] = {row: [] for row in ROWS}
         self.points: list[tuple[float, str, Floats, float, float]] = []
         self.notes: list[str] = []
         self.first: float | None = None
@@ -79,15 +87,13 @@ class WatchSummary:
     def add(self, status: WatchStatus, level: Level, reason: str) -> None:
         """Add one statement."""
         self.first = status.t if self.first is None else self.first
-        t, word = status.t - self.first, word_of(status)
-        pose, place, robot = status.sentences()
-        self._extend("pose", t, word, pose)
-        self._extend("place", t, "changed" if status.changes else "ok", place)
-        self._extend("robot", t, "fault" if status.faults else "ok", robot)
+        t, words = status.t - self.first, words_of(status)
+        for row, word, text in zip(ROWS, words, status.sentences(), strict=True):
+            self._extend(row, t, word, text)
         if self.n_statements % self._every == 0:
             at = np.full(3, np.nan) if status.pose.pose is None else status.pose.pose
             share = np.nan if status.share_predicted is None else status.share_predicted
-            self.points.append((t, word, at, status.pose.p_wrong, share))
+            self.points.append((t, words[0], at, status.pose.p_wrong, share))
         if len(self.points) > MOST_POINTS:
             self.points, self._every = self.points[::2], 2 * self._every
         self.notes = [*self.notes, *status.notes][-100:]

@@ -6,7 +6,7 @@ The same calls write a file and feed a viewer that is open while the robot drive
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 from sensorgraph.show.rerun_file import BACKGROUND, ORANGE, WALL, WHITE, folded, recorded, streamed
 from sensorgraph.types import Floats
 from sensorgraph.watching.status import WatchStatus
-from sensorgraph.watching.summary import word_of
+from sensorgraph.watching.summary import ROWS, words_of
 
 COLOURS = {
     "ok": (60, 150, 175), "unknown": (110, 115, 130), "ambiguous": (224, 160, 48), "off": (209, 52, 91), "lost": (150, 30, 70),
@@ -32,23 +32,20 @@ SERIES = {
 
 
 @contextmanager
-def watched_recording(walls: Floats, path: Path, *, viewer: bool = False) -> Iterator[WatchRecording]:
-    """Yield a recording of statements; the file is complete at the end.
+def watched_recording(walls: Floats, path: Path) -> Iterator[WatchRecording]:
+    """Open rerun's viewer and yield a recording that it shows as it grows; the file is complete at the end.
 
     Parameters
     ----------
     walls : (n, 2, 2) [m, map]
-    viewer : Whether rerun's viewer opens at once and shows each statement as it comes.
 
     Raises
     ------
     SensorgraphError : There is no viewer, or it does not start.
     """
-    with ExitStack() as stack:
-        layout = _layout(walls)
-        streams = [stack.enter_context(streamed("watch", layout))] if viewer else []
-        streams.append(stack.enter_context(recorded(path, "watch", layout)))
-        yield WatchRecording(streams, walls)
+    layout = _layout(walls)
+    with streamed("watch", layout) as shown, recorded(path, "watch", layout) as kept:
+        yield WatchRecording((shown, kept), walls)
 
 
 class WatchRecording:
@@ -59,10 +56,9 @@ class WatchRecording:
         self._first: float | None = None
         self._at: Floats | None = None
         self._said: dict[str, str] = {}
-        self._n_outlines = -1
-        self._log(
-            "plan", rr.Transform3D(scale=[1, -1, 1]), static=True
-        )  # the y-axis of a 2-D view points down
+        self._outlined: Sequence[bytes] | None = None
+        # the y-axis of a 2-D view points down
+        self._log("plan", rr.Transform3D(scale=[1, -1, 1]), static=True)
         self._log("plan/walls", rr.LineStrips2D(list(walls), colors=WALL, radii=-0.8), static=True)
         for name, (label, colour) in SERIES.items():
             self._log(f"series/{name}", rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
@@ -70,22 +66,22 @@ class WatchRecording:
     def add(self, status: WatchStatus) -> None:
         """Show one status."""
         self._first = status.t if self._first is None else self._first
-        t, word = status.t - self._first, word_of(status)
+        t, words = status.t - self._first, words_of(status)
         for stream in self.streams:
             stream.set_time("time", duration=t)
-        self._add_pose(status, word)
+        self._add_pose(status, words[0])
         self._log("series/p_wrong", rr.Scalars(status.pose.p_wrong))
         if status.share_predicted is not None:
             self._log("series/share", rr.Scalars(status.share_predicted))
-        words = {"place": "changed" if status.changes else "ok", "robot": "fault" if status.faults else "ok"}
-        for row, text in zip(("pose", "place", "robot"), status.sentences(), strict=True):
+        for row, word, text in zip(ROWS, words, status.sentences(), strict=True):
             if text != self._said.get(row):
                 self._said[row] = text
                 since = status.pose.since - self._first if row == "pose" else t
-                page = f"**{words.get(row, word)}** since {since:.0f} s\n\n{text}"
+                page = f"**{word}** since {since:.0f} s\n\n{text}"
                 self._log(f"said/{row}", rr.TextDocument(page, media_type="text/markdown"))
-        if len(status.changes) != self._n_outlines:
-            self._n_outlines = len(status.changes)
+        outlined = [line.tobytes() for one in status.changes for line in one.outlines]
+        if outlined != self._outlined:
+            self._outlined = outlined
             for kind, colour in OUTLINES.items():
                 lines = [line for one in status.changes if one.kind == kind for line in one.outlines]
                 self._log(f"plan/{kind}", rr.LineStrips2D(lines, colors=colour, radii=-2.0))
@@ -119,7 +115,7 @@ def _layout(walls: Floats) -> rrb.Blueprint:
         origin="/", contents=["/plan/**"], background=BACKGROUND, overrides={PATH: whole},
         visual_bounds=rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0]),
     )  # fmt: skip
-    said = [rrb.TextDocumentView(name=row, origin=f"/said/{row}") for row in ("pose", "place", "robot")]
+    said = [rrb.TextDocumentView(name=row, origin=f"/said/{row}") for row in ROWS]
     series = rrb.TimeSeriesView(
         name="probabilities", origin="/series", axis_y=rrb.ScalarAxis(range=(0.0, 1.05))
     )
