@@ -82,10 +82,14 @@ class Watched:
 
 def stretch(data: Halves, odometry: Floats, first: int, last: int) -> Watched:
     """Return a clean stretch of the second half."""
-    here = slice(first, last)
+    return clean_scans(data, odometry, np.arange(first, last))
+
+
+def clean_scans(data: Halves, odometry: Floats, scans: NDArray[np.intp]) -> Watched:
+    """Return scans of the second half, with the truth as belief."""
     return Watched(
-        stamps=data.second.stamps[here], ranges=data.second.ranges[here], odometry=odometry[here],
-        believed=data.truth[here], changed=last - first,
+        stamps=data.second.stamps[scans], ranges=data.second.ranges[scans], odometry=odometry[scans],
+        believed=data.truth[scans], changed=len(scans),
     )  # fmt: skip
 
 
@@ -319,11 +323,7 @@ def pose_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator
 def clean_part(data: Halves, graph: Sensorgraph) -> None:
     """Print false alarms and the load on the second half."""
     odometry = driven(data.second)
-    known = np.flatnonzero(np.isfinite(data.truth[:, 0]))
-    watched = Watched(
-        stamps=data.second.stamps[known], ranges=data.second.ranges[known], odometry=odometry[known],
-        believed=data.truth[known], changed=len(known),
-    )  # fmt: skip
+    watched = clean_scans(data, odometry, np.flatnonzero(np.isfinite(data.truth[:, 0])))
     began = time.process_time()
     said = list(watch_scans(graph, watched.observations(), data.second.sensor))
     cpu, hours = time.process_time() - began, data.second.duration / 3600

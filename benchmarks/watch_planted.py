@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import sensorgraph as sg
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
-from benchmarks.watch import Watched, stretch
+from benchmarks.watch import Watched, clean_scans, stretch
 from logs.transforms import compose, invert
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.place import PlaceChange
@@ -164,20 +164,15 @@ def chosen_things(watched: Watched, data: Halves, n: int, rng: np.random.Generat
 
 def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
     """Print how many planted things are found by the third pass, and how many changes are reported besides."""
-    known = np.flatnonzero(np.isfinite(data.truth[:, 0]) & data.covered)
-    odometry, sensor = driven(data.second), data.second.sensor
-    whole = np.flatnonzero(np.isfinite(data.truth[:, 0]))
-    watched = Watched(
-        stamps=data.second.stamps[whole], ranges=data.second.ranges[whole], odometry=odometry[whole],
-        believed=data.truth[whole], changed=len(whole),
-    )  # fmt: skip
-    seen = replace(watched, stamps=data.second.stamps[known], ranges=data.second.ranges[known],
-                   odometry=odometry[known], believed=data.truth[known])  # fmt: skip
+    odometry, is_true = driven(data.second), np.isfinite(data.truth[:, 0])
+    watched = clean_scans(data, odometry, np.flatnonzero(is_true))
+    seen = clean_scans(data, odometry, np.flatnonzero(is_true & data.covered))
     things = np.array(list(chosen_things(seen, data, n, rng))).reshape(-1, 2)
     hours = float(np.ptp(watched.stamps)) / 3600
-    plain = _changes(graph, watched, data)
+    *_, last = watch_scans(graph, watched.observations(), data.second.sensor)
+    plain = last.changes
     print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour", flush=True)
-    told = list(watch_scans(graph, with_things(watched, data, things).observations(), sensor))
+    told = list(watch_scans(graph, with_things(watched, data, things).observations(), data.second.sensor))
     found = 0
     for thing in things:
         third = passes_of(seen, data, thing)[2][1]
@@ -188,11 +183,6 @@ def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
         )
     others = [c for c in told[-1].changes if not any(_is_at(c, thing) for thing in things)]
     print(f"found by the third pass: {found} of {len(things)}; other changes {len(others)}", flush=True)
-
-
-def _changes(graph: Sensorgraph, watched: Watched, data: Halves) -> list[PlaceChange]:
-    *_, last = watch_scans(graph, watched.observations(), data.second.sensor)
-    return list(last.changes)
 
 
 def _is_at(change: PlaceChange, thing: Floats) -> bool:

@@ -200,7 +200,7 @@ def narrowed(run: Run, view: float) -> Run:
     return replace(run, sensor=sensor, ranges=run.ranges[:, kept])
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *further(3)])
 @pytest.mark.parametrize(("view", "is_certain"), [(30.0, False), (58.0, True)])
 def test_new_surfaces_in_a_narrow_view_are_not_taken_for_known_ones(
     view: float, is_certain: bool, seed: int
