@@ -150,6 +150,7 @@ def test_orientation_of_a_sweep_is_told_by_map_and_by_itself() -> None:
             assert found.fits["as logged"] < 0.01  # [m] 0.67 of the range's noise, and the poses'
 
 
+@pytest.mark.slow
 def test_cells_of_a_sweep_are_as_sharp_as_without() -> None:
     off = {}
     for sweep_time in (SWEEP_TIME, 0.0):

@@ -170,6 +170,7 @@ def test_show_streams_to_a_viewer_and_writes_the_same_recording(
     assert expected <= entities_of(copy)
 
 
+@pytest.mark.slow
 def test_inspect_judges_topics_by_the_same_policy(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

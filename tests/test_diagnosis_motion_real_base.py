@@ -123,6 +123,7 @@ def test_a_second_lag_in_series_does_not_hide_a_lag_that_is_longer_than_the_smea
     assert [a.name for a in diagnose_drive(real_base(1, second=0.025), stated).effects] == ["actuator_lag"]
 
 
+@pytest.mark.slow
 def test_better_encoders_do_not_make_a_trifle_material() -> None:
     """That motors ignore 1 cm/s is proven by fine encoders and matters to nobody; that they ignore 8 cm/s does."""
     trifle, real = (

@@ -180,6 +180,7 @@ def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(s
     assert moment is not None and abs(float(moment[1]) - at) <= 1.0
 
 
+@pytest.mark.slow
 def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:
     run = worn_half_way(make_run(11))
     odometry = diagnose_odometry(run, ROBOT)

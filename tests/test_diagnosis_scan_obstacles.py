@@ -117,6 +117,7 @@ def test_a_move_is_looked_for_where_most_rays_are_strange() -> None:
     assert found == [f"thing_{n - 2 - k}" for k in range(PROPOSAL.max_obstacles)]
 
 
+@pytest.mark.slow
 def test_what_bulges_from_a_wall_is_no_round_thing_that_stands_there(hall: Arena) -> None:
     inside, before = (
         diagnose(

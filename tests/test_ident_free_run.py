@@ -209,6 +209,7 @@ def test_a_run_starts_from_fewer_samples_than_the_model_looks_back() -> None:
         np.testing.assert_allclose(run[50:], data["y"][50:], atol=1e-3)  # what it stood at has died away
 
 
+@pytest.mark.slow
 def test_a_long_record_of_an_integrator_ends_in_a_model_that_does_not_run_away() -> None:
     """Pieces of it do not show how far a free run drifts."""
 

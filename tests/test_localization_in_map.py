@@ -128,6 +128,7 @@ def test_map_of_another_place_is_said_to_fit_nowhere() -> None:
         locate_in_map(room_run(TRUTH[:20]), hall.reshape(-1, 2, 2), name="hall")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [3.0, *further(100.0)])
 def test_map_that_is_too_large_is_said_to_fit_nowhere_though_single_scans_fit_many_places(
     scale: float,

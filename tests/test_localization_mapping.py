@@ -113,6 +113,7 @@ def test_one_scan_has_the_pose_of_the_odometry() -> None:
     np.testing.assert_allclose(found.poses, np.zeros((1, 3)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_scan_of_few_returns_lies_where_the_scans_beside_it_have_it() -> None:
     run, few = room_run(TRUTH), np.arange(7, len(TRUTH), 7)
     ranges = run.ranges.copy()

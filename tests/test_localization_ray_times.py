@@ -209,6 +209,7 @@ def test_located_run_carries_the_times_and_poses_lie_where_they_were() -> None:
     assert np.std(off) < np.radians(0.1)
 
 
+@pytest.mark.slow
 def test_a_drive_of_half_a_minute_shows_its_ray_times() -> None:
     """Its key frames are taken closer together, so that there are enough for the pieces."""
     sweep = 0.15
@@ -229,6 +230,7 @@ def test_opposite_times_of_a_slow_laser_are_mended_though_the_first_step_is_wide
     assert "opposite to the log" in found.notes[0]
 
 
+@pytest.mark.slow
 def test_scans_without_wheels_keep_their_heading_where_the_turn_changes() -> None:
     """Velocities from the differences of the poses at the stamps would alternate from scan to scan."""
     sweep = 1 / RATE

@@ -298,6 +298,7 @@ def test_readings_are_off_as_often_as_said_though_noise_alone_brings_more(square
     assert off[sure].mean() == pytest.approx(chance[sure].mean(), abs=0.005)
 
 
+@pytest.mark.slow
 def test_mount_turned_and_shifted_gives_the_same_room() -> None:
     mount = np.array([0.2, -0.1, 0.7])
     rng = np.random.default_rng(14)

@@ -132,6 +132,7 @@ def test_rounds_of_spins_see_more_than_a_room_filled_as_long(monkeypatch: pytest
     assert seen_until(0.5, 120.0) > 1.3 * seen_until(0.0, 120.0)
 
 
+@pytest.mark.slow
 def test_the_search_at_the_end_leaves_out_what_rounds_of_spins_have_completed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -51,6 +51,7 @@ def test_the_box_of_the_room_that_was_taken_away_is_gone() -> None:
     assert (np.abs(at - (3.45, 2.55)) < 0.6).all()  # the box that stood in the middle of the loop
 
 
+@pytest.mark.slow
 def test_people_who_pass_are_no_change_of_the_place() -> None:
     run = laps(2, seed=12)
     rng, ranges = np.random.default_rng(0), run.ranges.copy()

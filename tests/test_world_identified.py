@@ -204,6 +204,7 @@ def race(folder: Path, out: Path, *controllers: str, seed: int = 0) -> int:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_controllers_are_compared_on_one_seed(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,8 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 
@@ -112,16 +113,24 @@ def _one_line(exc: BaseException) -> str:
     return with_flags(" ".join(str(exc).split())) or type(exc).__name__
 
 
+@cache
+def _command(narrow: bool) -> Any:
+    """Return the parser of all commands, made once; a narrow one prints its help as a list."""
+    command = typer.main.get_command(app)
+    if narrow:
+        set_narrow(command)
+    return command
+
+
 def run(arguments: list[str] | None = None) -> int:
     """Run one command; return 0 on success, 2 for an error in the input, 1 for an internal error.
 
     Ctrl-C returns 130, and SIGTERM 143.
     """
-    command = typer.main.get_command(app)
-    if is_narrow():
-        set_narrow(command)
     try:
-        code = int(command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0)
+        code = int(
+            _command(is_narrow()).main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0
+        )
         if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code
             _print_error("interrupted")
         return code

@@ -14,8 +14,10 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.special import expit
 
+from sensorgraph.models.base import Prediction
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
+from sensorgraph.watching.scan_input import ScanInput
 from sensorgraph.watching.settings import PLACE, PlacePriors
 from sensorgraph.world.cell_outline import outline
 
@@ -114,12 +116,12 @@ class Place:
         return self.predicted / self.counted if self.counted > 0 else None
 
     def update(
-        self, stamp: float, pose: Floats, ranges: Floats, found: ReadingEvidence, usable: Bools, weight: float
+        self, now: ScanInput, pose: Floats, expected: Prediction, found: ReadingEvidence, usable: Bools
     ) -> None:
-        """Take the readings of a scan (n_rays,) [m] at a pose (3,) with their evidence."""
+        """Take the readings of a scan at a pose (3,), with those expected there and their evidence."""
         s, r = self.priors, self.readings
-        z, mode = ranges[r.rays], r.predict(pose)
-        predicted, answered = mode.mode[0], mode.answered[0] & found.known[0] & usable
+        stamp, weight, z = now.observation.stamp, now.weight, now.observation.ranges[r.rays]
+        predicted, answered = expected.mode[0], expected.answered[0] & found.known[0] & usable
         fits = found.fits[0]
         returned = answered & np.isfinite(z) & (z < r.sensor.range_max)
         if returned.any():
@@ -131,7 +133,7 @@ class Place:
         laser = self._laser(pose)
         phi = laser[2] + r.sensor.bearings[r.rays]
         way = np.column_stack([np.cos(phi), np.sin(phi)])
-        is_sure = mode.p_no_return[0] < 0.5
+        is_sure = expected.p_no_return[0] < 0.5
         short = odd & (z < predicted - s.least_difference)
         beyond = odd & is_sure & (z > predicted + s.least_difference)
         agrees = returned & is_sure & (np.abs(z - predicted) < s.least_difference)

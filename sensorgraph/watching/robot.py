@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
+from sensorgraph.models.base import Prediction
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, Pair, doubt_of
 from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors
@@ -65,11 +66,10 @@ class RobotHealth:
         for one in self.motion.both:
             one.forget_pose()
 
-    def update(self, now: ScanInput, pose: Floats) -> None:
-        """Take a scan whose tracked pose (3,) is sure."""
+    def update(self, now: ScanInput, pose: Floats, prediction: Prediction) -> None:
+        """Take a scan whose tracked pose (3,) is sure, with the prediction of the compared rays there."""
         stamp, odometry = now.observation.stamp, now.observation.odometry
         dt = 0.0 if self._last is None else stamp - self._last[0]
-        prediction = self.readings.predict(pose)
         ranges = now.observation.ranges
         for one in self.ranges.both:
             one.add(self.readings, now.scan, prediction, ranges, now.weight)

@@ -120,10 +120,9 @@ class Watcher:
             self.robot.lose()
             return
         found = self.readings.evidence(now.observation.ranges, main.pose[None])
-        self.place.update(
-            now.observation.stamp, main.pose, now.observation.ranges, found, self.tracker.usable, now.weight
-        )
-        self.robot.update(now, main.pose)
+        expected = self.readings.predict(main.pose)
+        self.place.update(now, main.pose, expected, found, self.tracker.usable)
+        self.robot.update(now, main.pose, expected)
         self.tracker.usable = self.robot.usable
 
     def _status(self, observation: Observation) -> WatchStatus:
