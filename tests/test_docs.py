@@ -93,6 +93,13 @@ def test_a_drawn_picture_is_what_its_script_draws(name: str, function: str) -> N
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["beam", "smoothing"])
+def test_a_picture_of_a_method_is_drawn(name: str) -> None:
+    figure = runpy.run_path(str(ROOT / "docs" / "method_pictures.py"))[name]()
+    assert len(figure.axes) >= 2
+
+
 @pytest.mark.parametrize("page", ["reference/effects.md", "how-to/simulate-effects.md"])
 def test_the_example_of_effects_can_be_read(page: str) -> None:
     (text,) = re.findall(r"```yaml\n(.*?)```", (SITE / page).read_text(), re.S)
