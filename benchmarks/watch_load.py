@@ -1,0 +1,132 @@
+"""Load, latency and memory of `watch`: a laser of 1,081 rays at 40 Hz in the shipped office, for hours.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.watch_load --minutes 4 --hours 2
+
+A simulated robot drives through viewpoints of the office for `--minutes`, twice with other noise: the first drive makes the
+graph, the second one is watched, forward and backward in turn, until `--hours` of driving have passed. Prints
+
+- the CPU time over the time driven: the load on one core
+- the time from a scan to its end, for scans without and with a statement: the latency
+- the resident memory after each tenth of the hours, with its slope from the second tenth on
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import tempfile
+import time
+from array import array
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+import logs
+import sensorgraph as sg
+from benchmarks.particle_filter import driven
+from logs.run import Run
+from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.watcher import Watcher
+
+ROBOT = """\
+drive: diff
+sensor: {{n_rays: 1081, fov: 4.71238898, range_max: 30.0, sigma: 0.01, rate: {rate}}}
+"""
+
+
+def memory() -> float:
+    """Return the resident memory [MB] of this process, without the mapped files."""
+    (line,) = (
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssAnon")
+    )
+    return float(line.split()[1]) / 1e3
+
+
+def make(folder: Path, minutes: float, rate: float) -> None:
+    """Write the graph of one drive, and the arrays of another."""
+    (folder / "robot.yaml").write_text(ROBOT.format(rate=rate))
+    plan = sg.plan("office", robot=folder / "robot.yaml", views=40, seed=0)
+    first, second = (_shortened(sg.record(plan, seed=seed), minutes) for seed in (0, 1))
+    sg.build(first).save(folder / "office.sensorgraph")
+    poses = logs.pair(second).poses
+    known = np.isfinite(poses[:, 0])
+    for name, rows in (("ranges", second.ranges), ("odometry", driven(second)), ("poses", poses)):
+        np.save(folder / f"{name}.npy", rows[known])
+
+
+def _shortened(run: Run, minutes: float) -> Run:
+    return run.take_scans(np.arange(np.searchsorted(run.stamps, run.stamps[0] + 60 * minutes)))
+
+
+def to_and_fro(folder: Path, rate: float, seconds: float) -> Iterator[Observation]:
+    """Yield the scans of a drive forward and backward in turn, with odometry and the true pose as belief."""
+    ranges, odometry, poses = (
+        np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("ranges", "odometry", "poses")
+    )
+    clock = count()
+    for lap in count():
+        order = np.arange(len(ranges))
+        for k in order if lap % 2 == 0 else order[::-1]:
+            stamp = next(clock) / rate
+            if stamp > seconds:
+                return
+            yield Observation(
+                stamp=stamp,
+                ranges=np.array(ranges[k]),
+                odometry=np.array(odometry[k]),
+                believed=np.array(poses[k]),
+            )
+
+
+def watch(folder: Path, rate: float, hours: float) -> None:
+    """Watch the drive and print the tables."""
+    watcher, seconds = Watcher(sg.load(folder / "office.sensorgraph")), 3600 * hours
+    plain, stating, told, wrong = array("d"), array("d"), [], 0
+    mark, began, last = 0.1, time.process_time(), 0.0
+    for one in to_and_fro(folder, rate, seconds):
+        start = time.perf_counter()
+        status = watcher.add(one)
+        (plain if status is None else stating).append(time.perf_counter() - start)
+        last = one.stamp
+        wrong += status is not None and status.pose.status in ("off", "lost")
+        if one.stamp >= mark * seconds:
+            gc.collect()
+            told.append(memory())
+            print(f"{one.stamp / 3600:5.2f} h driven: {told[-1]:.0f} MB", flush=True)
+            mark += 0.1
+    cpu, n_rays = time.process_time() - began, watcher.readings.sensor.n_rays
+    print(
+        f"load: {cpu / last:.1%} of a core at {rate:g} Hz x {n_rays} rays; {wrong} of {len(stating)} statements are wrong"
+    )
+    for name, each in (("without", plain), ("with", stating)):
+        ms = 1e3 * np.array(each)
+        print(f"latency {name} a statement: median {np.median(ms):.1f} ms, 99 % {np.percentile(ms, 99):.1f} ms, "
+              f"longest {ms.max():.1f} ms, {len(ms):,} scans")  # fmt: skip
+    slope = np.polyfit(np.arange(1, len(told)), told[1:], 1)[0] / (0.1 * hours) if len(told) > 3 else np.nan
+    print(f"memory: {told[-1]:.0f} MB, {slope:+.1f} MB an hour of driving")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=4.0)
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--rate", type=float, default=40.0, help="[Hz] of the laser")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with ProcessPoolExecutor(
+            1, mp_context=get_context("spawn")
+        ) as maker:  # its memory is not that of `watch`
+            maker.submit(make, folder, options.minutes, options.rate).result()
+        watch(folder, options.rate, options.hours)
+
+
+if __name__ == "__main__":
+    main()
