@@ -14,6 +14,7 @@ The graph is of the first half, as in `benchmarks.watch`. Parts:
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -95,6 +96,7 @@ def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
         return
     for name, limit in ({"healthy": 120.0} | dict(PLANTS)).items():
         right = wrong = total = 0
+        others: Counter[str] = Counter()
         for _ in range(n):
             at = int(rng.choice(starts))
             last = int(np.searchsorted(stamps, stamps[at] + max(limit, 20.0) * 1.5))
@@ -115,7 +117,8 @@ def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
             total += 1
             right += name in found
             wrong += bool(found - {name})
-        print(f"{name}: named in {right} of {total}, another fault in {wrong}", flush=True)
+            others.update(found - {name})
+        print(f"{name}: named in {right} of {total}, another fault in {wrong} {dict(others)}", flush=True)
 
 
 def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:

@@ -11,6 +11,7 @@ import sensorgraph as sg
 from logs.run import Run
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, doubt_of
 from sensorgraph.watching.odometry_errors import OdometryErrors
+from sensorgraph.watching.policy import healthy
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
 from sensorgraph.watching.status import WatchStatus
 from tests.localization_samples import ROOM, loop_poses, room_run, seen
@@ -128,6 +129,25 @@ def test_evidence_grows_with_the_size_and_is_against_a_fault_at_the_baseline(fau
     nats = [doubt_of(fault, 0.01 + k * fault.size, fault.tolerance, -8.0, base).nats for k in (0.0, 0.3, 1.0)]
     assert nats[0] < 0
     assert nats == sorted(nats)
+
+
+@pytest.mark.parametrize("error", [0.001, 0.006])
+def test_many_good_minutes_show_what_a_robot_varies_by_and_not_the_error_of_its_measurement(
+    error: float,
+) -> None:
+    fault, rng = DISTANCE_FAULTS[0], np.random.default_rng(0)
+    sizes = 0.02 + 0.004 * rng.normal(size=400) + error * rng.normal(size=400)
+    found = healthy(fault, sizes, np.full(400, error))
+    assert found.value == pytest.approx(0.02, abs=0.001)
+    assert found.tolerance == pytest.approx(0.004, rel=0.2)
+
+
+def test_two_good_minutes_show_hardly_more_than_was_assumed() -> None:
+    """The baseline itself is as uncertain as one estimate, which adds to the tolerance."""
+    fault, error = DISTANCE_FAULTS[0], 0.003
+    found = healthy(fault, np.array([0.02, 0.02]), np.full(2, error))
+    expected = np.sqrt(2 * fault.tolerance**2 + error**2)
+    assert 0.7 * expected < found.tolerance < 1.1 * expected
 
 
 def test_a_standard_error_from_few_measurements_is_weaker_evidence() -> None:

@@ -114,7 +114,7 @@ def _one_line(exc: BaseException) -> str:
 
 
 @cache
-def _command(narrow: bool) -> Any:
+def _parser(narrow: bool) -> Any:
     """Return the parser of all commands, made once; a narrow one prints its help as a list."""
     command = typer.main.get_command(app)
     if narrow:
@@ -129,7 +129,7 @@ def run(arguments: list[str] | None = None) -> int:
     """
     try:
         code = int(
-            _command(is_narrow()).main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0
+            _parser(is_narrow()).main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0
         )
         if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code
             _print_error("interrupted")

@@ -95,9 +95,8 @@ def doubt_of(
     ----------
     freedom : Degrees of freedom of the standard error.
     """
-    base = baseline or Baseline()
-    tolerance = max(fault.tolerance, base.tolerance)
-    healthy = stderr**2 + tolerance**2
+    base = baseline or Baseline(tolerance=fault.tolerance)
+    healthy = stderr**2 + base.tolerance**2
     faulty = healthy + fault.size**2
     square = (estimate - base.value) ** 2
     nats = _misfit(square / healthy, freedom) - _misfit(square / faulty, freedom)

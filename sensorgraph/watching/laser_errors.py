@@ -31,6 +31,9 @@ STEPS = 4
 class RangeErrors:
     """Collects the normal equations of offset and scale."""
 
+    freedom = math.inf
+    """The noise of a ray is stated."""
+
     def __init__(self) -> None:
         self.age = 0.0
         self.information, self.vector = np.zeros((2, 2)), np.zeros(2)
@@ -91,13 +94,13 @@ class MissingReturns:
         self.square += weight * share**2
         self.effective += weight**2
 
-    def estimate(self) -> tuple[float, float]:
-        """Return the excess share and its standard error."""
+    def estimates(self) -> tuple[Floats, Floats]:
+        """Return the excess share and its standard error, (1,) each."""
         if self.weight <= 3.0:
-            return 0.0, math.inf
+            return np.zeros(1), np.full(1, math.inf)
         mean = self.excess / self.weight
         variance = max(self.square / self.weight - mean**2, 1e-5)
-        return mean, math.sqrt(variance * self.effective) / self.weight
+        return np.array([mean]), np.array([math.sqrt(variance * self.effective) / self.weight])
 
     @property
     def freedom(self) -> float:

@@ -22,7 +22,7 @@ from logs.files import atomic_file
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
-from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT
+from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT, FaultPrior
 from sensorgraph.watching.status import NAMED, WatchStatus
 
 Level = Literal["ok", "warning", "error"]
@@ -32,6 +32,8 @@ RATES = {"warning": 0.1, "error": 0.01}
 """[1/h] False alarms of each limit."""
 LEAST_TAIL = 0.25
 """[nats] Least mean excess of a tail: a few minutes do not show a thinner one."""
+SHARE_OF_MINUTE = 0.5
+"""Share of new evidence in the estimate of a minute, which is of the last one to two periods (`evidence.Pair`)."""
 FAULTS = {fault.name: fault for fault in (*DISTANCE_FAULTS, *LASER_FAULTS, MISSING_FAULT)}
 
 
@@ -105,7 +107,10 @@ def learn(runs: Sequence[Iterable[WatchStatus]]) -> WatchPolicy:
     ------
     SensorgraphError : There is less than one minute.
     """
-    wrong, unlike, sizes, hours, n_changes = [], [], {name: [] for name in FAULTS}, 0.0, 0  # type: ignore[var-annotated]
+    wrong: list[float] = []
+    unlike: list[float] = []
+    sizes: dict[str, list[tuple[float, float]]] = {name: [] for name in FAULTS}
+    hours, n_changes = 0.0, 0
     for run in runs:
         statuses = list(run)
         if not statuses:
@@ -119,8 +124,9 @@ def learn(runs: Sequence[Iterable[WatchStatus]]) -> WatchPolicy:
             for doubt in minute[-1].doubts:
                 if doubt.name in FAULTS:
                     fault = FAULTS[doubt.name]
-                    if doubt.stderr.get(fault.parameter, math.inf) < fault.size:  # the drive shows it
-                        sizes[doubt.name].append(doubt.parameters[fault.parameter])
+                    error = math.sqrt(max(doubt.stderr[fault.parameter] ** 2 - fault.tolerance**2, 0.0))
+                    if error < fault.size:  # the drive shows it
+                        sizes[doubt.name].append((doubt.parameters[fault.parameter], error))
     if len(wrong) < 1 or hours < 1.0 / 60.0:
         raise SensorgraphError(f"the good runs last {60 * hours:.1f} min together; expected at least 1 min")
     return WatchPolicy(
@@ -128,7 +134,9 @@ def learn(runs: Sequence[Iterable[WatchStatus]]) -> WatchPolicy:
         p_wrong={level: max(_limit(np.array(wrong), rate), 0.5) for level, rate in RATES.items()},
         share_predicted={level: 1.0 - _limit(np.array(unlike), rate) for level, rate in RATES.items()},
         n_changes=n_changes,
-        baseline={name: _baseline(np.array(found)) for name, found in sizes.items() if len(found) > 1},
+        baseline={
+            name: healthy(FAULTS[name], *np.array(found).T) for name, found in sizes.items() if len(found) > 1
+        },
     )
 
 
@@ -150,11 +158,26 @@ def _limit(values: Floats, per_hour: float) -> float:
     return float(np.clip(expit(u + m * math.log(0.25 * 60.0 / per_hour)), 0.001, 0.999))
 
 
-def _baseline(sizes: Floats) -> Baseline:
-    """Return median and robust standard deviation, widened for few values."""
-    middle = float(np.median(sizes))
-    spread = 1.4826 * float(np.median(np.abs(sizes - middle)))
-    return Baseline(value=middle, tolerance=spread * (1.0 + 2.0 / len(sizes)))
+def healthy(fault: FaultPrior, sizes: Floats, errors: Floats) -> Baseline:
+    """Return size and tolerance of a healthy robot from estimates x_i (n,) with their standard errors e_i (n,).
+
+        x_i ~ N(b, t² + e_i²),    b flat,    t half-normal with the tolerance of the fault's prior.
+
+    The posterior is integrated over a grid of t (Gelman 2006, "Prior distributions for variance parameters"). Estimates of
+    neighbouring minutes share half of their evidence, so that each counts half. The tolerance contains the uncertainty of b.
+    """
+    t = fault.tolerance * np.linspace(0.02, 6.0, 300)
+    weights = 1.0 / (t[:, None] ** 2 + errors**2)
+    total = SHARE_OF_MINUTE * weights.sum(axis=1)
+    b = SHARE_OF_MINUTE * (weights * sizes).sum(axis=1) / total
+    log_p = SHARE_OF_MINUTE * 0.5 * np.log(weights).sum(axis=1) - 0.5 * np.log(total)
+    log_p -= SHARE_OF_MINUTE * 0.5 * (weights * (sizes - b[:, None]) ** 2).sum(axis=1)
+    log_p -= 0.5 * (t / fault.tolerance) ** 2
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    middle = float(p @ b)
+    variance = float(p @ (t**2 + 1.0 / total + (b - middle) ** 2))
+    return Baseline(value=middle, tolerance=math.sqrt(variance))
 
 
 def save_policy(path: Path, policy: WatchPolicy, topics: Mapping[str, Any] | None = None) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from sensorgraph.watching.settings import (
     LASER_FAULTS,
     MISSING_FAULT,
     ROBOT,
+    FaultPrior,
     RobotPriors,
 )
 
@@ -109,10 +111,11 @@ class RobotHealth:
 
     def doubts(self, stamp: float) -> list[FaultDoubt]:
         """Return all hypotheses, the most probable first."""
+        missing = self._of((MISSING_FAULT,), self.missing)
         found = [
-            *self._of_motion(),
-            *self._of_ranges(),
-            *self._of_missing(),
+            *self._of(DISTANCE_FAULTS, self.motion),
+            *self._of(LASER_FAULTS, self.ranges),
+            *(doubt for doubt in missing if doubt.parameters["share"] > 0),
             *self._of_sectors(),
             *self._of_steps(),
         ]
@@ -125,51 +128,18 @@ class RobotHealth:
             out.append(replace(doubt, since=self._since.get(doubt.name, stamp)))
         return sorted(out, key=lambda doubt: -doubt.p)
 
-    def _of_motion(self) -> list[FaultDoubt]:
-        each = []
-        for k, fault in enumerate(DISTANCE_FAULTS):
-            doubts = []
-            for one in self.motion.both:
-                values, errors = one.estimates()
-                doubts.append(
-                    doubt_of(
-                        fault,
-                        float(values[k]),
-                        float(errors[k]),
-                        self.log_odds,
-                        self.baseline.get(fault.name),
-                        one.freedom,
-                    )
+    def _of(self, faults: Sequence[FaultPrior], pair: Pair[Any]) -> list[FaultDoubt]:
+        """Return the doubt about each fault, from the collection that makes it more probable."""
+        found = [
+            [
+                doubt_of(
+                    fault, float(value), float(error), self.log_odds, self.baseline.get(fault.name), one.freedom
                 )
-            each.append(max(doubts, key=lambda doubt: doubt.p))
-        return each
-
-    def _of_ranges(self) -> list[FaultDoubt]:
-        each = []
-        for k, fault in enumerate(LASER_FAULTS):
-            doubts = []
-            for one in self.ranges.both:
-                values, errors = one.estimates()
-                doubts.append(
-                    doubt_of(
-                        fault,
-                        float(values[k]),
-                        float(errors[k]),
-                        self.log_odds,
-                        self.baseline.get(fault.name),
-                    )
-                )
-            each.append(max(doubts, key=lambda doubt: doubt.p))
-        return each
-
-    def _of_missing(self) -> list[FaultDoubt]:
-        base = self.baseline.get(MISSING_FAULT.name)
-        doubts = [
-            doubt_of(MISSING_FAULT, *one.estimate(), self.log_odds, base, one.freedom)
-            for one in self.missing.both
-        ]
-        above = [doubt for doubt in doubts if doubt.parameters["share"] > 0]
-        return [max(above, key=lambda doubt: doubt.p)] if above else []
+                for fault, value, error in zip(faults, *one.estimates(), strict=True)
+            ]
+            for one in pair.both
+        ]  # fmt: skip
+        return [max(each, key=lambda doubt: doubt.p) for each in zip(*found, strict=True)]
 
     def _of_sectors(self) -> list[FaultDoubt]:
         blocked = np.flatnonzero(self.sectors.blocked())
