@@ -11,6 +11,7 @@ with the normal n of the surface and the end point p in base_link.
 from __future__ import annotations
 
 import math
+from array import array
 
 import numpy as np
 
@@ -24,6 +25,10 @@ MOST_RESIDUAL = 0.2
 """[m] A larger residual shows another surface."""
 NOISE = 0.03
 """[m] Residual at which a ray counts half (Cauchy)."""
+MAD_TO_SIGMA, MEDIAN_TO_MEAN = 1.4826, 1.2533
+"""Of a normal distribution: standard deviation over median absolute deviation; standard error of median over that of mean."""
+LEAST_SCATTER = 0.003
+"""Least standard deviation of the share of a scan: one ray of 360."""
 STEPS = 4
 """Number of weightings of the rays of a scan."""
 
@@ -81,31 +86,41 @@ class RangeErrors:
 
 
 class MissingReturns:
-    """Counts missing returns beyond those that the graph predicts."""
+    """Collects the share of missing returns of each scan beyond the predicted one.
+
+    A fault of the laser shows in every scan, a door that was opened in some: the median tells them apart.
+    """
 
     def __init__(self) -> None:
         self.age = 0.0
-        self.weight, self.excess, self.square, self.effective = 0.0, 0.0, 0.0, 0.0
+        self.shares, self.weights = array("d"), array("d")
 
     def add(self, share: float, weight: float) -> None:
         """Add the share of missing returns of a scan beyond the predicted one."""
-        self.weight += weight
-        self.excess += weight * share
-        self.square += weight * share**2
-        self.effective += weight**2
+        self.shares.append(share)
+        self.weights.append(weight)
 
     def estimates(self) -> tuple[Floats, Floats]:
-        """Return the excess share and its standard error, (1,) each."""
-        if self.weight <= 3.0:
+        """Return the median excess share and its standard error, (1,) each."""
+        shares, weights = np.array(self.shares), np.array(self.weights)
+        if weights.sum() <= 3.0:
             return np.zeros(1), np.full(1, math.inf)
-        mean = self.excess / self.weight
-        variance = max(self.square / self.weight - mean**2, 1e-5)
-        return np.array([mean]), np.array([math.sqrt(variance * self.effective) / self.weight])
+        middle = _median(shares, weights)
+        sd = max(MAD_TO_SIGMA * _median(np.abs(shares - middle), weights), LEAST_SCATTER)
+        return np.array([middle]), np.array([MEDIAN_TO_MEAN * sd / math.sqrt(self.freedom + 1.0)])
 
     @property
     def freedom(self) -> float:
         """Degrees of freedom of the standard error, which is the scatter of the scans."""
-        return max(self.weight**2 / max(self.effective, 1e-9) - 1.0, 1.0)
+        weights = np.array(self.weights)
+        return max(float(weights.sum() ** 2 / max((weights**2).sum(), 1e-9)) - 1.0, 1.0)
+
+
+def _median(values: Floats, weights: Floats) -> float:
+    """Return the weighted median."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
 class BlockedSectors:
