@@ -88,7 +88,8 @@ class RangeErrors:
 class MissingReturns:
     """Collects the share of missing returns of each scan beyond the predicted one.
 
-    A fault of the laser shows in every scan, a door that was opened in some: the median tells them apart.
+    A fault of the laser shows in every scan, a door that was opened in some: the median tells them apart. Sectors whose rays are
+    mostly missing do not count.
     """
 
     def __init__(self) -> None:
@@ -149,6 +150,10 @@ class BlockedSectors:
         gain = np.where(n > 0, gain, 0.0)
         most = s.sector_window / max(dt, 1e-3)  # evidence of an old window is forgotten
         self.nats = np.clip(self.nats * (1.0 - 1.0 / max(most, 1.0)) + weight * gain, self.log_odds, 60.0)
+
+    def mostly(self, missing: Bools, asked: Bools) -> Bools:
+        """Return which rays are in a sector most of whose asked rays are missing: covered or open, but no random loss."""
+        return np.asarray((self.members @ missing > 0.5 * (self.members @ asked)) @ self.members > 0)
 
     def blocked(self) -> Bools:
         """Return which sectors are probably blocked."""

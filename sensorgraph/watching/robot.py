@@ -103,7 +103,7 @@ class RobotHealth:
         is_none = np.isposinf(z) | (z >= self.readings.sensor.range_max)
         is_covered = is_none | (z < near)
         self.sectors.add(is_covered, p_none, asked, weight, dt)
-        counted = asked & self.usable
+        counted = asked & self.usable & ~self.sectors.mostly(is_none & asked, asked)
         if counted.sum() >= 20:
             excess = float((is_none - p_none)[counted].mean())
             for one in self.missing.both:
@@ -115,7 +115,7 @@ class RobotHealth:
         found = [
             *self._of(DISTANCE_FAULTS, self.motion),
             *self._of(LASER_FAULTS, self.ranges),
-            *(doubt for doubt in missing if doubt.parameters["share"] > 0),
+            *(doubt if doubt.parameters["share"] > 0 else replace(doubt, p=0.0) for doubt in missing),
             *self._of_sectors(),
             *self._of_steps(),
         ]
