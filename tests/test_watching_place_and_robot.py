@@ -10,6 +10,7 @@ import pytest
 import sensorgraph as sg
 from logs.run import Run
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, doubt_of
+from sensorgraph.watching.laser_errors import MissingReturns, in_a_block
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.policy import healthy
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
@@ -113,6 +114,23 @@ def test_missing_returns_are_named() -> None:
     end = last(replace(run, ranges=np.where(lost, np.inf, run.ranges)))
     assert names(end) == {"missing_returns"}
     assert end.faults[0].parameters["share"] == pytest.approx(0.1, abs=0.02)
+
+
+def test_missing_returns_of_a_robot_that_stands_for_a_day_need_no_further_memory() -> None:
+    found, rng = MissingReturns(), np.random.default_rng(0)
+    for share in np.where(rng.random(20_000) < 0.3, 0.5, 0.05):  # a door stands open in three of ten scans
+        found.add(float(share), 0.125)
+    (middle,), (error,) = found.estimates()
+    assert middle == pytest.approx(0.05) and 0.0 < error < 0.01
+    assert len(found.scans) < 5_000
+
+
+def test_a_block_of_missing_returns_is_no_random_loss() -> None:
+    rng = np.random.default_rng(0)
+    asked, lost = np.ones(20_000, dtype=bool), rng.random(20_000) < 0.1
+    assert in_a_block(lost, asked).mean() < 0.01
+    lost[5000:5010] = True
+    assert in_a_block(lost, asked)[5000:5010].all()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ with the normal n of the surface and the end point p in base_link.
 from __future__ import annotations
 
 import math
-from array import array
+from collections import deque
 
 import numpy as np
 
@@ -29,6 +29,10 @@ MAD_TO_SIGMA, MEDIAN_TO_MEAN = 1.4826, 1.2533
 """Of a normal distribution: standard deviation over median absolute deviation; standard error of median over that of mean."""
 LEAST_SCATTER = 0.003
 """Least standard deviation of the share of a scan: one ray of 360."""
+BLOCK = 8
+"""Number of neighbouring rays: that more than half of them are lost by chance is improbable up to a loss of 20 %."""
+MOST_SCANS = 2000
+"""Number of scans of which missing returns are kept: two periods of driving, and no more where the robot stands for days."""
 STEPS = 4
 """Number of weightings of the rays of a scan."""
 
@@ -88,22 +92,22 @@ class RangeErrors:
 class MissingReturns:
     """Collects the share of missing returns of each scan beyond the predicted one.
 
-    A fault of the laser shows in every scan, a door that was opened in some: the median tells them apart. Sectors whose rays are
-    mostly missing do not count.
+    A fault of the laser shows in every scan, a door that was opened in some: the median tells them apart. Neighbours that are mostly
+    missing do not count.
     """
 
     def __init__(self) -> None:
         self.age = 0.0
-        self.shares, self.weights = array("d"), array("d")
+        self.scans: deque[tuple[float, float]] = deque(maxlen=MOST_SCANS)
+        """Share and weight of each scan."""
 
     def add(self, share: float, weight: float) -> None:
         """Add the share of missing returns of a scan beyond the predicted one."""
-        self.shares.append(share)
-        self.weights.append(weight)
+        self.scans.append((share, weight))
 
     def estimates(self) -> tuple[Floats, Floats]:
         """Return the median excess share and its standard error, (1,) each."""
-        shares, weights = np.array(self.shares), np.array(self.weights)
+        shares, weights = np.array(self.scans).reshape(-1, 2).T
         if weights.sum() <= 3.0:
             return np.zeros(1), np.full(1, math.inf)
         middle = _median(shares, weights)
@@ -113,8 +117,15 @@ class MissingReturns:
     @property
     def freedom(self) -> float:
         """Degrees of freedom of the standard error, which is the scatter of the scans."""
-        weights = np.array(self.weights)
+        weights = np.array(self.scans).reshape(-1, 2)[:, 1]
         return max(float(weights.sum() ** 2 / max((weights**2).sum(), 1e-9)) - 1.0, 1.0)
+
+
+def in_a_block(missing: Bools, asked: Bools) -> Bools:
+    """Return which rays (n,) are among `BLOCK` neighbours most of whose readings are missing: covered or open, no random loss."""
+    ones = np.ones(BLOCK)
+    of_window = np.convolve(missing, ones) > 0.5 * np.maximum(np.convolve(asked, ones), BLOCK / 2)
+    return np.asarray(np.convolve(of_window, ones)[BLOCK - 1 : BLOCK - 1 + len(missing)] > 0.5)
 
 
 def _median(values: Floats, weights: Floats) -> float:
@@ -150,10 +161,6 @@ class BlockedSectors:
         gain = np.where(n > 0, gain, 0.0)
         most = s.sector_window / max(dt, 1e-3)  # evidence of an old window is forgotten
         self.nats = np.clip(self.nats * (1.0 - 1.0 / max(most, 1.0)) + weight * gain, self.log_odds, 60.0)
-
-    def mostly(self, missing: Bools, asked: Bools) -> Bools:
-        """Return which rays are in a sector most of whose asked rays are missing: covered or open, but no random loss."""
-        return np.asarray((self.members @ missing > 0.5 * (self.members @ asked)) @ self.members > 0)
 
     def blocked(self) -> Bools:
         """Return which sectors are probably blocked."""

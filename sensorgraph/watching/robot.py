@@ -15,7 +15,7 @@ from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.models.base import Prediction
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, Pair, doubt_of
-from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors
+from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors, in_a_block
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.scan_input import ScanInput
@@ -103,7 +103,7 @@ class RobotHealth:
         is_none = np.isposinf(z) | (z >= self.readings.sensor.range_max)
         is_covered = is_none | (z < near)
         self.sectors.add(is_covered, p_none, asked, weight, dt)
-        counted = asked & self.usable & ~self.sectors.mostly(is_none & asked, asked)
+        counted = asked & self.usable & ~in_a_block(is_none & asked, asked)
         if counted.sum() >= 20:
             excess = float((is_none - p_none)[counted].mean())
             for one in self.missing.both:
