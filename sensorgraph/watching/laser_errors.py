@@ -1,11 +1,11 @@
 """Errors of the laser: offset and scale of the ranges, missing returns, and sectors that something blocks.
 
 Offset b and scale s of the ranges follow from the residuals at the tracked pose. The pose is estimated with them and
-eliminated, scan by scan: a residual e of a ray with the cosine of incidence c and the range r is
+eliminated, scan by scan. The residual e of a ray is
 
-    c e = n · (dx, dy) + (p × n) dphi + c b + c r s,
+    c e = n · (dx, dy) + (p × n) dphi + c b + c r s.
 
-with the normal n of the surface and the end point p in base_link.
+c is the cosine of incidence, and r the range. n is the normal of the surface, and p the end point in base_link.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEAST_SCATTER = 0.003
 BLOCK = 8
 """Number of neighbouring rays: that more than half of them are lost by chance is improbable up to a loss of 20 %."""
 MOST_SCANS = 2000
-"""Number of scans of which missing returns are kept: two periods of driving, and no more where the robot stands for days."""
+"""Number of scans of which missing returns are kept: enough for two periods of driving. Older ones are dropped."""
 STEPS = 4
 """Number of weightings of the rays of a scan."""
 

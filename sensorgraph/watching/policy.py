@@ -167,12 +167,11 @@ def healthy(fault: FaultPrior, sizes: Floats, errors: Floats) -> Baseline:
     neighbouring minutes share half of their evidence, so that each counts half. The tolerance contains the uncertainty of b.
     """
     t = fault.tolerance * np.linspace(0.02, 6.0, 300)
-    weights = 1.0 / (t[:, None] ** 2 + errors**2)
-    total = SHARE_OF_MINUTE * weights.sum(axis=1)
-    b = SHARE_OF_MINUTE * (weights * sizes).sum(axis=1) / total
-    log_p = SHARE_OF_MINUTE * 0.5 * np.log(weights).sum(axis=1) - 0.5 * np.log(total)
-    log_p -= SHARE_OF_MINUTE * 0.5 * (weights * (sizes - b[:, None]) ** 2).sum(axis=1)
-    log_p -= 0.5 * (t / fault.tolerance) ** 2
+    weights = SHARE_OF_MINUTE / (t[:, None] ** 2 + errors**2)
+    total = weights.sum(axis=1)
+    b = (weights * sizes).sum(axis=1) / total
+    log_p = 0.5 * SHARE_OF_MINUTE * np.log(weights).sum(axis=1) - 0.5 * np.log(total)
+    log_p -= 0.5 * (weights * (sizes - b[:, None]) ** 2).sum(axis=1) + 0.5 * (t / fault.tolerance) ** 2
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     middle = float(p @ b)

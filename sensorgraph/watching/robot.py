@@ -133,12 +133,17 @@ class RobotHealth:
         found = [
             [
                 doubt_of(
-                    fault, float(value), float(error), self.log_odds, self.baseline.get(fault.name), one.freedom
+                    fault,
+                    float(value),
+                    float(error),
+                    self.log_odds,
+                    self.baseline.get(fault.name),
+                    one.freedom,
                 )
                 for fault, value, error in zip(faults, *one.estimates(), strict=True)
             ]
             for one in pair.both
-        ]  # fmt: skip
+        ]
         return [max(each, key=lambda doubt: doubt.p) for each in zip(*found, strict=True)]
 
     def _of_sectors(self) -> list[FaultDoubt]:
