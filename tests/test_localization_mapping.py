@@ -312,6 +312,20 @@ def test_covered_laser_is_lost_not_standing_and_odometry_carries_its_pose() -> N
     assert any("only the odometry determines the pose" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("reading", [0.06, np.inf], ids=["covered", "nothing in reach"])
+def test_odometry_places_the_scans_before_the_first_that_sees_something(reading: float) -> None:
+    poses = loop_poses(80, laps=0.5)
+    run = room_run(poses)
+    ranges = run.ranges.copy()
+    ranges[:30] = reading
+    found = map_run(replace(run, ranges=ranges))
+    sd = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    assert set(found.status) == {"ok"} and sd[0, 0] > 5 * sd[40, 0]
+    off = found.poses - compose(found.poses[40], compose(invert(poses[40]), poses))
+    off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    assert (np.abs(off[:30]) < 3 * sd[:30]).all()
+
+
 def test_nothing_is_said_of_a_good_log(located: Localization) -> None:
     assert located.notes == ()
 

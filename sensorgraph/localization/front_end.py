@@ -59,6 +59,7 @@ class Tracker:
             self._place(k)
             if k % 50 == 0:
                 progress(k, self.scans.n_scans)
+        self._place_before_first()
         state = self.state
         return ScanTrack(
             poses=self.poses,
@@ -117,15 +118,22 @@ class Tracker:
             self._update_wheels(k, step, found)
             self._add_key_frame(k, found)
 
+    def _place_before_first(self) -> None:
+        """Place the scans before the first key frame, which have no returns, by the odometry back from it."""
+        n = self.state.key_frames[0] if self.state.key_frames and self.odometry is not None else 0
+        for k in range(n, 0, -1):
+            step, deviations = self._predict(k, k - 1)  # from a pose that is still zero
+            self.state.jumps += [k] if deviations is None else []
+            self.poses[k - 1] = compose(self.poses[k], invert(step))
+
     def _predict(self, k: int, last: int) -> tuple[Floats, Floats | None]:
         """Return the predicted pose of scan k from the last one, and its standard deviations; None after a jump."""
         state = self.state
         dt = max(float(self.stamps[k] - self.stamps[last]), 0.0)
         if self.odometry is None or state.wheels is None:
-            deviations = np.array(
-                [self.settings.speed_sd, self.settings.speed_sd, self.settings.turn_rate_sd]
-            )
-            return compose(self.poses[last], state.velocity * dt), deviations * dt + 0.01
+            s = self.settings
+            deviations = np.array([s.speed_sd, s.speed_sd, s.turn_rate_sd]) * dt + 0.01
+            return compose(self.poses[last], state.velocity * dt), deviations
         step = compose(invert(self.odometry[last]), self.odometry[k])
         way, limits = float(np.hypot(step[0], step[1])), state.wheels.settings
         took = max(dt, self.interval)
@@ -159,9 +167,8 @@ class Tracker:
         ):
             found = None  # the laser looks at what it has not seen yet, and a few surfaces fit many places
         if is_other and (found is not None or self.state.last_unmatched is None):
-            self.is_continuous[[self.state.last_matched + 1, k]] = (
-                False  # no scan between the two was matched
-            )
+            # no scan between the two was matched
+            self.is_continuous[[self.state.last_matched + 1, k]] = False
         return found
 
     def _has_slipped(self, found: Match, predicted: Floats, deviations: Floats | None) -> bool:
@@ -224,8 +231,7 @@ class Tracker:
     def _unknown_motion(self, first: int, last: int) -> Floats:
         """Return the standard deviations (3,) of a motion between two scans without odometry.
 
-        The speed is unknown and persists since `determined_at`, so that the deviation from there grows in proportion
-        to time.
+        The speed is unknown and persists since `determined_at`: the deviation from there is proportional to time.
         """
         s, start = self.settings, self.state.determined_at
         since, before = self.stamps[last] - start, self.stamps[first] - start
