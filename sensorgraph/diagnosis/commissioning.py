@@ -20,7 +20,7 @@ import numpy as np
 
 from logs.run import Run
 from planners.arena import Arena
-from sensorgraph.diagnosis.raster_map import RasterMap
+from sensorgraph.diagnosis.map_depth import raster_map_of
 from sensorgraph.diagnosis.scan.candidate_fits import is_rough, searched
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
@@ -153,12 +153,15 @@ def learnt(
 
 def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
     """Return the scans of a known-good run, with the resolution of its readings and its pose tolerances."""
-    pixels = RasterMap.of(arena) if is_raster(arena) else None
-    if pixels is not None:
-        arena, robot = pixels.arena, pixels.widened(robot)
-    data, _ = prepare_scans(run, arena, robot)
-    data, _ = without_unknown_space(data) if pixels is None else pixels.judged(data)
     noise = SCAN.site.wide_noise
+    if is_raster(arena):
+        _, (data, _) = raster_map_of(
+            arena,
+            lambda pixels: pixels.judged(prepare_scans(run, pixels.arena, pixels.widened(robot))[0]),
+            noise,
+        )
+    else:
+        data, _ = without_unknown_space(prepare_scans(run, arena, robot)[0])
     data = at_likely_poses(replace(data, laser_frame=False), noise)
     null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
     sensor = data.sensor

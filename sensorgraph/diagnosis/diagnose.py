@@ -14,6 +14,7 @@ from logs.run import Run, pair
 from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
+from sensorgraph.diagnosis.map_depth import raster_map_of
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, diagnose_driving
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.naming import (
@@ -96,7 +97,7 @@ def diagnose(
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
     with clock.stage("intake"):
-        laid = _laid_on_arena(run, arena, robot, known, baseline, rng)
+        laid = _laid_on_arena(run, arena, robot, known, baseline, noise_bounds, rng)
         if problem := misalignment(laid.alignment, run, laid.data):
             return misaligned(laid.data, laid.notes, problem, clock.seconds, _driving(run, laid, progress))
         if baseline is None and is_located(run):
@@ -220,13 +221,20 @@ def _laid_on_arena(
     robot: Robot,
     known: Sequence[Amendment],
     baseline: SiteBaseline | None,
+    noise_bounds: NoiseBounds,
     rng: np.random.Generator,
 ) -> _Laid:
     """Prepare the scans of a run, and measure how well they fit the arena."""
-    pixels = RasterMap.of(arena) if is_raster(arena) else None
-    if pixels is not None:
+    pixels: RasterMap | None = None
+    if is_raster(arena):
+
+        def prepare(pixels: RasterMap) -> tuple[ScanData, dict[str, Any]]:
+            return _prepare(run, pixels.arena, pixels.widened(robot), known, baseline, pixels)
+
+        pixels, (data, notes) = raster_map_of(arena, prepare, noise_bounds)
         arena, robot = pixels.arena, pixels.widened(robot)
-    data, notes = _prepare(run, arena, robot, known, baseline, pixels)
+    else:
+        data, notes = _prepare(run, arena, robot, known, baseline, None)
     alignment = align(data, rng)
     notes["arena"], notes["share_at_walls"] = alignment.sentence(), alignment.share
     notes["log_notes"] = log_notes(run)

@@ -16,7 +16,14 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.places import reflected
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.pixel_walls import THING, is_near_gap, pixel_of, straightened, unknown_borders
+from sensorgraph.world.cell_borders import with_borders_as_walls
+from sensorgraph.world.pixel_walls import (
+    THING,
+    is_near_gap,
+    pixel_of,
+    straightened,
+    unknown_borders,
+)
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot
 
@@ -93,6 +100,8 @@ class RasterMap:
     """(n, 2, 2) [m] ends of free space without a wall; the space beyond is unknown."""
     drawn: Arena
     """With the outlines of the cells as walls."""
+    is_drawn: bool = False
+    """Whether the walls are these outlines, as in a simulated world that is made from the map."""
 
     @classmethod
     def of(cls, arena: Arena) -> RasterMap:
@@ -108,6 +117,15 @@ class RasterMap:
             drawn=arena,
         )
 
+    def as_drawn(self) -> RasterMap:
+        """Return the map with the outlines of the cells as walls; it may still be half a cell off."""
+        return replace(
+            self,
+            arena=with_borders_as_walls(self.drawn, self.arena),
+            tolerance=float(self.pixel / np.sqrt(12)),
+            is_drawn=True,
+        )
+
     def widened(self, robot: Robot) -> Robot:
         """Return the robot with at least the map tolerance of this map."""
         t = robot.tolerances
@@ -118,22 +136,22 @@ class RasterMap:
         if data.sensor.is_composite or measures_cones(
             data.sensor
         ):  # rays that start at several places, or are not thin
-            return data, {
-                "pixel_m": self.pixel,
-                "walls": self.arena.n_walls,
-                "map_tolerance_m": self.tolerance,
-            }
+            return data, self._notes()
         _, wall = data.plain_cast
         at_gap = self._at_gap(data)
         if at_gap.any():  # otherwise the cached cast stays valid
             data = replace(data, ranges=np.where(at_gap, np.nan, data.ranges), memo={})
         data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
-        return data, {
+        return data, {**self._notes(), **said}
+
+    def _notes(self) -> dict[str, Any]:
+        """Return what the map is, for the report."""
+        return {
             "pixel_m": self.pixel,
             "walls": self.arena.n_walls,
             "map_tolerance_m": self.tolerance,
-            **said,
+            "walls_at_cell_borders": self.is_drawn,
         }
 
     def _at_gap(self, data: ScanData) -> Bools:

@@ -253,6 +253,11 @@ def map_sentences(finding: Finding) -> list[str]:
         out.append(
             f"The building differs from its map ({share:.0f} % of the readings, excluded): {listed}{rest}."
         )
+    if notes.get("walls_at_cell_borders"):
+        out.append(
+            "The walls are at the borders of the map's cells, as in a simulated world that was made from the map; in a "
+            "robot's map they are in the middle of the cells."
+        )
     if notes.get("into_unknown_share", 0.0) > 0.005:
         out.append(
             f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space unknown to the map; they are excluded."
