@@ -20,7 +20,7 @@ def with_borders_as_walls(arena: Arena, straight: Arena) -> Arena:
         cell; objects come last.
     """
     parts = np.array([name.split("/")[0] for name in straight.names])
-    tree = shapely.STRtree(list(shapely.linestrings(straight.walls)))
+    tree = shapely.STRtree([shapely.LineString(one) for one in straight.walls])
     middles = shapely.points(arena.walls.mean(axis=1))
     border, wall = tree.query_nearest(middles, max_distance=pixel_of(arena), all_matches=False)
     part = np.full(arena.n_walls, OUTLINE, dtype=parts.dtype)
