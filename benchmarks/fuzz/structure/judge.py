@@ -40,6 +40,8 @@ FIRST_RAY = 2e-3
 """[s] to which a stamp is that of the first ray."""
 LEFT = "they were left as they are"
 """A stated difference of clocks that is not corrected, so that the poses have it too."""
+STEADY = 0.02
+"""[s] to which the stamps of a clock at another rate lie on a line; also the least difference of a rate."""
 MATCH = 1e-4
 """[s] to which an unchanged stamp is found again."""
 
@@ -229,7 +231,7 @@ def pose_times(draft: Draft, run: Run, sensor: RangeSensor, scans: Any, used: ND
     A scan that is stamped with the time of its first ray, as ROS defines it, has its pose at its stamp, whatever is
     believed of its rays. Of any other stamp only the scan is known (`stamp_times`).
     """
-    when = stamp_times(draft, sensor, scans)
+    when = stamp_times(draft, sensor, scans, run.stamps[used])
     stamps = run.stamps[used] + (run.epoch_ns / 1e9 - EPOCH)
     written = {item.scan: item.stamp for item in draft.scans}
     for i, (k, stamp) in enumerate(zip(scans, stamps, strict=True)):
@@ -246,15 +248,20 @@ def stated_lag(said: str) -> float:
     return 0.0 if found is None else float(found.group(1)) / 1e3
 
 
-def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any) -> Floats:
+def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any, stamps: Floats) -> Floats:
     """Return the true times (n_scans,) [s] to which the poses of scans belong: those of their stamps.
 
     The sensor states the time of each ray after the stamp, and the laser knows the true one; the mean difference is the
-    time of the stamp. So a pose is right if it is that of its scan, whatever clock stamped the scan.
+    time of the stamp. So a pose is right if it is that of its scan, whatever clock stamped the scan. The sensor's times are on
+    the clock of the stamps (n_scans,) [s], which may be that of the wheels, at another rate.
     """
     yaw = sensor.mount[2] if sensor.mount.any() else np.radians(draft.laser.yaw)
     directions = sensor.bearings + yaw
-    return np.array([(ray_times(draft, k, directions) - sensor.ray_delays).mean() for k in scans])
+    rays = np.array([ray_times(draft, k, directions) for k in scans])
+    rate, first = np.polyfit(rays.mean(axis=1), stamps, 1) if len(scans) > 2 else (1.0, 0.0)
+    if np.abs(first + rate * rays.mean(axis=1) - stamps).max() > STEADY or abs(rate - 1) < STEADY:
+        rate = 1.0  # the stamps are not those of a steady clock at another rate
+    return np.asarray((rays - sensor.ray_delays / rate).mean(axis=1))
 
 
 def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Floats:
