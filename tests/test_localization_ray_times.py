@@ -11,6 +11,7 @@ from conftest import further
 from localization_samples import ROOM, seen
 
 from logs.run import RangeSensor, Run
+from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.estimate import calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.locate import locate, located_run, summary
@@ -170,6 +171,24 @@ def test_a_stamp_at_the_end_of_the_sweep_shows_against_the_odometry() -> None:
     found = followed(stated(run_of(ALONG - SWEEP), SWEEP))
     assert found.run.sensor.first_ray_delay == pytest.approx(-ALONG[-1])
     assert "stamped at the end of the sweep" in found.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("first", "last"), [(15.0, 45.0), (0.0, 59.75)], ids=["half the log", "all but the end"]
+)
+def test_scans_beyond_the_odometry_show_no_lag_and_are_placed_as_well(first: float, last: float) -> None:
+    run = run_as_stated()
+    keep = (run.odom_stamps >= first) & (run.odom_stamps <= last)
+    cut = replace(
+        run, odom_stamps=run.odom_stamps[keep], odometry=run.odometry[keep], odom_twists=run.odom_twists[keep]
+    )
+    found = followed(cut)
+    assert found.run.sensor is run.sensor
+    assert not any("lag" in note or "stamped" in note for note in found.notes)
+    truth = path(run.stamps)
+    off = compose(invert(compose(truth[150], invert(found.track.poses[150]))), truth) - found.track.poses
+    assert np.hypot(*off[:, :2].T).max() < 0.03
+    assert np.abs(wrap(off[:, 2])).max() < np.radians(0.6)
 
 
 def test_scans_without_wheels_are_deskewed_by_the_velocity_of_the_track() -> None:

@@ -8,12 +8,13 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.front_end import track_part
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
 
 MIN_MISSING = 0.3
-"""[s] Shortest stretch that is filled; in shorter ones 1 m/s² moves the robot by a t²/8 = 1.1 cm from the line."""
+"""[s] Shortest stretch between odometry poses that is filled; in shorter ones 1 m/s² moves the robot by a t²/8 = 1.1 cm
+from the line. Before and after all odometry it does so in half the time, a t²/2."""
 MIN_SCANS = 3
-"""Minimum number of scans in it."""
+"""Minimum number of scans between odometry poses."""
 MAX_NAMED = 2
 """Maximum number of stretches whose place is stated."""
 
@@ -28,16 +29,18 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
     begins = np.searchsorted(run.stamps, bounds[:-1], side="right")
     ends = np.searchsorted(run.stamps, bounds[1:], side="left")
     stamps, poses, filled = [motion.stamps], [motion.poses], []
-    for i in np.flatnonzero(ends - begins >= MIN_SCANS):
+    is_outer = ~np.isfinite(bounds[:-1]) | ~np.isfinite(bounds[1:])
+    for i in np.flatnonzero(ends - begins >= np.where(is_outer, 1, MIN_SCANS)):
         inside = run.stamps[begins[i] : ends[i]]
-        first, last = max(bounds[i], inside[0]), min(bounds[i + 1], inside[-1])
-        if last - first < MIN_MISSING:
+        first = bounds[i] if np.isfinite(bounds[i]) else inside[0]
+        last = bounds[i + 1] if np.isfinite(bounds[i + 1]) else inside[-1]
+        if last - first < MIN_MISSING / (2 if is_outer[i] else 1):
             continue
         found = _of_scans(run, motion, int(begins[i]), int(ends[i]), (bounds[i], bounds[i + 1]))
         if found is not None:
             stamps.append(inside)
             poses.append(found)
-            filled.append((first, last))
+            filled.append((float(first), float(last)))
     if not filled:
         return motion, ()
     order = np.argsort(np.concatenate(stamps), kind="stable")
@@ -46,12 +49,18 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
     return Motion(stamps=np.concatenate(stamps)[order], poses=joined), _notes(run, motion, filled)
 
 
+def is_measured(motion: Motion, times: Floats) -> Bools:
+    """Tell which times (n,) [s] lie between poses of the odometry (`motion`) without a missing stretch."""
+    gaps = np.diff(motion.stamps, prepend=-np.inf, append=np.inf)
+    return np.asarray(gaps[np.searchsorted(motion.stamps, times)] < MIN_MISSING)
+
+
 def _of_scans(run: Run, motion: Motion, begin: int, end: int, bounds: tuple[float, float]) -> Floats | None:
     """Return the poses (end - begin, 3) of scans between two odometry poses, or on one side of all; None: not tracked.
 
-    One more scan is tracked on either side, so that the track reaches the poses.
+    Two more scans are tracked on either side, so that the middles of their sweeps enclose the poses.
     """
-    part = slice(max(begin - 1, 0), min(end + 1, run.n_scans))
+    part = slice(max(begin - 2, 0), min(end + 2, run.n_scans))
     has_left, has_right = (
         part.start < begin and np.isfinite(bounds[0]),
         part.stop > end and np.isfinite(bounds[1]),
@@ -60,7 +69,8 @@ def _of_scans(run: Run, motion: Motion, begin: int, end: int, bounds: tuple[floa
     if not (has_left or has_right) or not found.matched.all() or found.piece[0] != found.piece[-1]:
         return None
     heading = np.unwrap(found.poses[:, 2])
-    tracked = Motion(stamps=run.stamps[part], poses=np.column_stack([found.poses[:, :2], heading]))
+    middle = run.stamps[part] + run.sensor.ray_delays.mean()  # of the sweep, which was not deskewed
+    tracked = Motion(stamps=middle, poses=np.column_stack([found.poses[:, :2], heading]))
     stamps, (left, right) = run.stamps[begin:end], bounds
     start = left if has_left else right
     placed = compose(motion.at(np.array([start])), invert(tracked.at(np.array([start]))))
@@ -76,6 +86,7 @@ def _of_scans(run: Run, motion: Motion, begin: int, end: int, bounds: tuple[floa
 def _notes(run: Run, motion: Motion, filled: list[tuple[float, float]]) -> tuple[str, ...]:
     """Return one line for each stretch, or one for many."""
     since, known = run.stamps[0], (motion.stamps[0], motion.stamps[-1])
+    filled = [(first, last) for first, last in filled if last - first >= MIN_MISSING]
     if len(filled) > MAX_NAMED:
         longest = max(last - first for first, last in filled)
         places = [f"in {len(filled)} stretches of up to {longest:.1f} s"]

@@ -54,10 +54,9 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     Ray times of a robot.yaml are not tested. Rays are deskewed with the velocity of the odometry. Without odometry a first track without deskewing gives
     the velocity, and the scans are tracked again.
     """
-    odometry_motion = odometry_of(run)
-    filled: tuple[str, ...] = ()
-    if odometry_motion is not None:
-        odometry_motion, filled = with_missing_stretches(run, odometry_motion)
+    measured, odometry_motion, filled = odometry_of(run), None, tuple[str, ...]()
+    if measured is not None:
+        odometry_motion, filled = with_missing_stretches(run, measured)
     odometry = None if odometry_motion is None else odometry_at_scans(run, odometry_motion)
     scans = scan_points(run, odometry_motion)
     tracked = track(scans, run.stamps, odometry, progress)
@@ -77,8 +76,8 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
             motion = motion_of_track(run, tracked, motion)
             scans = scan_points(run, motion)
             tracked = track(scans, run.stamps, odometry, progress)
-    if odometry_motion is not None and odometry is not None and not is_given:
-        lag = scan_lag(run, odometry_motion, tracked)
+    if measured is not None and odometry is not None and not is_given:
+        lag = scan_lag(run, measured, tracked)
         shifted, more = (run, ()) if lag is None else with_stamp_of(run, lag)
         notes = (*notes, *more)
         if shifted is not run:

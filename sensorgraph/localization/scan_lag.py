@@ -18,6 +18,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import wrap
+from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.types import Floats
@@ -36,16 +37,24 @@ class ScanLag:
 def scan_lag(
     run: Run, motion: Motion, tracked: ScanTrack, settings: ScanLagSettings = SCAN_LAG
 ) -> ScanLag | None:
-    """Return the lag of the scans relative to the odometry; None if the robot did not turn enough.
+    """Return the lag of the scans relative to the odometry; None if the robot did not turn enough while it was measured.
 
     Parameters
     ----------
-    motion : The odometry.
+    motion : The odometry, without the stretches that the scans fill: these have no lag relative to the scans.
     tracked : Track of the scans.
     """
     s, stamps = settings, run.stamps
     step = np.diff(stamps)
-    both = tracked.matched[1:] & tracked.matched[:-1] & tracked.is_continuous[1:] & (step > 0)
+    has_odometry = is_measured(motion, stamps)
+    both = (
+        has_odometry[1:]
+        & has_odometry[:-1]
+        & tracked.matched[1:]
+        & tracked.matched[:-1]
+        & tracked.is_continuous[1:]
+        & (step > 0)
+    )
     for jump in tracked.jumps:
         both[max(jump - 1, 0)] = False
     seen = wrap(np.diff(tracked.poses[:, 2]))
