@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.locate import locate, located_run, summary
 from sensorgraph.localization.ray_times import TrackedRun, hypotheses, track_run
 from sensorgraph.localization.result import Localization
+from sensorgraph.localization.scan_lag import ScanLag, with_stamp_of
 from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
 
@@ -189,6 +190,20 @@ def test_scans_beyond_the_odometry_show_no_lag_and_are_placed_as_well(first: flo
     off = compose(invert(compose(truth[150], invert(found.track.poses[150]))), truth) - found.track.poses
     assert np.hypot(*off[:, :2].T).max() < 0.03
     assert np.abs(wrap(off[:, 2])).max() < np.radians(0.6)
+
+
+@pytest.mark.parametrize(
+    ("lag", "where"),
+    [(-0.155, "end"), (-0.12, "end"), (-0.065, "middle"), (-0.092, ""), (0.03, ""), (-0.25, ""), (-0.03, "")],
+)
+def test_latency_of_the_odometry_leaves_a_stamp_where_drivers_put_it(lag: float, where: str) -> None:
+    run = stated(run_of(np.zeros(N_RAYS)), 0.125)
+    shifted, (note,) = with_stamp_of(run, ScanLag(value=lag, stderr=0.001))
+    if where:
+        assert f"stamped at the {where} of the sweep of 125 ms" in note
+        assert shifted.sensor.first_ray_delay < run.sensor.first_ray_delay
+    else:
+        assert "poses are given at the stamps" in note and shifted is run
 
 
 def test_scans_without_wheels_are_deskewed_by_the_velocity_of_the_track() -> None:

@@ -94,7 +94,9 @@ def with_stamp_of(
 ) -> tuple[Run, tuple[str, ...]]:
     """Return the run with its stamps at the begin, middle or end of the sweep as the odometry shows, and a note on a lag.
 
-    Drivers stamp a scan at any of the three. Any other lag is reported only, since it may be in either clock.
+    Drivers stamp a scan at any of the three, and the odometry has a latency of its own. So the nearest one counts if the
+    lag agrees with it, or if the remainder is a likely latency and less than half as far from it as from the next. Any
+    other lag is reported only, since it may be in either clock.
     """
     sensor, delays = run.sensor, run.sensor.ray_delays
     text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
@@ -103,9 +105,11 @@ def with_stamp_of(
     if sensor.scan_duration > settings.min_lag:
         first, last = float(delays.min()), float(delays.max())
         shifts = {"begin": -first, "middle": -float(delays.mean()), "end": -last}
-        where = min(shifts, key=lambda name: abs(shifts[name] - lag.value))
-        tolerance = max(settings.z * lag.stderr, settings.relative_error * (last - first))
-        if abs(shifts[where] - lag.value) < tolerance:
+        where, second, _ = sorted(shifts, key=lambda name: abs(shifts[name] - lag.value))
+        rest = abs(lag.value - shifts[where])
+        is_latency = rest < min(settings.latency, 0.5 * abs(lag.value - shifts[second]))
+        is_equal = rest < max(settings.z * lag.stderr, settings.relative_error * (last - first))
+        if is_equal or (is_latency and shifts[where] != 0.0):
             shifted = replace(sensor, first_ray_delay=sensor.first_ray_delay + shifts[where])
             return replace(run, sensor=shifted), (
                 f"scans are stamped at the {where} of the sweep of {1e3 * sensor.scan_duration:.0f} ms: the odometry shows "

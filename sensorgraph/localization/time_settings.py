@@ -74,6 +74,8 @@ class ScanLagSettings:
     """[s] Minimum lag that is reported."""
     relative_error: float = 0.2
     """Relative error of a lag that still agrees with the duration of a scan."""
+    latency: float = 0.05
+    """[s] Latency of odometry, at most: the period of slow wheel controllers."""
 
 
 SCAN_LAG = ScanLagSettings()
