@@ -257,9 +257,9 @@ def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any, stamps: Floats) -
     """
     yaw = sensor.mount[2] if sensor.mount.any() else np.radians(draft.laser.yaw)
     directions = sensor.bearings + yaw
-    rays = np.array([ray_times(draft, k, directions) for k in scans]).reshape(len(scans), -1)
     if not len(scans):
         return np.zeros(0)
+    rays = np.array([ray_times(draft, k, directions) for k in scans])
     rate, first = np.polyfit(rays.mean(axis=1), stamps, 1) if len(scans) > 2 else (1.0, 0.0)
     if np.abs(first + rate * rays.mean(axis=1) - stamps).max() > STEADY or abs(rate - 1) < STEADY:
         rate = 1.0  # the stamps are not those of a steady clock at another rate
