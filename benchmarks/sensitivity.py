@@ -61,7 +61,7 @@ OF_MATHEMATICS = {
     "CHI2_MEDIAN_3",
     "GOLDEN_RATIO",
     "MEDIAN_OF_NORMAL",
-    "MAD_TO_SIGMA",
+    "SIGMA_OF_MAD",
     "ROUND_OFF",
 }
 """Constants that nobody has tuned."""

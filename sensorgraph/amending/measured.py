@@ -7,6 +7,7 @@ import numpy as np
 from logs.run import Run
 from sensorgraph.amending.findings import MeasuredLaser
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.robust import robust_sigma
 
 SAME_STEP = 1e-4
 """[rad] Largest deviation of the angle between neighbouring rays from its mean."""
@@ -33,7 +34,7 @@ def measure_laser(run: Run) -> MeasuredLaser:
     period = float(np.median(periods))
     if period <= 0:
         raise SensorgraphError(f"{name}: its scans have no increasing times; leave the run out")
-    scatter = 1.4826 * float(np.median(np.abs(periods - period)))
+    scatter = robust_sigma(periods - period)
     returns = run.ranges[np.isfinite(run.ranges)]
     return MeasuredLaser(
         n_rays=run.sensor.n_rays,

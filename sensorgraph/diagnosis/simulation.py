@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.robust import robust_sigma
 
 MAX_STDERRS = 3.0
 """Minimum difference between two sizes of an effect, in standard errors, to be called different."""
@@ -70,7 +71,7 @@ def laser_noise(fitted: Fitted) -> LaserNoise:
     view = FitResiduals(fitted.solver.data, fitted)
     clear = view.returned & view.aimed & view.valid & ~view.strange
     off = view.residual[clear]
-    scatter = 1.4826 * float(np.median(np.abs(off - np.median(off)))) if len(off) else 0.0
+    scatter = robust_sigma(off - np.median(off)) if len(off) else 0.0
     due = view.aimed & ~np.isnan(view.z)
     return LaserNoise(
         scatter=scatter,

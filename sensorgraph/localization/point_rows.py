@@ -14,6 +14,7 @@ from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
 NEAR = 16
@@ -197,7 +198,7 @@ def _fit_patches(
         residual = np.einsum("ij,ij->i", off, normal)
         along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
         noise = min(
-            max(1.4826 * float(np.median(np.abs(residual))) if len(residual) else sigma, settings.min_sigma),
+            max(robust_sigma(residual) if len(residual) else sigma, settings.min_sigma),
             sigma,
         )
         count = np.bincount(patch, minlength=m)

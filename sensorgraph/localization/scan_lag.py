@@ -21,6 +21,7 @@ from logs.transforms import wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats
 
 
@@ -72,7 +73,7 @@ def scan_lag(
         inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(2)))
         beta = inverse @ (x.T @ (weight * y))
         left = y - x @ beta
-        scale = 1.4826 * float(np.median(np.abs(left))) + 1e-9
+        scale = robust_sigma(left) + 1e-9
         weight = 1.0 / (1.0 + (left / (s.outlier * scale)) ** 2)
     scores = np.stack(
         [(x[segment == k] * (weight * left)[segment == k, None]).sum(axis=0) for k in range(s.segments)]

@@ -16,6 +16,7 @@ from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.settings import WHEELS, WheelSettings
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -92,7 +93,7 @@ class WheelSteps:
         sd = estimate.deviations(np.abs(way), relative[:, 2])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])
-        scale = np.clip(1.4826 * np.median(np.abs(off / sd), axis=0), s.min_scatter, s.max_scatter)
+        scale = np.clip(SIGMA_OF_MAD * np.median(np.abs(off / sd), axis=0), s.min_scatter, s.max_scatter)
         z = off / (sd * scale)
         soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * s.slip**2))
         information = np.zeros((n, 3, 3))

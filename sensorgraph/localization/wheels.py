@@ -16,6 +16,7 @@ import numpy as np
 from logs.transforms import wrap
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.settings import WHEELS, WheelSettings
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
 
 
@@ -148,7 +149,7 @@ def _regress(
     scale = 1.0
     for _ in range(4):
         off = np.abs(values - rows @ theta)
-        scale = max(1.4826 * float(np.median(off[kept])), least) if kept.any() else 1.0
+        scale = max(robust_sigma(off[kept]), least) if kept.any() else 1.0
         kept = off < settings.outlier * scale
         information = rows[kept].T @ rows[kept] / scale**2 + prior
         moment = rows[kept].T @ values[kept] / scale**2 + prior @ before

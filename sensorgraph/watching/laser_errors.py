@@ -17,6 +17,7 @@ import numpy as np
 
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.models.base import Prediction
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.settings import LASER_FAULTS, ROBOT, RobotPriors
@@ -25,8 +26,8 @@ MOST_RESIDUAL = 0.2
 """[m] A larger residual shows another surface."""
 NOISE = 0.03
 """[m] Residual at which a ray counts half (Cauchy)."""
-MAD_TO_SIGMA, MEDIAN_TO_MEAN = 1.4826, 1.2533
-"""Of a normal distribution: standard deviation over median absolute deviation; standard error of median over that of mean."""
+MEDIAN_TO_MEAN = 1.2533
+"""Ratio of the standard error of a median to that of a mean, for a normal distribution."""
 LEAST_SCATTER = 0.003
 """Least standard deviation of the share of a scan: one ray of 360."""
 BLOCK = 8
@@ -111,7 +112,7 @@ class MissingReturns:
         if weights.sum() <= 3.0:
             return np.zeros(1), np.full(1, math.inf)
         middle = _median(shares, weights)
-        sd = max(MAD_TO_SIGMA * _median(np.abs(shares - middle), weights), LEAST_SCATTER)
+        sd = max(SIGMA_OF_MAD * _median(np.abs(shares - middle), weights), LEAST_SCATTER)
         return np.array([middle]), np.array([MEDIAN_TO_MEAN * sd / math.sqrt(self.freedom + 1.0)])
 
     @property

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.noise_kernels import filtered
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
 
 ROWS_AT_A_TIME = 4096
 """Rows filtered at a time: the data stays in the cache, and a long run needs no further memory."""
-MAD_TO_SIGMA = 1.4826
-"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +95,7 @@ def filter_of(autocovariance: Floats, min_innovation: float) -> WhiteningFilter:
 
 def clipped(residual: Floats, valid: Bools, limit: float, floor: float) -> Floats:
     """Return a residual (n,), clipped at the larger of `limit` robust standard deviations and `floor`."""
-    most = max(limit * MAD_TO_SIGMA * float(np.median(np.abs(residual[valid]))), floor)
+    most = max(limit * robust_sigma(residual[valid]), floor)
     return np.clip(residual, -most, most)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import fit
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
@@ -14,6 +12,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import NAME
 from sensorgraph.effects.range_noise import RANGE_NOISE
+from sensorgraph.robust import robust_sigma
 
 SIGMA_CAUSES = (
     "sensor.sigma in robot.yaml is too small: data sheets specify the best case",
@@ -34,9 +33,9 @@ def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBound
     if not has_dropped and final.state.noise.core < high:
         return None
     seen = data.returned & final.cast.jacobian.valid
-    off = np.abs(final.solution.responsibilities.residual[seen])
+    off = final.solution.responsibilities.residual[seen]
     # for a normal distribution; outliers hardly change the median
-    scale = 1.4826 * float(np.median(off)) / data.sensor.sigma
+    scale = robust_sigma(off) / data.sensor.sigma
     if not SCAN.nuisance.stretched_scale <= scale <= SCAN.goodness_of_fit.max_scatter:
         return None
     free = replace(noise_bounds, core=(low * scale, high * scale))

@@ -18,14 +18,13 @@ from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import ReturnNoise
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
 
 READINGS_AT_A_TIME = 1 << 17
 """Number of readings whose cones are sampled with rays at a time."""
-SIGMA_OF_MAD = 1.4826
-"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -31,6 +31,7 @@ from sensorgraph.diagnosis.motion.calibration.short_drive import (
     widened_errors,
 )
 from sensorgraph.localization.wheels import corrected_steps
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
 
 PARAMETERS = ("way_scale", "turn_scale", "heading_bias", "mount_x", "mount_y", "mount_phi")
@@ -196,7 +197,7 @@ def _from_windows(
         residuals = _added(_residuals(motion, theta), s.window)
         if iteration < s.derivatives:
             jacobians = _derivatives(motion, theta, s.window)
-        scale = 1.4826 * np.median(np.abs(residuals), axis=0) + 1e-9
+        scale = SIGMA_OF_MAD * np.median(np.abs(residuals), axis=0) + 1e-9
         weights = (s.tail + 1) / (s.tail + (residuals / scale) ** 2) / scale**2
         information = np.einsum("kc,kca,kcb->kab", weights, jacobians, jacobians)
         scores = np.einsum("kc,kca,kc->ka", weights, jacobians, residuals)

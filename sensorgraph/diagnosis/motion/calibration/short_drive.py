@@ -24,6 +24,7 @@ from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.settings import DrivingCalibrationSettings
 from sensorgraph.localization.settings import WHEELS
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
 
 N_FACTORS = 6
@@ -70,7 +71,9 @@ class StepNoise:
     def first_weights(self, residuals: Floats, tail: float) -> Floats:
         """Return weights (3, n) of slips from the residuals (n, 3) before any fit, relative to their median size."""
         size = np.abs(residuals.T / self.wheels)
-        return student_weights((size / (1.4826 * np.median(size, axis=1, keepdims=True) + 1e-9)) ** 2, tail)
+        return student_weights(
+            (size / (SIGMA_OF_MAD * np.median(size, axis=1, keepdims=True) + 1e-9)) ** 2, tail
+        )
 
     def whitened(
         self,

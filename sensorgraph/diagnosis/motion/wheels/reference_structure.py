@@ -8,7 +8,7 @@ from scipy.special import gammaln
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
-from sensorgraph.diagnosis.motion.whitening import MAD_TO_SIGMA
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats
 
 REFERENCE_YAW, REFERENCE_PLACE = "reference yaw", "reference place"
@@ -89,7 +89,7 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
     residual : (2 n,) Residual of a model without patches.
     """
     parts = [residual[: rows.n], residual[rows.n :]]
-    spreads = [MAD_TO_SIGMA * float(np.median(np.abs(part[rows.valid]))) + 1e-12 for part in parts]
+    spreads = [robust_sigma(part[rows.valid]) + 1e-12 for part in parts]
     size = sum((part / spread) ** 2 for part, spread in zip(parts, spreads, strict=True))
     largest = np.argsort(-np.where(rows.valid, size, 0.0))
     out = []
