@@ -195,6 +195,7 @@ def test_an_output_that_rests_where_it_is_scored_is_said(
     assert json.loads(out.read_text())["one_step"]["r"] is None
 
 
+@pytest.mark.slow
 def test_what_is_odd_about_the_samples_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(4)
     u = rng.normal(size=200)

@@ -44,6 +44,7 @@ def scanned(room: Arena, seed: int, *, bias: float = 0.0, yaw: float = 0.0, scat
     return Run(sensor=ROBOT.sensor, stamps=t, ranges=noisy, pose_stamps=t, poses=poses)
 
 
+@pytest.mark.slow
 def test_what_both_show_is_no_difference_and_what_one_shows_is(room: Arena) -> None:
     robot_run = scanned(room, 0, bias=0.04, yaw=0.02)
     simulated = scanned(room, 1, bias=0.04, scatter=0.005)

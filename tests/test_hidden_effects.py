@@ -38,6 +38,7 @@ def test_ticks_of_a_slow_loop_that_beat_with_the_commands_are_no_changing_delay(
         assert channel.effects == () and channel.unknown is None
 
 
+@pytest.mark.slow
 def test_a_baseline_names_what_is_continuous_and_knows_no_unknown(tmp_path: Path) -> None:
     """Least squares finds a mount turned by a degree; a lens that bends the view it calls by names of the library."""
     for name, is_known in (("mount_yaw", True), ("bearing_scale", False)):

@@ -106,6 +106,7 @@ def test_short_standing_and_spinning_runs_are_located(truth: np.ndarray, has_odo
     assert (sd > 0).all() and sd.max() < 0.01
 
 
+@pytest.mark.slow
 def test_round_room_does_not_tell_the_heading() -> None:
     run = room_run(SPIN, walls=ROUND)
     assert set(locate(run).status) == {"ok"}  # the wheels tell it

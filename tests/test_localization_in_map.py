@@ -153,6 +153,7 @@ def test_run_without_odometry_is_located_by_its_scans() -> None:
     assert found.wheels is None and "no usable odometry" in found.notes[0]
 
 
+@pytest.mark.slow
 def test_run_is_located_in_a_graph_of_cells() -> None:
     run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
     graph = build([run], model="cells")

@@ -60,6 +60,7 @@ def test_tails_of_errors_are_found_and_keep_the_variance() -> None:
     )  # kurtosis; 3 is normal, 5.3 is planted above
 
 
+@pytest.mark.slow
 def test_intervals_and_draws_follow_heavy_tails_and_the_mode_does_not() -> None:
     """Normal errors of the same variance would put 61 % within the 50 % interval."""
     rng = np.random.default_rng(23)

@@ -118,6 +118,7 @@ print(sum_of_twice(np.arange(4.0)), len(sum_of_twice.signatures), twice(1.5), tw
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["planners", *further("robotmodic_ident")])
 def test_an_inner_kernel_is_compiled_into_kernels_and_is_a_function_of_python(
     package: str, tmp_path: Path

@@ -242,6 +242,7 @@ def test_sigterm_ends_a_recording_as_ctrl_c_does(port: int, tmp_path: Path) -> N
     assert logs.read(tmp_path / "run.mcap").n_scans >= 20
 
 
+@pytest.mark.slow
 def test_a_recording_goes_on_when_router_and_robot_restart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
