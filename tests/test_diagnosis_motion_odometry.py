@@ -65,6 +65,7 @@ def test_slippery_patch_is_found_where_it_is(track: float) -> None:
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, *further(5)])
 def test_the_same_floor_does_not_slip_twice(seed: int) -> None:
     """Poses that a filter has smoothed, as those of a localization, blur the rim of a patch: no second one mends it."""

@@ -138,6 +138,7 @@ def test_odometry_carries_the_pose_over_a_break(kind: str) -> None:
     assert (np.abs(off[inside]) < 3 * sd[inside] + 0.01).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gap", *further("blind")])
 def test_scans_alone_join_after_a_break_or_are_a_second_map(kind: str) -> None:
     """The second lap shows the room again: closures join; a few scans of it do not, and are never stated as known."""
@@ -201,6 +202,7 @@ def narrowed(run: Run, view: float) -> Run:
     return replace(run, sensor=sensor, ranges=run.ranges[:, kept])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *further(3)])
 @pytest.mark.parametrize(("view", "is_certain"), [(30.0, False), (58.0, True)])
 def test_new_surfaces_in_a_narrow_view_are_not_taken_for_known_ones(
