@@ -1,10 +1,10 @@
 """Where the surfaces of an occupancy-grid map lie in its cells: in their middle, or at their borders.
 
 A robot's map has the surfaces in the middle of the cells on average. A simulator that makes its world from a map extrudes
-the cells, so that every wall is half a cell nearer. Which of the two a run was recorded in is decided by the likelihood of
-its scans, with the bias of the laser free:
+the cells, so that every wall is half a cell nearer. The likelihood of the scans decides between the two. The bias of the
+laser is free in both, since it changes all readings alike. A wall that is half a cell w/2 nearer changes a reading by
 
-    a wall half a cell w/2 nearer changes a reading by -w / (2 cos incidence), a bias by a constant.
+    -w / (2 cos incidence).
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools
-from sensorgraph.world.raycast import laser_poses
 
 Prepared: TypeAlias = tuple[ScanData, dict[str, Any]]
 """Scans in a map, and notes for the report."""
@@ -53,17 +52,10 @@ def _distance_before_walls(data: ScanData) -> float:
     """Return the median distance [m] of the returns before the walls, along their normals; 0 if there are no walls."""
     if data.sensor.is_composite or measures_cones(data.sensor):
         return 0.0
-    expected, wall = data.plain_cast
-    off = expected - np.where(data.returned, data.ranges, np.nan)
-    near = np.isfinite(off) & (wall >= 0)
-    near[near] = np.abs(off[near]) < 4 * data.tolerances.map
-    scan, ray = np.nonzero(near)
-    if not len(scan):
-        return 0.0
-    way = np.diff(data.arena.walls, axis=1)[:, 0][wall[scan, ray]]
-    angle = laser_poses(data.poses, data.sensor.mount)[scan, 2] + data.sensor.bearings[ray]
-    cosine = np.abs(np.sin(angle - np.arctan2(way[:, 1], way[:, 0])))
-    return float(np.median(off[scan, ray] * cosine))
+    beams = data.scene().shoot()
+    off = beams.ranges - np.where(data.returned, data.ranges, np.nan)
+    near = (beams.wall >= 0) & (np.abs(off) < 4 * data.tolerances.map)
+    return float(np.median((off * beams.cosine)[near])) if near.any() else 0.0
 
 
 def _log_likelihood(data: ScanData, is_compared: Bools, noise_bounds: NoiseBounds) -> float:

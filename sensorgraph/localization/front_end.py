@@ -51,7 +51,7 @@ class Tracker:
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
         self.is_continuous = np.ones(scans.n_scans, dtype=np.bool_)
         self.noise = np.full(scans.n_scans, np.nan)
-        self.state = TrackerState(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
+        self.state = TrackerState(wheels=None if odometry is None else WheelEstimate())
 
     def run(self, progress: Progress) -> ScanTrack:
         """Track all scans."""
@@ -81,7 +81,6 @@ class Tracker:
         if not state.key_frames:
             if not self._is_covered(k):
                 self._add_key_frame(k)
-            self.poses[k] = state.pose
             self.matched[k] = bool(state.key_frames)
             state.last_matched = k
             return
@@ -123,7 +122,8 @@ class Tracker:
         n = self.state.key_frames[0] if self.state.key_frames and self.odometry is not None else 0
         for k in range(n, 0, -1):
             step, deviations = self._predict(k, k - 1)  # from a pose that is still zero
-            self.state.jumps += [k] if deviations is None else []
+            if deviations is None:
+                self.state.jumps.append(k)
             self.poses[k - 1] = compose(self.poses[k], invert(step))
 
     def _predict(self, k: int, last: int) -> tuple[Floats, Floats | None]:

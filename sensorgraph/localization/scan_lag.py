@@ -47,15 +47,8 @@ def scan_lag(
     """
     s, stamps = settings, run.stamps
     step = np.diff(stamps)
-    has_odometry = is_measured(motion, stamps)
-    both = (
-        has_odometry[1:]
-        & has_odometry[:-1]
-        & tracked.matched[1:]
-        & tracked.matched[:-1]
-        & tracked.is_continuous[1:]
-        & (step > 0)
-    )
+    usable = tracked.matched & is_measured(motion, stamps)
+    both = usable[1:] & usable[:-1] & tracked.is_continuous[1:] & (step > 0)
     for jump in tracked.jumps:
         both[max(jump - 1, 0)] = False
     seen = wrap(np.diff(tracked.poses[:, 2]))

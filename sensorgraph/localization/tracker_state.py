@@ -15,7 +15,6 @@ from sensorgraph.types import Floats
 class TrackerState:
     """State of the tracker."""
 
-    pose: Floats
     wheels: WheelEstimate | None
     key_frames: list[int] = field(default_factory=list)
     piece: list[int] = field(default_factory=list)

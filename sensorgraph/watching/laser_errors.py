@@ -1,7 +1,7 @@
 """Errors of the laser: offset and scale of the ranges, missing returns, and sectors that something blocks.
 
 Offset b and scale s of the ranges follow from the residuals at the tracked pose. The pose is estimated with them and
-eliminated, scan by scan. The residual e of a ray is
+eliminated, scan by scan. This is the residual e of a ray.
 
     c e = n · (dx, dy) + (p × n) dphi + c b + c r s.
 

@@ -259,11 +259,11 @@ def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any, stamps: Floats) -
     directions = sensor.bearings + yaw
     if not len(scans):
         return np.zeros(0)
-    rays = np.array([ray_times(draft, k, directions) for k in scans])
-    rate, first = np.polyfit(rays.mean(axis=1), stamps, 1) if len(scans) > 2 else (1.0, 0.0)
-    if np.abs(first + rate * rays.mean(axis=1) - stamps).max() > STEADY or abs(rate - 1) < STEADY:
+    taken = np.array([ray_times(draft, k, directions).mean() for k in scans])
+    rate, first = np.polyfit(taken, stamps, 1) if len(scans) > 2 else (1.0, 0.0)
+    if np.abs(first + rate * taken - stamps).max() > STEADY or abs(rate - 1) < STEADY:
         rate = 1.0  # the stamps are not those of a steady clock at another rate
-    return np.asarray((rays - sensor.ray_delays / rate).mean(axis=1))
+    return np.asarray(taken - sensor.ray_delays.mean() / rate)
 
 
 def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Floats:

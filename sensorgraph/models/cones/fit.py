@@ -18,7 +18,7 @@ from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import ReturnNoise
-from sensorgraph.robust import SIGMA_OF_MAD
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
@@ -84,7 +84,7 @@ def _sigma(readings: ConeReadings, nearest: Floats) -> float:
     with np.errstate(invalid="ignore"):
         e = np.abs(readings.ranges - nearest)
     e = e[np.isfinite(e) & (e < CONES.fit_sigmas * CONES.max_sigma)]
-    return float(np.clip(SIGMA_OF_MAD * np.median(e), 1e-4, CONES.max_sigma)) if len(e) else CONES.first_sigma
+    return float(np.clip(robust_sigma(e), 1e-4, CONES.max_sigma)) if len(e) else CONES.first_sigma
 
 
 def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[FaceSet, ReturnNoise, Floats]:
