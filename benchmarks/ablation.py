@@ -14,7 +14,6 @@ unknown; for an effect outside the library, if it says unknown and names nothing
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 from collections import Counter
@@ -26,7 +25,7 @@ from typing import Any
 
 from scipy.stats import beta
 
-from benchmarks.arguments import existing
+from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
@@ -227,9 +226,7 @@ def report(cases: Sequence[Case], ledgers: Sequence[Ledger], found: Sequence[Com
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the ledgers, and print what depends on what."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folders", nargs="+", type=existing, metavar="DIR")
     parser.add_argument("--entrant", default="sensorgraph")
     parser.add_argument("--json", type=Path, metavar="FILE")

@@ -9,12 +9,12 @@ models; all are told where to start.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.localize_in_map import halves, said
 from benchmarks.particle_filter import followed
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
@@ -25,9 +25,7 @@ from sensorgraph.world.identified_arena import arena_of
 
 def main() -> None:
     """Print the parameters, and the errors with each set."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument(
         "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"

@@ -15,7 +15,6 @@ denominator is the noise floor: noise of the laser and of the encoders.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +22,7 @@ import mujoco
 import numpy as np
 
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from logs.run import Run
 from sensorgraph.exporting.twin import drive_twin
 from sensorgraph.world.robot import Robot, parse_robot
@@ -262,9 +262,7 @@ def errors(run: Run, twin: Twin, arena: sg.Arena) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for models and reports")
     parser.add_argument("--seeds", type=int, default=4)
     args = parser.parse_args()

@@ -1,9 +1,14 @@
-"""Types of command-line arguments that benchmarks share."""
+"""What the command lines of the benchmarks share."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+
+
+def parser_of(doc: str | None) -> argparse.ArgumentParser:
+    """Return a parser whose help is the docstring of its module, as it stands."""
+    return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
 
 
 def existing(text: str) -> Path:

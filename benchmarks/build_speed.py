@@ -7,7 +7,6 @@ Compilation is done before (on 300 scans). With `--file` the scans are written t
 
 from __future__ import annotations
 
-import argparse
 import resource
 import time
 from dataclasses import replace
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import logs
+from benchmarks.arguments import parser_of
 from logs.run import RangeSensor, Run
 from logs.stream import open_log
 from planners.maps import geojson
@@ -34,7 +34,7 @@ def recording(n: int) -> Run:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=50_000)
     parser.add_argument("--file", type=Path)
     options = parser.parse_args()

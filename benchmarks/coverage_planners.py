@@ -12,12 +12,12 @@ it, which another load on the machine changes less; compiling is left out of bot
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from benchmarks.offices import office
 from planners import PlanError, plan
 from planners.arena import Arena
@@ -34,7 +34,7 @@ TABLE_HEAD = f"{'arena':12} {'planner':14} {'bins':>7} {'cover':>10} {'core':>6}
 
 def main() -> None:
     """Print the table, or draw the race."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", nargs="*", default=["square", "office"])
     parser.add_argument("--planner", nargs="*", default=["coverage", "stop_and_spin"])
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])

@@ -7,10 +7,9 @@ met after a share of the reference time, and what it costs.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from planners import plan
 from planners.arena import Arena
 from planners.planning import Plan
@@ -32,7 +31,7 @@ COMPARED_DRIVES: tuple[Drive, ...] = ("diff", "reeds_shepp", "dubins")
 
 def main() -> None:
     """Print a row for each arena and drive."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", nargs="+", default=["square", "office"])
     parser.add_argument("--drive", nargs="+", default=list(COMPARED_DRIVES), choices=COMPARED_DRIVES)
     parser.add_argument("--minutes", type=float, default=15.0, help="of random driving")

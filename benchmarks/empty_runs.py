@@ -8,7 +8,6 @@ runs, and prints how many were given a name or a doubt.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from planners.maps import geojson
 from sensorgraph.world.robot import parse_robot
 
@@ -112,9 +112,7 @@ wheels: {radius: 0.02, base: 0.1, sigma_v: 0.005, sigma_omega: 0.05, rate: 10}
 
 def main() -> None:
     """Plan once for each robot, record and diagnose once for each seed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=6, help="runs of each robot")
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--robot", choices=list(SETUPS), action="append", help="only these robots")

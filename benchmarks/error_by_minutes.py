@@ -18,7 +18,6 @@ views of what it does not answer. With `--thin` n only every n-th scan is built 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -28,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from benchmarks.error_tables import ALL_MINUTES, DriveScore, picture, single_places, summary
 from benchmarks.offices import office
 from logs.run import Run, pair
@@ -227,7 +227,7 @@ def check_of(place: Place) -> Run:
 
 def main() -> None:
     """Drive, build, ask; print a table and draw it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", nargs="+", default=["office"])
     parser.add_argument("--ways", nargs="*", help="some of the ways; default: all")
     parser.add_argument("--seed", type=int, nargs="+", default=[1])

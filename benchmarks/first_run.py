@@ -7,7 +7,6 @@ Seconds of CPU include all processes. A kernel's seconds exclude the kernels tha
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.arguments import parser_of
 from sensorgraph.show.figures.style import AMBER, INK, TEAL, TEXT, new_figure, save_figure
 
 LISTENER = '''
@@ -151,9 +151,7 @@ def picture(runs: dict[str, Timed], path: Path) -> None:
 
 def main() -> None:
     """Print the table; draw the time line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--picture", type=Path, help="PNG of the time line")
     parser.add_argument("--kernels", type=int, default=25, help="number of kernels in the table")
     arguments = parser.parse_args()

@@ -14,7 +14,6 @@ each building from the complete log. What was planted is in planted.json, which 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -30,7 +29,7 @@ import numpy as np
 
 import logs
 import sensorgraph as sg
-from benchmarks.arguments import existing
+from benchmarks.arguments import existing, parser_of
 from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.surveying.fleet import quantities_of
@@ -284,10 +283,8 @@ def kill(folder: Path, workers: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("step", choices=("make", "run", "kill", "compare", "resample"))
+    parser = parser_of(__doc__)
+    parser.add_argument("step", choices=("make", "run", "kill", "resample"))
     parser.add_argument("folder", type=existing, help="make: raw-carmen; else the folder that `make` wrote")
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--logs", type=int, default=200)
@@ -302,10 +299,8 @@ def main() -> None:
         run(args.folder, args.workers)
     elif args.step == "kill":
         kill(args.folder, args.workers)
-    elif args.step == "resample":
-        resample(args.folder, args.seed)
     else:
-        compare(args.folder)
+        resample(args.folder, args.seed)
 
 
 if __name__ == "__main__":

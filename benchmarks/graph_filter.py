@@ -16,7 +16,6 @@ sideways motion in a turn and no systematic errors.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.localize_in_map import Halves, halves, said
 from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
@@ -316,9 +316,7 @@ def print_starts(
 
 def main() -> None:
     """Print the errors of each filter."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, default=Path("runs/in_map"))
     parser.add_argument("--seeds", type=int, default=2)

@@ -9,7 +9,6 @@ again, and searched for the change as one run. Parts that are files of their own
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import logs
+from benchmarks.arguments import parser_of
 from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
@@ -55,7 +55,7 @@ def planted(motion: LaserMotion, column: int, share: float) -> LaserMotion:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG")
     parser.add_argument("--plant", type=float, default=0.012, help="share of ways and turns")
     args = parser.parse_args()

@@ -9,12 +9,12 @@ training data here: `auto_fit` leaves out stretches of its own.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from robotmodic_ident import AutoFit, AutoSettings, auto_fit
 from robotmodic_ident.trials import AUTO
 
@@ -56,7 +56,7 @@ def columns(letter: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 def main() -> None:
     """Run the benchmarks that are named."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("names", nargs="+", help="keys of identibench.simulation_benchmarks")
     import identibench
 

@@ -9,7 +9,6 @@ dependency: `pip install -e ".[peers]"`; without them `peers` says so.
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import time
@@ -18,6 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.arguments import parser_of
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
 
@@ -335,7 +335,7 @@ BENCHMARKS = {
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("what", choices=BENCHMARKS)
     parser.add_argument("--n", type=int, help="seeds, rays of the peers, or poses")
     arguments = parser.parse_args()

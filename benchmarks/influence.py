@@ -8,9 +8,9 @@ factors are varied at once. Prints the table of Sobol shares with bootstrap inte
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from benchmarks.arguments import parser_of
 from benchmarks.drives import covered
 from sensorgraph.building.build import build
 from sensorgraph.identification.design import design
@@ -26,7 +26,7 @@ SEED = 6  # of the reported figures
 
 def main() -> None:
     """Read the command line and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("-o", "--out", type=Path, help="picture")
     parser.add_argument("--rows", type=int, default=64)
     parser.add_argument("--duration", type=float, default=90.0)

@@ -14,10 +14,10 @@ returned last), `polynomial` and `faces`. Seconds are of this process (CPU), rea
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
+from benchmarks.arguments import parser_of
 from logs import read
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import evaluate
@@ -28,9 +28,7 @@ COLUMNS = ("median_m", "mae_m", "rmse_m", "within_0.1m", "pearson_r")
 
 def main() -> None:
     """Print one row for each way to predict."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("fresh", type=Path)
     arguments = parser.parse_args()

@@ -9,11 +9,11 @@ The floor is `benchmarks/offices.py`'s: random rooms with doors and furniture, n
 
 from __future__ import annotations
 
-import argparse
 import resource
 import sys
 import time
 
+from benchmarks.arguments import parser_of
 from benchmarks.offices import office
 from planners import plan
 from planners.maps import geojson
@@ -22,7 +22,7 @@ from planners.vehicle import Drive, Limits, Vehicle
 
 def main() -> None:
     """Plan the floor and print one line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--side", type=float, default=50.0, help="[m]")
     parser.add_argument("--rooms", type=int, default=36)
     parser.add_argument("--cell", type=float, default=0.25, help="[m]")

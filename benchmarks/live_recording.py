@@ -7,7 +7,6 @@ A router, a robot of our own (`benchmarks.zenoh_robot`: scan, pose, odometry and
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
@@ -20,6 +19,7 @@ import numpy as np
 
 import logs
 from benchmarks import zenoh_robot
+from benchmarks.arguments import parser_of
 
 SENSORGRAPH = [sys.executable, "-c", "from sensorgraph.cli import main; main()"]
 
@@ -48,7 +48,7 @@ def record(folder: Path, seconds: float, rate: float, n_rays: int, *, kill: bool
 
 def main() -> None:
     """Print what was lost and what it cost."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rate", type=float, default=40.0, help="Hz of scans")
     parser.add_argument("--rays", type=int, default=1081)

@@ -3,8 +3,7 @@
 Truth is the whole log, located together (`sensorgraph locate`): both halves are in its frame. Parts:
 
 - `start`: a global start without a guess, from one scan and from five, at places that the first half covers
-- `track`: the second half, found and followed; a plain particle filter beside it, with AMCL's likelihood-field and motion
-  models and the defaults of Nav2's parameters, which is told where to start
+- `track`: the second half, found and followed
 - `kidnap`: 30 times, 15 s of log go on at another covered place; a robot that is not found within 5 s is said to be lost
   if no pose later than 2 s after it was carried is called ok and wrong
 - `grid`: the same steps from scan to scan, followed in a 5 cm occupancy grid of the first half by a likelihood field
@@ -14,7 +13,6 @@ Truth is the whole log, located together (`sensorgraph locate`): both halves are
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,18 +22,15 @@ from numpy.typing import NDArray
 
 import logs
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
-from benchmarks.particle_filter import followed
-from logs.run import OccupancyMap, Run
+from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.exporting.amcl import DEFAULTS
-from sensorgraph.exporting.amcl_filter import CellDistances
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
-from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import MapTracker, min_fit_of
 from sensorgraph.localization.matching import match
@@ -191,22 +186,6 @@ def said(poses: Floats, truth: Floats) -> str:
     )
 
 
-def particle_filter(data: Halves, rng: np.random.Generator) -> None:
-    """Print the errors of a plain particle filter with Nav2's defaults that is told where to start."""
-    points = points_on(data.walls, 0.025)
-    low, cell = points.min(axis=0) - 3.0, 0.05
-    nx, ny = np.ceil((points.max(axis=0) + 3.0 - low) / cell).astype(int)
-    cells = np.zeros((ny, nx), dtype=np.int8)
-    at = ((points - low) / cell).astype(int)
-    cells[at[:, 1], at[:, 0]] = 100
-    grid = OccupancyMap(data=cells, resolution=cell, origin=np.array([*low, 0.0]))
-    estimates = followed(data.second, data.truth, CellDistances.of(grid), DEFAULTS, rng)
-    done = np.isfinite(estimates[:, 0])
-    print(f"particle filter: {said(estimates[done], data.truth[done])}")
-    both = done & data.covered
-    print(f"particle filter, covered: {said(estimates[both], data.truth[both])}")
-
-
 def in_grid(data: Halves) -> None:
     """Print the errors of following the second half in an occupancy grid, for the best threshold and sigma of several.
 
@@ -292,14 +271,12 @@ def _joined(one: Run, two: Run) -> Run:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument(
         "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"
     )
-    parser.add_argument("--parts", default="start,track,grid,filter,kidnap")
+    parser.add_argument("--parts", default="start,track,grid,kidnap")
     parser.add_argument(
         "--swap",
         action="store_true",
@@ -321,8 +298,6 @@ def main() -> None:
         tracking(data)
     if "grid" in parts:
         in_grid(data)
-    if "filter" in parts:
-        particle_filter(data, rng)
     if "kidnap" in parts:
         kidnapped(data, 30, rng)
 

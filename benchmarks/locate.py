@@ -4,14 +4,12 @@
     python -m benchmarks.locate sharpness            # three raw logs; published corrected poses beside ours
     python -m benchmarks.locate offices --seeds 20   # simulated offices with truth: error and coverage
     python -m benchmarks.locate planted              # false closures planted among the true ones of aces
-    python -m benchmarks.locate wheels               # of three raw logs: both halves, and the drift over 10 m
 
 Real logs are looked for in ../shared/data (--data).
 """
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import time
 from collections.abc import Iterator
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import logs
+from benchmarks.arguments import parser_of
 from benchmarks.offices import office
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -35,7 +34,6 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scans import scan_points
-from sensorgraph.localization.wheels import corrected_steps, identify_wheels
 from sensorgraph.recording.controllers import WallFollowing
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.drive import react
@@ -261,53 +259,6 @@ def compare_planted(data: Path) -> None:
         )
 
 
-def compare_wheels(data: Path) -> None:
-    """Print the wheels by all of a log and by each half, and the odometry's median error after 10 m."""
-    for name in RAW:
-        run = raw(data, name)
-        motion = odometry_of(run)
-        assert motion is not None
-        found = map_run(run)
-        ok = np.flatnonzero(np.array(found.status) == "ok")
-        driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.poses[ok, :2], axis=0).T))])
-        turned = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(found.poses[ok, 2]))))])
-        keys = ok[np.flatnonzero(np.diff(np.floor(driven / 0.3) + np.floor(turned / 0.2)))]
-        odometry = odometry_at_scans(run, motion)
-        steps, measured = (
-            compose(invert(poses[keys[:-1]]), poses[keys[1:]]) for poses in (odometry, found.poses)
-        )
-        whole = np.hypot(*measured[:, :2].T) < 1.0  # the rest is across stretches that were lost
-        steps, measured = steps[whole], measured[whole]
-        halves = [
-            identify_wheels(steps[half], measured[half])
-            for half in (slice(None, len(steps) // 2), slice(len(steps) // 2, None))
-        ]
-        wheels = identify_wheels(steps, measured)
-        for word in ("way_scale", "turn_scale", "heading_bias"):
-            (a, b), (s, t) = ([getattr(half, word + end) for half in halves] for end in ("", "_sd"))
-            print(
-                f"{name} {word}: {getattr(wheels, word):.4f} ± {getattr(wheels, word + '_sd'):.4f}; halves {a:.4f} ± {s:.4f}, "
-                f"{b:.4f} ± {t:.4f}: {abs(a - b) / np.hypot(s, t):.1f} s.e. apart"
-            )
-        as_found = (wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
-        drifts = [drift(corrected_steps(steps, *of), measured) for of in ((1, 1, 0), as_found)]
-        print(f"{name} after 10 m: {100 * drifts[0]:.0f} cm as logged, {100 * drifts[1]:.0f} cm identified")
-
-
-def drift(steps: Floats, measured: Floats, way: float = 10.0) -> float:
-    """Return the median distance [m] of what steps add up to from the truth, after `way` [m]."""
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*measured[:, :2].T))])
-    off = []
-    for first in range(0, len(steps), 10):
-        last = int(np.searchsorted(driven, driven[first] + way))
-        if last < len(driven):
-            ends = np.zeros((2, 3))
-            for k in range(first, last):
-                ends = compose(ends, np.stack([steps[k], measured[k]]))
-            off.append(np.hypot(*(ends[1] - ends[0])[:2]))
-    return float(np.median(off))
-
-
 def no_ticks(done: int, total: int) -> None:
     """Show nothing."""
 
@@ -357,10 +308,8 @@ def judged(errors: Floats, turn: Floats, found: Localization) -> tuple[float, Fl
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=("relations", "sharpness", "offices", "planted", "wheels"))
+    parser = parser_of(__doc__)
+    parser.add_argument("what", choices=("relations", "sharpness", "offices", "planted"))
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--seeds", type=int, default=20, help="offices to drive through")
     parser.add_argument("--first", type=int, default=0, help="seed of the first office")
@@ -372,8 +321,6 @@ def main() -> None:
         compare_relations(options.data)
     elif options.what == "planted":
         compare_planted(options.data)
-    elif options.what == "wheels":
-        compare_wheels(options.data)
     elif options.what == "sharpness":
         compare_sharpness(options.data)
     else:

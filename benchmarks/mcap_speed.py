@@ -8,7 +8,6 @@ arrays. CPU time of this process, the best of the repeats, so that a loaded mach
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 import logs
+from benchmarks.arguments import parser_of
 from logs.ros.definitions import definition
 
 RAY_COUNTS = (181, 1081)
@@ -73,9 +73,7 @@ def best(work: Callable[[], object], repeat: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=10_000)
     parser.add_argument("--repeat", type=int, default=2)
     options = parser.parse_args()

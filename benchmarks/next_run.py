@@ -11,12 +11,12 @@ compared, per second of drive. The drives, their noise and the rooms come from s
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.worlds.own.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
@@ -104,9 +104,7 @@ def fitted(data: ScanData, effect: Amendment) -> Fitted:
 
 def main() -> None:
     """Read the command line, drive, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--random", type=int, default=8, help="random runs to compare with")
     parser.add_argument("--minutes", type=float, default=2.0)

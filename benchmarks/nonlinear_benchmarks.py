@@ -9,7 +9,6 @@ from the first 50 outputs and is scored after them, as the packages nonlinear_be
 
 from __future__ import annotations
 
-import argparse
 import logging
 import time
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from robotmodic_ident import AutoFit, auto_fit
 
 FOLDER = Path("../shared/data/nonlinear-benchmarks")
@@ -140,7 +140,7 @@ def draw(found: AutoFit, benchmark: Benchmark, path: Path) -> None:
 
 def main() -> None:
     """Read the command line and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
     parser.add_argument("--only", choices=("tanks", "silverbox"))
     parser.add_argument("--picture", type=Path, help="of the tanks")

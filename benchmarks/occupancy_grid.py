@@ -10,7 +10,6 @@ cell is given the cell with the largest share on its way, because errors are sco
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -18,6 +17,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser_of
 from benchmarks.tsdf import Tsdf
 from logs import Run, pair, read
 from sensorgraph.building.build import build
@@ -190,9 +190,7 @@ def compare(run: Run, name: str, split: str) -> None:
 
 def main() -> None:
     """Compare on every log given."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--split", default="block", choices=["block", "every10"])
     arguments = parser.parse_args()

@@ -11,7 +11,6 @@ plain numpy, in the same process.
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 import time
@@ -22,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
+from benchmarks.arguments import parser_of
 from benchmarks.offices import office
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
@@ -209,7 +209,7 @@ def interval(values: Floats) -> tuple[float, float]:
 
 def main() -> None:
     """Build, ask, print a row for each graph and the means."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arenas", default="office,1,2,3,4,5")
     parser.add_argument("--seeds", default="0,1")
     parser.add_argument("--poses", type=int, default=1000)

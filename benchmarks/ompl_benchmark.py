@@ -10,13 +10,13 @@ would cut the drive through the bins short.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ompl import geometric, tools, util  # type: ignore[import-untyped]
 
+from benchmarks.arguments import parser_of
 from planners.joins.ompl_process import planner_named
 from planners.ompl_planner import problem, registry_planners
 from planners.vehicle import Limits, Vehicle
@@ -33,7 +33,7 @@ OMPL_COLUMNS = {
 
 def main() -> None:
     """Run the benchmark, print a line for each run, write OMPL's log."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", default="square")
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
     parser.add_argument("--start", default="0.8,0.8,0.3", help="x,y,phi [m, m, rad]")

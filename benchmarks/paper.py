@@ -11,13 +11,13 @@ between 45° and 90°. Prints markdown; writes one picture each.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
 from planners.arena import Arena
@@ -197,9 +197,7 @@ def task(folder: Path) -> None:
 
 def main() -> None:
     """Run one experiment."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("experiment", choices=("environment", "task"))
     parser.add_argument("-o", "--out", type=Path, default=Path("docs"), help="folder of the picture")
     options = parser.parse_args()

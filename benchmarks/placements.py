@@ -11,7 +11,6 @@ placements the cells were better than the grid with the least MAE.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from benchmarks.arguments import parser_of
 from benchmarks.occupancy_grid import MAX_HIT, Grid, Tuned, tuned
 from logs import Run, pair, read
 from sensorgraph.building.build import build
@@ -90,9 +90,7 @@ def compare(run: Run, name: str, placements: int) -> None:
 
 def main() -> None:
     """Compare on every log given."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--placements", type=int, default=5)
     arguments = parser.parse_args()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from benchmarks.planted_site import MAP_MAX_RANGE, MAP_MIN_RANGE, Floats, LogWindow, limited, measured_rays
+from benchmarks.planted_site import MAP_MIN_RANGE, Floats, LogWindow, limited, measured_rays
 from logs import Run
 from logs.transforms import compose
 
@@ -53,11 +53,6 @@ def bias(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Gene
     return _ranges(run, run.ranges + size)
 
 
-def stretch(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
-    """Scale every reading."""
-    return _ranges(run, run.ranges * (1 + size))
-
-
 def drift(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
     """Lengthen readings more and more."""
     t = (run.stamps - run.stamps[0]) / (run.stamps[-1] - run.stamps[0])
@@ -88,20 +83,6 @@ def offset(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Ge
     poses[:, 0] -= size * np.cos(angle)
     poses[:, 1] -= size * np.sin(angle)
     return replace(run, poses=poses)
-
-
-def latency(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
-    """Stamp scans late: they were taken where the robot was before; all poses of the stretch are told."""
-    scans = window.scans
-    around = np.arange(scans[0], scans[-1] + 1)
-    told = np.arange(
-        log.stamps[scans[0]], log.stamps[scans[-1]], 0.1
-    )  # scans between two far poses are dropped
-    columns = [log.poses[around, 0], log.poses[around, 1], np.unwrap(log.poses[around, 2])]
-    poses = np.stack([np.interp(told, log.stamps[around], column) for column in columns], axis=1)
-    return replace(
-        run, stamps=run.stamps + size, pose_stamps=told, poses=poses, pose_covariances=np.zeros((0, 3, 3))
-    )
 
 
 def occlusion(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
@@ -152,20 +133,6 @@ def pillar(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Ge
     return best
 
 
-def noise(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
-    """Add noise in proportion to the range."""
-    return _ranges(run, np.abs(run.ranges * (1 + size * rng.normal(size=run.ranges.shape))))
-
-
-def outliers(run: Run, log: Run, window: LogWindow, size: float, rng: np.random.Generator) -> Run:
-    """Replace a share of the readings by any."""
-    some = (rng.random(run.ranges.shape) < size) & ~np.isnan(run.ranges)
-    return _ranges(
-        run,
-        np.where(some, np.round(rng.uniform(MAP_MIN_RANGE, MAP_MAX_RANGE, run.ranges.shape), 2), run.ranges),
-    )
-
-
 FULL_SIZE = (
     Plant("bias", "range_bias", 0.03, "m", bias, _of("b")),
     Plant("offset", "mount_xy", 0.06, "m", offset, _offset),
@@ -191,10 +158,4 @@ HALF_SIZE = (
     Plant("max range", "max_range", 6.0, "m", cut_off, _of("R")),
     Plant("lattice", "quantisation", 0.02, "m", lattice, _of("q")),
     Plant("pillar", "unmapped_obstacle", 0.10, "m", pillar, _of("r", 2.0)),
-)
-OTHERS = (
-    Plant("latency", "latency", 0.12, "s", latency, _of("tau")),
-    Plant("scale", "range_scale", 0.02, "", stretch, _of("s")),
-    Plant("range noise", "range_noise", 0.02, "m/m", noise, _of("k")),
-    Plant("outliers", "random_outliers", 0.05, "", outliers, _of("p")),
 )

@@ -31,8 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import existing
-from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, OTHERS, Plant
+from benchmarks.arguments import existing, parser_of
+from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, Plant
 from benchmarks.planted_site import (
     SCANS_IN_GRAPH,
     LogWindow,
@@ -167,9 +167,7 @@ def known_good(
 
 def arguments_given() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", nargs="?", type=existing, default=str(LOG))
     parser.add_argument("--effects", default="", help="labels, comma-separated; default: all")
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
@@ -183,7 +181,7 @@ def arguments_given() -> argparse.Namespace:
     parser.add_argument(
         "--scans", type=int, default=SCANS_IN_GRAPH, help="of the log in a window against a graph"
     )
-    parser.add_argument("--only", default="full,half,also", help="which lists of effects")
+    parser.add_argument("--only", default="full,half", help="which lists of effects")
     parser.add_argument("--undithered", action="store_true", help="do not tell the resolution of the laser")
     parser.add_argument("--quiet", action="store_true", help="the table only")
     return parser.parse_args()
@@ -195,7 +193,7 @@ def main() -> None:
     log = read(arguments.log)
     if arguments.graph or arguments.pixels:
         log = scans_alone(log)
-    lists = {"full": FULL_SIZE, "half": HALF_SIZE, "also": OTHERS}
+    lists = {"full": FULL_SIZE, "half": HALF_SIZE}
     plants = [p for part in arguments.only.split(",") if part in lists for p in lists[part]]
     if arguments.effects:
         plants = [p for p in plants if p.label in arguments.effects.split(",")]

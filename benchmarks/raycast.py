@@ -11,13 +11,13 @@ MuJoCo casts in 3-D against boxes 1 mm thick and leaks at corners: shown as it i
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
 import numpy as np
 import shapely
 
+from benchmarks.arguments import parser_of
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.world.ray_intersection import nearest_walls_plain
@@ -185,7 +185,7 @@ def compare(name: str, arena: Arena, rng: np.random.Generator, n_poses: int, n_s
 
 def main() -> None:
     """Run both worlds."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=0)
     rng = np.random.default_rng(parser.parse_args().seed)
     compare("Room", room(rng), rng, 2000, 60)

@@ -13,7 +13,6 @@ processor time in it, of all processes; compiling is left out.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import gzip
 import json
@@ -27,6 +26,7 @@ import numpy as np
 import yaml
 from PIL import Image
 
+from benchmarks.arguments import parser_of
 from benchmarks.coverage_planners import vehicle, warm_up
 from planners import plan
 from planners.arena import Arena
@@ -42,7 +42,7 @@ FREE, OCCUPIED = 254, 0
 
 def main() -> None:
     """Plan the floors that the output lacks, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("-o", "--out", type=Path, default=Path("real_floors.jsonl"))
     parser.add_argument("--raster", nargs="*", default=[], help="floors to plan as raster maps of 5 cm, too")

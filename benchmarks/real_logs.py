@@ -9,7 +9,6 @@ from what the split leaves of all the logs given, five stretches in fifty of eac
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser_of
 from logs import Run, pair, read
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
@@ -141,9 +141,7 @@ def write(path: Path, logs: list[TrainingLog], split: str) -> None:
 
 def main() -> None:
     """Compare on, or learn from, every log given."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--split", default="block", choices=["block", "every10"])
     parser.add_argument("--others", action="store_true")

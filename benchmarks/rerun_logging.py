@@ -8,7 +8,6 @@ points to a file in one process, in turn; the fastest of three repeats counts.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+
+from benchmarks.arguments import parser_of
 
 N_LOGGED_RAYS = 181
 
@@ -54,7 +55,7 @@ def in_columns(block: int) -> Callable[..., None]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=5000)
     n = parser.parse_args().scans
     rng = np.random.default_rng(0)

@@ -9,13 +9,13 @@ with it, and compared with what was recorded. Events are returns that are missin
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import welch
 
+from benchmarks.arguments import parser_of
 from logs import read
 from logs.run import Run, pair
 from logs.transforms import compose
@@ -35,9 +35,7 @@ SEED = 1
 
 def main() -> None:
     """Print the table and draw the picture."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("graph", type=Path)
     parser.add_argument("run", type=Path)
     parser.add_argument("--scans", type=int, default=4000)

@@ -9,11 +9,11 @@ which a quarter of the log is lost, in spells of two seconds.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from planners import plan
 from planners.arena import Arena
 from planners.types import Floats
@@ -27,7 +27,7 @@ SPELL = 20
 
 def main() -> None:
     """Print a row for each earlier run."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", default="office")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()

@@ -12,7 +12,6 @@ the means with their 95 % intervals, also of the rounds less the best drive plan
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from benchmarks.arguments import parser_of
 from benchmarks.error_by_minutes import Place, check_of, place_of, ways
 from logs.run import Run, pair
 from planners import plan
@@ -38,7 +38,7 @@ AHEAD = 40.0
 
 def main() -> None:
     """Drive the rounds, build, ask; print a table and after how long they are as good."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", nargs="+", default=["office"])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--ahead", nargs="*", default=["anytime", "views", "wall following"])

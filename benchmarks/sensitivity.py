@@ -14,7 +14,6 @@ model (GoodnessOfFitSettings, NamingSettings) does not need another search: that
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import inspect
 import logging
@@ -37,6 +36,7 @@ from numba.core.dispatcher import Dispatcher
 
 import sensorgraph.diagnosis.motion
 import sensorgraph.diagnosis.scan
+from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.case import Spec
 from benchmarks.hidden_effects.entrants.product import run_of
 from benchmarks.hidden_effects.worlds.own.cases import make
@@ -289,9 +289,7 @@ def _answer(to: Connection, answer: Callable[[], list[str]], setting: Setting | 
 
 def main() -> None:
     """Print what moves."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--only", default="", help="parts of the names of settings, comma-separated")
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]

@@ -14,7 +14,6 @@ within half a step to its held-out readings, which shows how much of a differenc
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
+from benchmarks.arguments import parser_of
 from benchmarks.occupancy_grid import Grid, tuned
 from logs import pair, read
 from logs.motion import ray_poses
@@ -189,9 +189,7 @@ def picture(logs: list[Scored], path: Path) -> None:
 
 def main() -> None:
     """Print one row for each log."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("logs", type=Path, nargs="+")
     parser.add_argument("--most", type=int, default=200, help="held-out scans of each log")
     parser.add_argument("--dither", type=float, default=0.0, help="[m] step of the readings of the logs")

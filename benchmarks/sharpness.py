@@ -8,10 +8,10 @@ As found: by `locate`. As stated: those of the log, untested. The log is located
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 
 import logs
+from benchmarks.arguments import parser_of
 from logs.run import Run
 from sensorgraph.cli.inputs import read_options
 from sensorgraph.localization.locate import locate, located_run
@@ -34,10 +34,7 @@ def cells(run: Run) -> float:
 
 def main() -> None:
     """Print a row a log."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.sharpness", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = parser_of(__doc__)
     parser.add_argument("logs", nargs="+")
     parser.add_argument("--topic", action="append")
     given = parser.parse_args()

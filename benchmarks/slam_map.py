@@ -9,14 +9,13 @@ Kümmerle, Burgard, Limketkai and Vincent 2010, Efficient sparse pose adjustment
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.arguments import existing
+from benchmarks.arguments import existing, parser_of
 from logs import pair, read
 
 Floats = NDArray[np.float64]
@@ -78,9 +77,7 @@ def write(folder: Path, grey: NDArray[np.uint8], origin: tuple[float, float], ce
 
 def main() -> None:
     """Map a log."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=existing)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--first-half", action="store_true", help="of the log alone")

@@ -14,7 +14,6 @@ from the reference after the best rigid motion. Seconds are of CPU time, of all 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import os
@@ -35,6 +34,7 @@ import numpy as np
 import yaml
 
 import logs
+from benchmarks.arguments import parser_of
 from benchmarks.locate import aligned
 from logs.formats import FORMATS, format_of
 from logs.formats.bag_folder import logs_in
@@ -274,10 +274,7 @@ def lines_of(rows: Sequence[Row], commands: Sequence[str]) -> list[str]:
 
 def main() -> int:
     """Print the table, and return 1 if a command ended with neither a result nor one line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.strangers", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = parser_of(__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--only", default="*", help="patterns of names, separated by commas")
     parser.add_argument("--commands", default=",".join(COMMANDS))

@@ -12,12 +12,12 @@ row is the shipped robot as `sensorgraph record` simulates it, with its controll
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from planners import Plan, plan
 from planners.arena import Arena, wrap
 from planners.search import area
@@ -39,7 +39,7 @@ N_SEEDS = 5
 
 def main() -> None:
     """Print coverage and core by error for both plans."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arena", default="square")
     parser.add_argument("--memory", type=float, default=2.0, help="[s] that an error lasts")
     options = parser.parse_args()

@@ -10,11 +10,11 @@ free run: what lags add.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.arguments import parser_of
 from benchmarks.drives import closed_loop, robot_of_the_paper
 from logs.run import Run
 from planners import plan
@@ -57,7 +57,7 @@ def said(found: Evaluation) -> str:
 
 def main() -> None:
     """Read the command line and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--rays", type=int, default=61)
     arguments = parser.parse_args()

@@ -9,12 +9,12 @@ The report and its pictures are in DIR/diagnosis.
 
 from __future__ import annotations
 
-import argparse
 import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from benchmarks.arguments import parser_of
 from sensorgraph.cli import run as command
 
 NEW_BOX = [[7.2, 5.8], [7.5, 5.8], [7.5, 6.1], [7.2, 6.1], [7.2, 5.8]]
@@ -39,7 +39,7 @@ def changed(office: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Drive, build, change, drive, diagnose."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, metavar="DIR")
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)

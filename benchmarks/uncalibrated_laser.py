@@ -13,7 +13,6 @@ Nothing here is shared with the calibration.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -22,6 +21,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from benchmarks.arguments import parser_of
 from benchmarks.offices import office
 from logs.run import RangeSensor
 from planners.arena import Arena
@@ -178,7 +178,7 @@ def table(rows: dict[str, list[Floats]]) -> str:
 
 def main() -> None:
     """Run the trials and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--arenas", default="101,102,103,104,105")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="laser", choices=["laser", "laser-poses", "poses", "perfect"])

@@ -11,7 +11,6 @@ nearest of the four rates, and no prediction leaves their range. The nearest-nei
 
 from __future__ import annotations
 
-import argparse
 import gzip
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.arguments import parser_of
 from planners.types import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from sensorgraph.identification.identify import score
@@ -127,9 +127,7 @@ def row(label: str, folds: Blocks, predict: Predict, size: str = "–") -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
     record = read(parser.parse_args().folder)
     folds = blocks(record)

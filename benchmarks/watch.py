@@ -19,7 +19,6 @@ with densities from right and wrong poses of the first half.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -33,6 +32,7 @@ from scipy.stats import gaussian_kde, rankdata
 
 import logs
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from logs.run import OccupancyMap, RangeSensor
@@ -339,9 +339,7 @@ def clean_part(data: Halves, graph: Sensorgraph) -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--part", choices=("clean", "pose"), default="clean")

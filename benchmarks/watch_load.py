@@ -12,7 +12,6 @@ graph, the second one is watched, forward and backward in turn, until `--hours` 
 
 from __future__ import annotations
 
-import argparse
 import gc
 import tempfile
 import time
@@ -27,6 +26,7 @@ import numpy as np
 
 import logs
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.particle_filter import driven
 from logs.run import Run
 from sensorgraph.watching.observation import Observation
@@ -112,9 +112,7 @@ def watch(folder: Path, rate: float, hours: float) -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--minutes", type=float, default=4.0)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--rate", type=float, default=40.0, help="[Hz] of the laser")

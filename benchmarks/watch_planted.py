@@ -13,7 +13,6 @@ The graph is of the first half, as in `benchmarks.watch`. Parts:
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sensorgraph as sg
+from benchmarks.arguments import parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from benchmarks.watch import Watched, clean_scans, stretch
@@ -195,9 +195,7 @@ def _is_at(change: PlaceChange, thing: Floats) -> bool:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--part", choices=("robot", "place"), required=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import tempfile
@@ -13,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import benchmarks.fuzz
+from benchmarks.arguments import parser_of
 from benchmarks.fuzz.commands import COMMANDS, COST, COSTLY, fuzz_command
 from benchmarks.fuzz.readers import READERS, fuzz_reader
 
@@ -39,9 +39,7 @@ def cost(name: str) -> float:
 
 def main() -> int:
     """Fuzz, print a table, and return 1 if anything was found."""
-    parser = argparse.ArgumentParser(
-        description=benchmarks.fuzz.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(benchmarks.fuzz.__doc__)
     parser.add_argument(
         "--inputs", type=int, default=100_000, help="of all together; slow commands get fewer"
     )
