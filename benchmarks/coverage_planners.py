@@ -18,12 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import parser_of
-from benchmarks.offices import office
+from benchmarks.places import arena_named, vehicle
 from planners import PlanError, plan
 from planners.arena import Arena
-from planners.maps import geojson
 from planners.types import Floats
-from planners.vehicle import Drive, Limits, Vehicle
+from planners.vehicle import Drive
 from sensorgraph.loading import load_arena
 from sensorgraph.show.figures.drives import growth_picture
 
@@ -49,7 +48,7 @@ def main() -> None:
         return
     arenas = {name: load_arena(name) for name in options.arena}
     arenas |= {
-        f"office {k}": geojson.loads(office(k)) for k in range(options.first, options.first + options.random)
+        f"office {k}": arena_named(str(k)) for k in range(options.first, options.first + options.random)
     }
     planners = options.planner if options.drive == "diff" else ["coverage"]
     print(TABLE_HEAD)
@@ -57,11 +56,6 @@ def main() -> None:
         rows = [row(name, arena, planner, options.drive) for name, arena in arenas.items()]
         if options.random:
             summary(planner, np.array(rows[-options.random :]))
-
-
-def vehicle(drive: Drive) -> Vehicle:
-    """Return the robot of the benchmark."""
-    return Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
 
 
 def warm_up(drive: Drive) -> None:

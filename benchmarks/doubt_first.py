@@ -10,19 +10,18 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.drives import drive_and_log
+from benchmarks.places import vehicle
 from planners import plan
 from planners.arena import Arena
 from planners.planning import Plan
 from planners.types import Floats
-from planners.vehicle import Drive, Limits, Vehicle
+from planners.vehicle import Drive
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import uncertainty
-from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import default_robot
-from sensorgraph.world.simulate import simulate
-from sensorgraph.world.wall_distance import WallDistance
 
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 """Of the reference time."""
@@ -44,7 +43,7 @@ def main() -> None:
         arena = load_arena(name)
         graph = bounced(arena, options.minutes, options.seed)
         for drive in options.drive:
-            robot = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+            robot = vehicle(drive)
             without = plan(arena, robot)
             doubts = uncertainty(graph, without.coverage)
             by_doubt = plan(arena, robot, priority=doubts)
@@ -56,10 +55,9 @@ def main() -> None:
 
 def bounced(arena: Arena, minutes: float, seed: int) -> Sensorgraph:
     """Return the graph of a random drive by the shipped robot."""
-    robot, rng = default_robot(), np.random.default_rng(seed)
+    robot = default_robot()
     drive = plan(arena, robot, planner="random_bounce", duration=60.0 * minutes, seed=seed).trajectory
-    driven = follow(drive, robot, clearance=WallDistance(arena), rng=rng)
-    return build([simulate(driven, arena, robot, rng=rng, seed=seed)])
+    return build([drive_and_log(drive, arena, robot, seed)])
 
 
 def growth(made: Plan, doubts: Floats) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy as np
 from logs.run import Run
 from planners import plan
 from planners.arena import Arena
+from planners.trajectory import Trajectory
 from planners.types import Floats
+from sensorgraph.effects import Amendment
 from sensorgraph.recording.controllers import Controller, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.drive import follow, react
@@ -38,10 +41,16 @@ def closed_loop(
     return simulate(driven, arena, robot, rng=rng, perceive=world.scans, meta=meta)
 
 
-def covered(arena: Arena, seed: int, *, cell: float = 0.25, headings: int = 16) -> Run:
-    """Drive a coverage plan with the shipped robot."""
-    robot = default_robot()
-    way = plan(arena, robot, cell=cell, headings=headings, seed=seed).trajectory
+def drive_and_log(
+    trajectory: Trajectory, arena: Arena, robot: Robot, seed: int, effects: Sequence[Amendment] = ()
+) -> Run:
+    """Follow a trajectory with the robot's motors and noise, and log it."""
     rng = np.random.default_rng(seed)
-    driven = follow(way, robot, clearance=WallDistance(arena), rng=rng)
-    return simulate(driven, arena, robot, rng=rng)
+    driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
+    return simulate(driven, arena, robot, rng=rng, effects=effects, seed=seed)
+
+
+def covered(arena: Arena, robot: Robot, seed: int, *, headings: int = 16) -> Run:
+    """Drive a coverage plan."""
+    way = plan(arena, robot, cell=0.25, headings=headings, seed=seed).trajectory
+    return drive_and_log(way, arena, robot, seed)

@@ -8,7 +8,6 @@ runs, and prints how many were given a name or a doubt.
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 
 import sensorgraph as sg
 from benchmarks.arguments import parser_of
+from benchmarks.hidden_effects.case import geojson as written
 from planners.maps import geojson
 from sensorgraph.world.robot import parse_robot
 
@@ -35,18 +35,6 @@ class Setup:
     """How `plan` divides poses."""
     berth: float = 0.0
     """[m] that the plan keeps from walls beyond its own margin: a robot that touches one has something to hide."""
-
-    def arena(self) -> str:
-        """Return the arena as GeoJSON."""
-        features = [
-            {
-                "type": "Feature",
-                "properties": {"name": name, "kind": "arena" if name == "arena" else "obstacle"},
-                "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-            }
-            for name, ring in self.rings.items()
-        ]
-        return json.dumps({"type": "FeatureCollection", "features": features})
 
 
 def box(x: float, y: float, width: float, depth: float) -> Ring:
@@ -114,17 +102,14 @@ def main() -> None:
     """Plan once for each robot, record and diagnose once for each seed."""
     parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=6, help="runs of each robot")
-    parser.add_argument("--first", type=int, default=1, help="first seed")
-    parser.add_argument("--robot", choices=list(SETUPS), action="append", help="only these robots")
     options = parser.parse_args()
     print(f"{'robot':14} {'minutes':>8} {'runs':>5} {'named':>6} {'doubted':>8} {'CPU s a run':>12}")
-    for name in options.robot or SETUPS:
-        setup = SETUPS[name]
-        arena, robot = geojson.loads(setup.arena()), parse_robot(setup.robot)
+    for name, setup in SETUPS.items():
+        arena, robot = geojson.loads(written("arena", setup.rings)), parse_robot(setup.robot)
         wide = replace(robot, footprint_radius=robot.footprint_radius + setup.berth)
         plan = sg.plan(arena, wide, **setup.grid)
         named, doubts, seconds, minutes = 0, [], [], 0.0
-        for seed in range(options.first, options.first + options.seeds):
+        for seed in range(1, options.seeds + 1):
             run = sg.record(plan, robot=robot, seed=seed)
             if run.meta["contacts"] != "0":
                 raise SystemExit(f"{name}, seed {seed}: the robot touched a wall; give it a wider berth")

@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.drives import drive_and_log
 from benchmarks.error_tables import ALL_MINUTES, DriveScore, picture, single_places, summary
-from benchmarks.offices import office
+from benchmarks.places import arena_named
 from logs.run import Run, pair
 from planners import plan
 from planners.arena import Arena
 from planners.clearance import Barriers
-from planners.maps import geojson
 from planners.reach import reach
 from planners.trajectory import Trajectory
 from planners.types import Floats
@@ -42,14 +42,10 @@ from sensorgraph.building.build import build
 from sensorgraph.demo import N_CHECK_POSES, check_run
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.survey import survey_of
 from sensorgraph.planning.views import views_within
-from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import Robot, default_robot
-from sensorgraph.world.simulate import simulate
-from sensorgraph.world.wall_distance import WallDistance
 
 FIRST_MINUTES = 5.0
 """[min] after which the next run is planned by what the graph does not know."""
@@ -113,10 +109,16 @@ class Place:
         return self.scanned(through(max(round(0.97 * n * 60 * minutes / drive.duration), 1)), minutes)
 
     def scanned(self, trajectory: Trajectory, minutes: float) -> Run:
-        return drive_and_scan(trajectory, minutes, self.arena, self.robot, self.seed)
+        """Drive the first minutes of a trajectory (all of it where it is shorter) and log."""
+        keep = trajectory.stamps <= 60.0 * minutes
+        parts = {
+            name: getattr(trajectory, name)[keep] for name in ("stamps", "poses", "twists", "primitives")
+        }
+        return drive_and_log(replace(trajectory, **parts), self.arena, self.robot, self.seed)
 
     def cut(self, run: Run, minutes: float) -> Run:
-        return first(run, minutes, self.thin)
+        """Return every `thin`-th scan of the first minutes."""
+        return run.take_scans(np.flatnonzero(run.stamps <= 60.0 * minutes)[:: self.thin])
 
 
 def ways(place: Place) -> dict[str, Drive]:
@@ -124,8 +126,8 @@ def ways(place: Place) -> dict[str, Drive]:
     most = max(ALL_MINUTES)
 
     def one_drive(planner: str, cell: float) -> Drive:
-        driven = cache(lambda: place.planned(planner, cell, most))
-        return lambda minutes: [place.cut(driven(), minutes)]
+        whole = cache(lambda: place.planned(planner, cell, most))
+        return lambda minutes: [place.cut(whole(), minutes)]
 
     @cache
     def start() -> tuple[Run, Sensorgraph]:
@@ -161,27 +163,6 @@ def ways(place: Place) -> dict[str, Drive]:
     }
 
 
-def drive_and_scan(trajectory: Trajectory, minutes: float, arena: Arena, robot: Robot, seed: int) -> Run:
-    """Drive the first minutes of a trajectory (all of it where it is shorter) and log."""
-    keep = trajectory.stamps <= 60.0 * minutes
-    part = replace(
-        trajectory,
-        stamps=trajectory.stamps[keep],
-        poses=trajectory.poses[keep],
-        twists=trajectory.twists[keep],
-        primitives=trajectory.primitives[keep],
-    )
-    rng = np.random.default_rng(seed)
-    driven = follow(part, robot, clearance=WallDistance(arena), rng=rng)
-    return simulate(driven, arena, robot, rng=rng, seed=seed)
-
-
-def first(run: Run, minutes: float, thin: int) -> Run:
-    """Return every `thin`-th scan of the first minutes."""
-    keep = np.flatnonzero(run.stamps <= 60.0 * minutes)[::thin]
-    return replace(run, stamps=run.stamps[keep], ranges=run.ranges[keep])
-
-
 def row(way: str, runs: list[Run], found: Evaluation) -> DriveScore:
     """Collect the numbers of one graph."""
     wrong, of_answered, median = (
@@ -204,9 +185,8 @@ def row(way: str, runs: list[Run], found: Evaluation) -> DriveScore:
 def place_of(name: str, robot: Robot, seed: int, thin: int) -> Place:
     """Return a place by the name of its arena: shipped, the seed of a random office, or FILE@X,Y."""
     path, _, at = name.partition("@")
-    arena = geojson.loads(office(int(name))) if name.isdigit() else load_arena(path)
     start = np.array([*(float(value) for value in at.split(",")), 0.0]) if at else None
-    return Place(arena=arena, robot=robot, seed=seed, thin=thin, start=start)
+    return Place(arena=arena_named(path), robot=robot, seed=seed, thin=thin, start=start)
 
 
 def check_of(place: Place) -> Run:

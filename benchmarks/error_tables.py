@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from benchmarks.measures import half_interval
 from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 
 ALL_MINUTES = (2, 5, 10, 20, 40)
@@ -73,7 +73,7 @@ def summary(rows: list[dict[str, Any]], path: Path) -> None:
     for way, colour in zip(ways_kept, COLOURS, strict=False):
         shares = [np.array(list(wrong_by_place(rows, way, minutes).values())) for minutes in ALL_MINUTES]
         mean = np.array([some.mean() if len(some) else np.nan for some in shares])
-        half = np.array([interval(some) for some in shares])
+        half = np.array([half_interval(some) for some in shares])
         runs = sum(row["way"] == way for row in rows) // len(ALL_MINUTES)
         print(line(f"{way} | {len(shares[-1])} ({runs})", shares))
         axes.plot(ALL_MINUTES, mean, color=colour, lw=1.8, marker="o", ms=4, label=way)
@@ -137,13 +137,6 @@ def common(rows: list[dict[str, Any]], *some: str) -> list[dict[str, Any]]:
 def line(name: str, shares: list[np.ndarray]) -> str:
     """Return a line of the table: means [%] and their intervals, a cell for each length of drive."""
     cells = " | ".join(
-        f"{some.mean() if len(some) else np.nan:.3f} ± {interval(some):.3f} %" for some in shares
+        f"{some.mean() if len(some) else np.nan:.3f} ± {half_interval(some):.3f} %" for some in shares
     )
     return f"| {name} | {cells} |"
-
-
-def interval(some: np.ndarray) -> float:
-    """Return half the 95 % interval of a mean, by Student's t."""
-    if len(some) < 2:
-        return float("nan")
-    return float(stats.t.ppf(0.975, len(some) - 1) * some.std(ddof=1) / np.sqrt(len(some)))

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -30,6 +29,7 @@ import numpy as np
 import logs
 import sensorgraph as sg
 from benchmarks.arguments import existing, parser_of
+from benchmarks.measures import cpu
 from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.surveying.fleet import quantities_of
@@ -166,12 +166,13 @@ def command(folder: Path, out: Path, workers: int) -> list[str]:
 
 def run(folder: Path, workers: int) -> None:
     """Survey the fleet, and compare with what was planted."""
-    begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command(folder, folder / "fleet", workers), check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.monotonic()
+    with cpu() as took:
+        subprocess.run(command(folder, folder / "fleet", workers), check=True)
     compare(folder)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    print(f"wall {time.monotonic() - begin:.0f} s; CPU of the coordinator and of ended processes {cpu:.0f} s")
+    print(
+        f"wall {time.monotonic() - begin:.0f} s; CPU of the coordinator and of ended processes {took[0]:.0f} s"
+    )
 
 
 def compare(folder: Path) -> None:

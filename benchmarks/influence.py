@@ -19,7 +19,7 @@ from sensorgraph.identification.influence import influence, table
 from sensorgraph.loading import load_arena
 from sensorgraph.recording.controllers import PolynomialController
 from sensorgraph.show.figures.influence import influence_picture
-from sensorgraph.world.robot import load_robot
+from sensorgraph.world.robot import default_robot
 
 SEED = 6  # of the reported figures
 
@@ -31,8 +31,8 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=64)
     parser.add_argument("--duration", type=float, default=90.0)
     arguments = parser.parse_args()
-    robot = load_robot()
-    graph = build([covered(load_arena("square"), SEED)])
+    robot = default_robot()
+    graph = build([covered(load_arena("square"), robot, SEED)])
     designed = design(graph, DesignTask(wall_distance=0.5, speed=0.2), robot, seed=SEED)
     steer = PolynomialController(designed.model, designed.facts, robot, name="the design")
     found = influence(

@@ -15,9 +15,9 @@ import time
 
 from benchmarks.arguments import parser_of
 from benchmarks.offices import office
+from benchmarks.places import vehicle
 from planners import plan
 from planners.maps import geojson
-from planners.vehicle import Drive, Limits, Vehicle
 
 
 def main() -> None:
@@ -25,19 +25,12 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--side", type=float, default=50.0, help="[m]")
     parser.add_argument("--rooms", type=int, default=36)
-    parser.add_argument("--cell", type=float, default=0.25, help="[m]")
-    parser.add_argument("--headings", type=int, default=16)
-    parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    arena = geojson.loads(office(options.seed, width=options.side, depth=options.side, rooms=options.rooms))
-    plan(
-        geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), vehicle(options.drive), cell=0.5, headings=4
-    )
+    arena = geojson.loads(office(0, width=options.side, depth=options.side, rooms=options.rooms))
+    robot = vehicle("diff")
+    plan(geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), robot, cell=0.5, headings=4)  # compiles
     began, cpu = time.perf_counter(), time.process_time()
-    report = plan(
-        arena, vehicle(options.drive), cell=options.cell, headings=options.headings, progress=said
-    ).report
+    report = plan(arena, robot, cell=0.25, headings=16, progress=said).report
     if sys.stderr.isatty():
         sys.stderr.write("\n")
     bins = report["reachable_cells"]
@@ -51,11 +44,6 @@ def main() -> None:
         f"{1e4 * report['planning_s'] / bins:.1f} s per 10,000 bins); "
         f"most memory {peak():.2f} GiB"
     )
-
-
-def vehicle(drive: Drive) -> Vehicle:
-    """Return the robot of the benchmark."""
-    return Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
 
 
 def said(done: int, total: int) -> None:

@@ -11,9 +11,6 @@ Real logs are looked for in ../shared/data (--data).
 from __future__ import annotations
 
 import gzip
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,10 +20,10 @@ from scipy.spatial import cKDTree
 
 import logs
 from benchmarks.arguments import parser_of
-from benchmarks.offices import office
+from benchmarks.measures import cpu
+from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from planners.maps import geojson
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.loop_closures import LoopCloser, spread
 from sensorgraph.localization.mapping import map_run
@@ -159,7 +156,7 @@ def aligned(found: Floats, truth: Floats) -> tuple[Floats, Floats]:
 
 def office_run(seed: int, seconds: float) -> tuple[Run, Floats]:
     """Follow the walls of a random office, which leads around it again and again; return true poses of the scans, too."""
-    arena, robot = geojson.loads(office(seed)), default_robot()
+    arena, robot = arena_named(str(seed)), default_robot()
     wheels = Drivetrain.of(robot)
     wheels.measured = np.array([[SCALE, 0.0], [BIAS, SCALE]])
     rng = np.random.default_rng([seed, 16])
@@ -171,14 +168,6 @@ def office_run(seed: int, seconds: float) -> tuple[Run, Floats]:
     drive = react(WallFollowing(robot, seed), world.scan, start, seconds, robot, clearance=clearance)
     run = simulate(drive, arena, robot, rng=rng, seed=seed, drivetrain=wheels)
     return run, drive.at(run.stamps)
-
-
-@contextmanager
-def cpu() -> Iterator[list[float]]:
-    """Measure the seconds of one core that a block takes."""
-    took = [time.process_time()]
-    yield took
-    took[0] = time.process_time() - took[0]
 
 
 def raw(data: Path, name: str) -> Run:
@@ -204,7 +193,7 @@ def compare_relations(data: Path) -> None:
 def compare_sharpness(data: Path) -> None:
     for name in RAW:
         run = raw(data, name)
-        map_run(first_scans(run, 50))  # compiles
+        map_run(run.take_scans(slice(50)))  # compiles
         with cpu() as took:
             found = map_run(run)
         print(f"{name}: {run.duration / took[0]:.0f} x real time on one core; {found.wheels}")
@@ -266,10 +255,6 @@ def no_ticks(done: int, total: int) -> None:
 def read_relations(data: Path) -> Floats:
     with gzip.open(data / "raw-carmen" / "aces.relations.gz", "rt") as file:
         return np.loadtxt(file)
-
-
-def first_scans(run: Run, n: int) -> Run:
-    return replace(run, stamps=run.stamps[:n], ranges=run.ranges[:n])
 
 
 def compare_offices(seeds: int, first: int, seconds: float) -> None:

@@ -9,8 +9,6 @@ arrays. CPU time of this process, the best of the repeats, so that a loaded mach
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +18,7 @@ from mcap_ros2.writer import Writer
 
 import logs
 from benchmarks.arguments import parser_of
+from benchmarks.measures import fastest
 from logs.ros.definitions import definition
 
 RAY_COUNTS = (181, 1081)
@@ -63,15 +62,6 @@ def peer_read(path: Path) -> np.ndarray:
         )
 
 
-def best(work: Callable[[], object], repeat: int) -> float:
-    times = []
-    for _ in range(repeat):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
-
-
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=10_000)
@@ -85,12 +75,12 @@ def main() -> None:
             run = make_run(options.scans, n_rays)
             times = {
                 "write": (
-                    best(lambda run=run: logs.write(run, ours), options.repeat),
-                    best(lambda run=run: peer_write(run, theirs), options.repeat),
+                    fastest(lambda run=run: logs.write(run, ours), options.repeat),
+                    fastest(lambda run=run: peer_write(run, theirs), options.repeat),
                 ),
                 "read": (
-                    best(lambda: logs.read(ours), options.repeat),
-                    best(lambda: peer_read(theirs), options.repeat),
+                    fastest(lambda: logs.read(ours), options.repeat),
+                    fastest(lambda: peer_read(theirs), options.repeat),
                 ),
             }
             np.testing.assert_array_equal(

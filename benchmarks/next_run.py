@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.drives import drive_and_log
 from benchmarks.hidden_effects.worlds.own.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
@@ -30,10 +31,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import Robot, default_robot
-from sensorgraph.world.simulate import simulate
-from sensorgraph.world.wall_distance import WallDistance
 
 N_SENSOR_RAYS = 91
 DECIDED = NEXT_RUN.forecast.decided_nats
@@ -76,10 +74,7 @@ def pairs(arena: Arena) -> dict[str, tuple[Amendment, Amendment]]:
 
 def measured(trajectory: Trajectory, arena: Arena, robot: Robot, effect: Amendment, seed: int) -> ScanData:
     """Drive and scan with an effect."""
-    rng = np.random.default_rng(seed)
-    driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
-    run = simulate(driven, arena, robot, rng=rng, effects=[effect], seed=seed)
-    return prepare_scans(run, arena, robot)[0]
+    return prepare_scans(drive_and_log(trajectory, arena, robot, seed, [effect]), arena, robot)[0]
 
 
 def nats(data: ScanData, a: Amendment, b: Amendment) -> tuple[float, Amendment]:

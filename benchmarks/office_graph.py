@@ -11,21 +11,18 @@ plain numpy, in the same process.
 
 from __future__ import annotations
 
-import math
 import tempfile
 import time
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
 from benchmarks.arguments import parser_of
-from benchmarks.offices import office
+from benchmarks.measures import fastest, half_interval
+from benchmarks.places import arena_named
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from planners.maps import geojson
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
@@ -76,13 +73,6 @@ GRAPH_COLUMNS = {
     "speed": ("M rays/s", 1e-6, 2),
     "ratio": ("times numpy", 1.0, 0),
 }
-
-
-def arena_named(name: str) -> Arena:
-    """Return the shipped office, or a random one by its number."""
-    if name.isdigit():
-        return geojson.loads(office(int(name)))
-    return geojson.loads(files("sensorgraph.data").joinpath(f"{name}.geojson").read_text())
 
 
 def somewhere(arena: Arena, n: int, rng: np.random.Generator) -> Floats:
@@ -149,16 +139,10 @@ def size_of(graph: Sensorgraph) -> float:
 
 def speeds(graph: Sensorgraph, poses: Floats) -> tuple[float, float]:
     """Return rays a second of one core: compiled, and in plain numpy."""
-    best = math.inf
-    for _ in range(REPEATS):
-        clock = time.process_time()
-        graph.predict(poses)
-        best = min(best, time.process_time() - clock)
-    assert isinstance(graph.model, Faces)
-    clock = time.process_time()
-    predict_plain(graph.model, poses[:N_PLAIN])
-    plain = time.process_time() - clock
-    n_rays = graph.sensor.n_rays
+    model, n_rays = graph.model, graph.sensor.n_rays
+    assert isinstance(model, Faces)
+    best = fastest(lambda: graph.predict(poses), REPEATS)
+    plain = fastest(lambda: predict_plain(model, poses[:N_PLAIN]), 1)
     return len(poses) * n_rays / best, N_PLAIN * n_rays / plain
 
 
@@ -199,14 +183,6 @@ def predict_plain(model: Faces, poses: Floats) -> Floats:
     return out
 
 
-def interval(values: Floats) -> tuple[float, float]:
-    """Return the mean and half its 95 % interval."""
-    n = len(values)
-    if n < 2:
-        return float(values.mean()), math.nan
-    return float(values.mean()), float(student.ppf(0.975, n - 1) * values.std(ddof=1) / math.sqrt(n))
-
-
 def main() -> None:
     """Build, ask, print a row for each graph and the means."""
     parser = parser_of(__doc__)
@@ -229,8 +205,8 @@ def main() -> None:
                 print(f"| {kind} | {name}, {seed} | " + " | ".join(cells) + " |", flush=True)
         means = []
         for key, (_, scale, digits) in GRAPH_COLUMNS.items():
-            mean, half = interval(np.array([scale * getattr(row, key) for row in rows]))
-            means.append(f"**{mean:.{digits}f}** ± {half:.{digits}f}")
+            values = np.array([scale * getattr(row, key) for row in rows])
+            means.append(f"**{values.mean():.{digits}f}** ± {half_interval(values):.{digits}f}")
         print(f"| **{kind}** | mean of {len(rows)} | " + " | ".join(means) + " |", flush=True)
 
 

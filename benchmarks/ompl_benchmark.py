@@ -17,9 +17,9 @@ import numpy as np
 from ompl import geometric, tools, util  # type: ignore[import-untyped]
 
 from benchmarks.arguments import parser_of
+from benchmarks.places import vehicle
 from planners.joins.ompl_process import planner_named
 from planners.ompl_planner import problem, registry_planners
-from planners.vehicle import Limits, Vehicle
 from sensorgraph.loading import load_arena
 
 OMPL_COLUMNS = {
@@ -48,11 +48,9 @@ def main() -> None:
     options = parser.parse_args()
     util.setLogLevel(util.LOG_ERROR)
     arena = load_arena(options.arena)
-    vehicle = Vehicle(
-        drive=options.drive, limits=Limits(turning_radius=0.0 if options.drive == "diff" else 0.4)
-    )
+    robot = vehicle(options.drive)
     start, goal = (np.array([float(v) for v in text.split(",")]) for text in (options.start, options.goal))
-    setup = problem(arena, vehicle, start, goal)
+    setup = problem(arena, robot, start, goal)
     information = setup.getSpaceInformation()
     benchmark = tools.Benchmark(setup, f"{options.arena} {options.drive}")
     benchmark.addPlanner(geometric.RRTConnect(information))
@@ -60,7 +58,7 @@ def main() -> None:
     for name in options.own:
         benchmark.addPlanner(planner_named(name, geometric, information))
     for ours in registry_planners(
-        information, arena, vehicle, duration=options.duration, cell=options.cell, headings=options.headings
+        information, arena, robot, duration=options.duration, cell=options.cell, headings=options.headings
     ):
         benchmark.addPlanner(ours)
     benchmark.benchmark(request(options.runs, options.time))

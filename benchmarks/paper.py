@@ -41,6 +41,7 @@ from sensorgraph.show.figures.style import (
     reduce_frame,
     save_figure,
 )
+from sensorgraph.world.robot import default_robot
 
 SCAN_STRIDE = 15
 SHOWN_RAY = "L67"
@@ -103,7 +104,7 @@ def environment(folder: Path) -> None:
 
 def _graphs(arena: Arena) -> dict[str, Sensorgraph]:
     """Drive a coverage plan once, and build both models from it."""
-    run = covered(arena, REPORTED_SEED + 2)
+    run = covered(arena, default_robot(), REPORTED_SEED + 2)
     minutes = run.stamps[-1] / 60
     return {
         f"faces, from a coverage run of {minutes:.0f} min": build([run]),

@@ -11,15 +11,14 @@ placements the cells were better than the grid with the least MAE.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import half_interval
 from benchmarks.occupancy_grid import MAX_HIT, Grid, Tuned, tuned
 from logs import Run, pair, read
 from sensorgraph.building.build import build
@@ -31,11 +30,6 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 PLACEMENT_COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r")
 SMALLER_IS_BETTER = np.array([True, True, False, False, False])
-
-
-def part(run: Run, which: Bools) -> Run:
-    """Return some scans of a run, with all of its poses."""
-    return replace(run, stamps=run.stamps[which], ranges=run.ranges[which])
 
 
 def grid(train: Run) -> Sensorgraph:
@@ -56,10 +50,8 @@ def row(result: Evaluation) -> Floats:
 
 def told(name: str, rows: Floats) -> str:
     """Format means with the half widths of their intervals."""
-    n = len(rows)
-    half = student.ppf(0.975, n - 1) * rows.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else rows[0] * np.nan
     return f"{name:<34}" + "".join(
-        f"{m:>9.3f} ±{h:5.3f}" for m, h in zip(rows.mean(axis=0), half, strict=True)
+        f"{m:>9.3f} ±{h:5.3f}" for m, h in zip(rows.mean(axis=0), half_interval(rows), strict=True)
     )
 
 
@@ -70,7 +62,7 @@ def compare(run: Run, name: str, placements: int) -> None:
     answered: list[Floats] = []
     for k in range(placements):
         held = np.roll(first, round(k * fifth / placements))
-        train, test = part(run, ~held), part(run, held)
+        train, test = run.take_scans(~held), run.take_scans(held)
         rows["grid"].append(row(evaluate(grid(train), test, cap=MAX_HIT)))
         result = evaluate(build([train], model="cells"), test, cap=MAX_HIT)
         rows["cells"].append(row(result))

@@ -18,6 +18,7 @@ import numpy as np
 import shapely
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import fastest
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.world.ray_intersection import nearest_walls_plain
@@ -67,12 +68,7 @@ def floor(rng: np.random.Generator) -> Arena:
 
 def rate(work: Callable[[], object], n_rays: int, repeats: int = 5) -> float:
     """Return rays per second of the fastest repeat."""
-    best = np.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        best = min(best, time.perf_counter() - start)
-    return n_rays / best
+    return n_rays / fastest(work, repeats, time.perf_counter)
 
 
 def plain(arena: Arena, poses: np.ndarray, sensor: RangeSensor, chunk: int) -> np.ndarray:

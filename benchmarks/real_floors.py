@@ -16,7 +16,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -27,7 +26,9 @@ import yaml
 from PIL import Image
 
 from benchmarks.arguments import parser_of
-from benchmarks.coverage_planners import vehicle, warm_up
+from benchmarks.coverage_planners import warm_up
+from benchmarks.measures import processor_time
+from benchmarks.places import vehicle
 from planners import plan
 from planners.arena import Arena
 from planners.clearance import Barriers
@@ -137,12 +138,6 @@ def planned(arena: Arena, start: np.ndarray, order: str, drive: str) -> dict[str
         "wall_s": time.perf_counter() - began,
         "cpu_s": processor_time() - before,
     }  # fmt: skip
-
-
-def processor_time() -> float:
-    """Return the processor time [s] of this process and of those that it has ended."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def line(row: dict[str, Any]) -> str:

@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
 
 from benchmarks.arguments import parser_of
 from benchmarks.error_by_minutes import Place, check_of, place_of, ways
+from benchmarks.measures import half_interval
 from logs.run import Run, pair
 from planners import plan
 from planners.types import Floats
@@ -60,13 +60,12 @@ def main() -> None:
 def summary(found: list[list[float]], n_ahead: int) -> None:
     """Print means of rows of `compared` and their 95 % intervals, of Student's t."""
     wrong = 100 * np.array(found)  # (n, rounds + ways)
-    n, count = len(wrong), wrong.shape[1] - n_ahead
-    half = stats.t.ppf(0.975, n - 1) / np.sqrt(n)
+    count = wrong.shape[1] - n_ahead
     for k in range(count):
-        line = f"rounds, {ROUND * (k + 1):.0f} min: {wrong[:, k].mean():.3f} ± {half * wrong[:, k].std(ddof=1):.3f} %"
+        line = f"rounds, {ROUND * (k + 1):.0f} min: {wrong[:, k].mean():.3f} ± {half_interval(wrong[:, k]):.3f} %"
         if n_ahead:
             less = wrong[:, k] - wrong[:, count:].min(axis=1)
-            line += f"; less the best planned ahead {less.mean():+.3f} ± {half * less.std(ddof=1):.3f} %"
+            line += f"; less the best planned ahead {less.mean():+.3f} ± {half_interval(less):.3f} %"
         print(line)
 
 

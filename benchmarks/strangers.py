@@ -17,7 +17,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -36,6 +35,7 @@ import yaml
 import logs
 from benchmarks.arguments import parser_of
 from benchmarks.locate import aligned
+from benchmarks.measures import processor_time
 from logs.formats import FORMATS, format_of
 from logs.formats.bag_folder import logs_in
 from logs.run import Run, pair
@@ -120,7 +120,7 @@ def run_command(words: Sequence[str], work: Path, limit: float) -> tuple[int | N
     -------
     Exit code, None if it took longer than `limit` [s]; its last lines; its seconds of CPU time.
     """
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = processor_time()
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     process = subprocess.Popen(
         [sys.executable, "-m", "sensorgraph", *words], cwd=work, env=env, text=True, errors="replace",
@@ -134,9 +134,7 @@ def run_command(words: Sequence[str], work: Path, limit: float) -> tuple[int | N
         os.killpg(process.pid, signal.SIGTERM)
         out, _ = process.communicate()
         code = None
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return code, [line for line in out.splitlines() if line.strip()], seconds
+    return code, [line for line in out.splitlines() if line.strip()], processor_time() - before
 
 
 def described(path: Path, options: Mapping[str, Any]) -> tuple[str, Run | None]:

@@ -15,17 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.arguments import parser_of
-from benchmarks.drives import closed_loop, robot_of_the_paper
+from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run
-from planners import plan
 from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.loading import load_arena
-from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.simulate import simulate
-from sensorgraph.world.wall_distance import WallDistance
 
 TRAIN_SEED, FRESH_SEED = 20, 30
 START_POSE = np.array([1.0, 0.5, 0.0])
@@ -34,11 +30,8 @@ MODELS = ("polynomial", "narmax", "faces")
 
 def drives(arena: Arena, robot: Robot, minutes: float, seed: int) -> dict[str, Run]:
     """Drive a coverage plan (cut at `minutes`), along the wall, and at random."""
-    way = plan(arena, robot, cell=0.25, headings=8, seed=seed).trajectory
-    rng = np.random.default_rng(seed)
-    cover = simulate(follow(way, robot, clearance=WallDistance(arena), rng=rng), arena, robot, rng=rng)
     return {
-        "coverage": cover,
+        "coverage": covered(arena, robot, seed, headings=8),
         "along the wall": closed_loop("wall_following", arena, robot, START_POSE, 60 * minutes, seed + 1),
         "random": closed_loop("random_bounce", arena, robot, START_POSE, 60 * minutes, seed + 2),
     }

@@ -1,13 +1,12 @@
 """An uncalibrated laser in random offices: how near do the faces come to its true readings?
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.uncalibrated_laser [--arenas 101,102,103,104,105] [--seeds 1]
-        [--case laser|laser-poses|poses|perfect] [--scans 3000]
+        [--case laser|laser-poses]
 
 The laser is mounted 50 mm / 20 mm / 0.5° off what is stated; each ray has a bias (sd 15 mm), a scale (0.4 ± 0.2 %)
 and a bias by incidence, 20 mm sin³(inc) (1 - exp(-r / 1.5 m)), which is in the span of no identified term. Beside
 the faces stands what a generic simulator does at its best: ray casting the true map with the true mount. Case
-`laser-poses` adds noise of 5 mm / 0.2° to the training poses, case `poses` only that of the shipped robot
-(2 mm / 1.5 mrad, on a perfect laser). Test poses are fresh and exact; a reading is the true one plus range noise.
+`laser-poses` adds noise of 5 mm / 0.2° to the training poses. Test poses are fresh and exact; a reading is the true one plus range noise.
 Nothing here is shared with the calibration.
 """
 
@@ -15,17 +14,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from importlib.resources import files
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from benchmarks.arguments import parser_of
-from benchmarks.offices import office
+from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena
-from planners.maps import geojson
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.world.raycast import cast
@@ -34,7 +31,8 @@ Floats = NDArray[np.float64]
 LASER_SIGMA = 0.01  # [m]
 STATED = np.array([0.10, 0.0, 0.0])  # [m, m, rad] mount as the robot file says
 OFFSET = np.array([0.050, 0.020, np.radians(0.5)])
-POSE_NOISE = {"laser-poses": (0.005, np.radians(0.2)), "poses": (0.002, 0.0015)}  # [m, rad]
+POSE_NOISE = {"laser": (0.0, 0.0), "laser-poses": (0.005, np.radians(0.2))}  # [m, rad]
+N_SCANS = 3000
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, 181)
 LASER_COLUMNS = ("within 3σ %", "median mm", "mean mm", "within 10 cm %", "wrong >5cm %")
 
@@ -52,13 +50,11 @@ class Laser:
     """[m] bias at grazing incidence, far away"""
 
     @classmethod
-    def drawn(cls, case: str, rng: np.random.Generator) -> Laser:
-        """Draw a laser; a perfect one where the case says nothing of it."""
+    def drawn(cls, rng: np.random.Generator) -> Laser:
+        """Draw a laser."""
         n = len(BEARINGS)
         bias, scale = rng.normal(0, 0.015, n), rng.normal(0.004, 0.002, n)
-        if case.startswith("laser"):
-            return cls(mount=STATED + OFFSET, bias=bias, scale=scale, incidence=0.020)
-        return cls(mount=STATED, bias=0 * bias, scale=0 * scale, incidence=0.0)
+        return cls(mount=STATED + OFFSET, bias=bias, scale=scale, incidence=0.020)
 
     def sensor(self) -> RangeSensor:
         """Return the sensor that casts its true ranges."""
@@ -72,13 +68,6 @@ class Laser:
         with np.errstate(invalid="ignore"):
             grazing = np.sin(np.nan_to_num(hits.incidence)) ** 3 * (1 - np.exp(-hits.ranges / 1.5))
             return hits.ranges * (1 + self.scale) + self.bias + self.incidence * grazing
-
-
-def arena_of(which: str) -> Arena:
-    """Return a random office by its number, or the shipped square, which is empty."""
-    if which == "square":
-        return geojson.loads((files("sensorgraph.data") / "square.geojson").read_text())
-    return geojson.loads(office(int(which)))
 
 
 def free_poses(arena: Arena, n: int, rng: np.random.Generator) -> Floats:
@@ -109,19 +98,19 @@ def score(predicted: Floats, truth: Floats, noise: Floats, use: NDArray[np.bool_
     )
 
 
-def trial(which: str, seed: int, case: str, n_scans: int, calibrate: bool | None) -> dict[str, Floats]:
+def trial(which: str, seed: int, case: str) -> dict[str, Floats]:
     """Fit faces to one log and score fresh poses; prints what was found."""
     rng = np.random.default_rng([seed, 40])
-    arena = arena_of(which)
-    laser = Laser.drawn(case, rng)
-    poses, fresh = free_poses(arena, n_scans, rng), free_poses(arena, 3000, rng)
-    ranges = laser.readings(arena, poses) + rng.normal(0, LASER_SIGMA, (n_scans, len(BEARINGS)))
-    xy, yaw = POSE_NOISE.get(case, (0.0, 0.0))
+    arena = arena_named(which)
+    laser = Laser.drawn(rng)
+    poses, fresh = free_poses(arena, N_SCANS, rng), free_poses(arena, 3000, rng)
+    ranges = laser.readings(arena, poses) + rng.normal(0, LASER_SIGMA, (N_SCANS, len(BEARINGS)))
+    xy, yaw = POSE_NOISE[case]
     poses = poses + rng.normal(0, 1, poses.shape) * [xy, xy, yaw]
     stated = replace(laser.sensor(), mount=STATED)
-    scans = TrainingScans(sensor=stated, poses=poses, ranges=ranges, run=np.zeros(n_scans, dtype=np.intp))
+    scans = TrainingScans(sensor=stated, poses=poses, ranges=ranges, run=np.zeros(N_SCANS, dtype=np.intp))
     start = time.process_time()
-    model = Faces.fit(scans, calibrate=calibrate)
+    model = Faces.fit(scans)
     seconds = time.process_time() - start
     truth = laser.readings(arena, fresh)
     noise = rng.normal(0, LASER_SIGMA, truth.shape)
@@ -181,15 +170,12 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--arenas", default="101,102,103,104,105")
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--case", default="laser", choices=["laser", "laser-poses", "poses", "perfect"])
-    parser.add_argument("--scans", type=int, default=3000)
-    parser.add_argument("--calibrate", choices=["auto", "yes", "no"], default="auto")
+    parser.add_argument("--case", default="laser", choices=list(POSE_NOISE))
     args = parser.parse_args()
-    calibrate = {"auto": None, "yes": True, "no": False}[args.calibrate]
     rows: dict[str, list[Floats]] = {}
     for which in args.arenas.split(","):
         for seed in range(args.seeds):
-            found = trial(which, seed, args.case, args.scans, calibrate)
+            found = trial(which, seed, args.case)
             for name, values in found.items():
                 rows.setdefault(name.split(" (")[0], []).append(values)
                 print(
@@ -197,7 +183,7 @@ def main() -> None:
                     + ", ".join(f"{c} {v:.3f}" for c, v in zip(LASER_COLUMNS, values, strict=True)),
                     flush=True,
                 )
-    print(f"case {args.case}, {args.scans} scans, mean ± 95 % over {len(rows['faces'])} trials")
+    print(f"case {args.case}, {N_SCANS} scans, mean ± 95 % over {len(rows['faces'])} trials")
     print(table(rows))
 
 
