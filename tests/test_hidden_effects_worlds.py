@@ -21,8 +21,8 @@ from benchmarks.hidden_effects.worlds.own import cases as own
 HERE = Path(hidden_effects.__file__).parent
 OURS = ("sensorgraph", "planners", "logs", "robotmodic_ident")
 ALLOWED = {*sys.stdlib_module_names, "numpy", "scipy", "shapely", "numba", "yaml", "mcap", "mujoco", "irsim"}
-CASE_FORM = {f"benchmarks.hidden_effects.{name}" for name in ("case", "library", "log", "robot")}
-"""What worlds share: the form of a case, what robot.yaml and the reference page say, and no physics."""
+CASE_FORM = {f"benchmarks.hidden_effects.{name}" for name in ("case", "geometry", "library", "log", "robot")}
+"""What worlds share: the form of a case, polygons, what robot.yaml and the reference page say, and no physics."""
 
 
 def _imported(path: Path) -> set[str]:

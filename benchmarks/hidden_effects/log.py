@@ -61,6 +61,18 @@ POSE_VARIANCE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Odometry:
+    """What a base makes of its encoders."""
+
+    stamps: Floats
+    """(n,) [s]"""
+    poses: Floats
+    """(n, 3) [m, m, rad]"""
+    twists: Floats
+    """(n, 2) [m/s, rad/s]"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
     """What a robot logged; stamps (n,) [s] from the start of the run."""
 

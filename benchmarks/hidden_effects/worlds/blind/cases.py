@@ -8,14 +8,14 @@ import numpy as np
 
 from benchmarks.hidden_effects.case import Case, Redraw, Spec, truth_of
 from benchmarks.hidden_effects.library import DETERMINISTIC, LIBRARY, materiality_ratio
-from benchmarks.hidden_effects.log import Log
+from benchmarks.hidden_effects.log import Log, Odometry
 from benchmarks.hidden_effects.worlds.blind import effects, marks
 from benchmarks.hidden_effects.worlds.blind.changes import CHANGES
 from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden
-from benchmarks.hidden_effects.worlds.blind.logged import Convention, Odometry, count, observe
+from benchmarks.hidden_effects.worlds.blind.logged import Convention, count, observe
 from benchmarks.hidden_effects.worlds.blind.marks import Mark, channel_of
-from benchmarks.hidden_effects.worlds.blind.placing import PLACES, Scenery
+from benchmarks.hidden_effects.worlds.blind.placing import PLACED, Scenery, place
 from benchmarks.hidden_effects.worlds.blind.robots import TOLERANCES
 from benchmarks.hidden_effects.worlds.blind.scans import Scans, scan
 from benchmarks.hidden_effects.worlds.blind.scene import Leg, walkers
@@ -82,6 +82,7 @@ def draw(
         robot=setup.robot,
         driven=driven,
         scans=plain_scans,
+        hidden=setup.hidden,
         duration=setup.duration,
         plain=not is_dirty or spec.suite == "pairs",
     )
@@ -138,7 +139,7 @@ def draw(
             commands=driven.commands,
             arrival_seed=(setup.seed, 40),
         ),
-        map={"arena.geojson": setup.room.geojson()},
+        map={"arena.geojson": setup.room.geojson(digits=5)},
         world="blind_world",
         robot=setup.robot.yaml_text(
             sigma_v=setup.robot.sigma_v,
@@ -153,9 +154,9 @@ def draw(
 
 def _place(setup: Setup, scenery: Scenery, rng: np.random.Generator) -> tuple[Leg, ...]:
     """Place what depends on the run; return the legs of people."""
-    for name, place in PLACES.items():
+    for name in PLACED:
         if name in setup.hidden:
-            place(scenery, setup.hidden[name], rng, setup.hidden)
+            place(scenery, setup.hidden[name], rng)
     if "min_range" in setup.hidden:
         missing = -np.inf if setup.is_dirty else np.inf  # data sheets differ in how they tell it
         setup.hidden["min_range"].shapes["missing"] = np.array(missing)

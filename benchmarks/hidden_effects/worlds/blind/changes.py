@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 from shapely.geometry import LineString, Point, Polygon
 
 from benchmarks.hidden_effects.case import Redraw
+from benchmarks.hidden_effects.geometry import largest_part, ngon, turned, with_edge_moved
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden, either_sign, material_size, rounded
 from benchmarks.hidden_effects.worlds.blind.robots import Robot
-from benchmarks.hidden_effects.worlds.blind.rooms import KEEP_OFF, Room, largest_area, ngon
+from benchmarks.hidden_effects.worlds.blind.rooms import KEEP_OFF, Room
 
 MOST_JITTERED = 25
 """Corners of an arena from which on they are left where they are: its walls are bent by an effect."""
@@ -30,19 +30,15 @@ def changed_room(room: Room, hidden: Mapping[str, Hidden], rng: np.random.Genera
 def jittered(room: Room, seed: int) -> Room:
     """Return the room with its corners off by up to 4 mm; the same corner is off by the same in map and changed room."""
 
-    def errors(name: str) -> Floats:
-        rng = np.random.default_rng([seed, sum(map(ord, name))])
-        return np.clip(rng.normal(0, 0.002, (200, 2)), -0.004, 0.004)
+    def moved(name: str, ring: Floats) -> Floats:
+        is_outer, n = name == room.name, len(ring)
+        rng = np.random.default_rng([seed, sum(map(ord, "outer" if is_outer else name))])
+        errors = np.clip(rng.normal(0, 0.002, (200, 2)), -0.004, 0.004)
+        if is_outer:
+            return ring + (errors[:n] if n < MOST_JITTERED else 0)
+        return ring + errors[0] + 0.4 * errors[1 : n + 1]
 
-    n = len(room.outer)
-    return replace(
-        room,
-        outer=room.outer + (errors("outer")[:n] if n < MOST_JITTERED else 0),
-        things=tuple(
-            (name, ring + errors(name)[0] + 0.4 * errors(name)[1 : len(ring) + 1])
-            for name, ring in room.things
-        ),
-    )
+    return room.changed(moved)
 
 
 def _long_walls(room: Room, least: float) -> list[int]:
@@ -55,40 +51,30 @@ def _long_walls(room: Room, least: float) -> list[int]:
 def _moved_wall(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
     edge = int(rng.choice(_long_walls(room, 1.6)))
     d = either_sign(rng) * material_size(rng, 0.01)
-    outer = room.outer.copy()
-    for corner in (edge, (edge + 1) % len(outer)):
-        outer[corner] += d * room.outward(edge)
     hidden.values, hidden.place, hidden.wall = {"d": rounded(d)}, room.wall_name(edge), edge
-    return replace(room, outer=outer)
+    return room.with_ring(room.name, with_edge_moved(room.outer, edge, d))
 
 
-def _draw_thing(room: Room, rng: np.random.Generator) -> int:
-    """Draw one of the larger things."""
-    return int(np.argmax([Polygon(ring).area * rng.uniform(0.4, 1) for _, ring in room.things]))
-
-
-def _with_thing(room: Room, k: int, ring: Floats) -> Room:
-    things = list(room.things)
-    things[k] = (things[k][0], ring)
-    return replace(room, things=tuple(things))
+def _draw_thing(room: Room, rng: np.random.Generator) -> str:
+    """Draw the name of one of the larger things."""
+    sizes = [Polygon(room.rings[name]).area * rng.uniform(0.4, 1) for name in room.obstacles]
+    return room.obstacles[int(np.argmax(sizes))]
 
 
 def _moved_obstacle(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
-    k = _draw_thing(room, rng)
+    hidden.place = _draw_thing(room, rng)
     angle = rng.uniform(0, 2 * np.pi)
     size = material_size(rng, 0.01)
     shift = np.round([size * np.cos(angle), size * np.sin(angle)], 5)
     hidden.values = {"dx": float(shift[0]), "dy": float(shift[1])}
-    hidden.place = room.things[k][0]
-    return _with_thing(room, k, room.things[k][1] + shift)
+    return room.with_ring(hidden.place, room.rings[hidden.place] + shift)
 
 
 def _missing_obstacle(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
-    k = _draw_thing(room, rng)
-    hidden.place = room.things[k][0]
-    x, y = room.things[k][1].mean(axis=0)
+    hidden.place = _draw_thing(room, rng)
+    x, y = room.rings[hidden.place].mean(axis=0)
     hidden.xy = (rounded(x, 3), rounded(y, 3))
-    return replace(room, things=room.things[:k] + room.things[k + 1 :])
+    return room.with_ring(hidden.place, None)
 
 
 def _unmapped_obstacle(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
@@ -99,32 +85,24 @@ def _unmapped_obstacle(room: Room, hidden: Hidden, rng: np.random.Generator, rob
         if not free.contains(Point(at)) or free.boundary.distance(Point(at)) < radius + 0.12:
             continue
         passable = free.difference(Point(at).buffer(radius)).buffer(-gap)
-        if largest_area(passable) > 0.8 * free.buffer(-gap).area:
+        if largest_part(passable).area > 0.8 * free.buffer(-gap).area:
             break
     hidden.xy = (float(at[0]), float(at[1]))
     hidden.values = {"x": hidden.xy[0], "y": hidden.xy[1], "r": rounded(radius, 4)}
-    return replace(room, things=(*room.things, ("extra", ngon(32, radius) + at)))
-
-
-def _everywhere(room: Room, move: Callable[[Floats], Floats]) -> Room:
-    return replace(
-        room, outer=move(room.outer), things=tuple((name, move(ring)) for name, ring in room.things)
-    )
+    return room.with_ring("extra", ngon(32, radius) + at)
 
 
 def _map_scale(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
     s = rounded(either_sign(rng) * material_size(rng, 0.002))
     shift, middle = np.round(rng.uniform(-0.012, 0.012, 2), 4), room.middle
     hidden.values = {"s": s, "dx": float(shift[0]), "dy": float(shift[1])}
-    return _everywhere(room, lambda points: middle + shift + (1 + s) * (points - middle))
+    return room.changed(lambda _, ring: middle + shift + (1 + s) * (ring - middle))
 
 
 def _shear(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
     k, y = rounded(either_sign(rng) * rng.uniform(0.015, 0.025), 4), room.outer.mean(axis=0)[1]
     hidden.values = {"k": k}
-    return _everywhere(
-        room, lambda points: points + np.column_stack([k * (points[:, 1] - y), np.zeros(len(points))])
-    )
+    return room.changed(lambda _, ring: ring + np.column_stack([k * (ring[:, 1] - y), np.zeros(len(ring))]))
 
 
 def _bow(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
@@ -134,7 +112,7 @@ def _bow(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> 
     a, b = room.outer[edge], room.outer[(edge + 1) % len(room.outer)]
     bent = a + share * (b - a) + 4 * A * share * (1 - share) * room.outward(edge)
     hidden.values, hidden.place = {"A": A}, room.wall_name(edge)
-    return replace(room, outer=np.insert(room.outer, edge + 1, bent, axis=0))
+    return room.with_ring(room.name, np.insert(room.outer, edge + 1, bent, axis=0))
 
 
 def _corrugated(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
@@ -149,7 +127,7 @@ def _corrugated(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Rob
         for way, deep in ((0.0, 0.0), (0.0, depth), (pitch / 2, depth), (pitch / 2, 0.0)):
             corners.append(a + (first + way) * along + deep * out)
     hidden.values, hidden.place = {"depth": depth, "pitch": pitch}, room.wall_name(edge)
-    return replace(room, outer=np.insert(room.outer, edge + 1, np.array(corners), axis=0))
+    return room.with_ring(room.name, np.insert(room.outer, edge + 1, np.array(corners), axis=0))
 
 
 def _wing(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) -> Room:
@@ -159,10 +137,6 @@ def _wing(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) ->
     at = room.outer.min(axis=0) + rng.uniform(0.4, 0.6) * size
     angle = rounded(either_sign(rng) * rng.uniform(0.02, 0.035))
     hinge = np.where(np.arange(2) == axis, at, room.middle)
-    c, s = np.cos(angle), np.sin(angle)
-
-    def turn(points: Floats) -> Floats:
-        return np.asarray(hinge + (points - hinge) @ np.array([[c, s], [-s, c]]))
 
     corners: list[Floats] = []
     for a, b in zip(room.outer, np.roll(room.outer, -1, axis=0), strict=True):
@@ -170,14 +144,15 @@ def _wing(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) ->
         if (a[axis] - hinge[axis]) * (b[axis] - hinge[axis]) < 0:
             corners.append(a + (hinge[axis] - a[axis]) / (b[axis] - a[axis]) * (b - a))
     hidden.values = {"angle": angle, "x": rounded(hinge[0], 3), "y": rounded(hinge[1], 3), "axis": axis}
-    outer = np.array(corners)
-    return replace(
-        room,
-        outer=np.where((outer[:, axis] > hinge[axis])[:, None], turn(outer), outer),
-        things=tuple(
-            (name, turn(ring) if (ring.mean(axis=0) > hinge)[axis] else ring) for name, ring in room.things
-        ),
-    )
+
+    def moved(name: str, ring: Floats) -> Floats:
+        if name == room.name:
+            ring, is_beyond = np.array(corners), (np.array(corners)[:, axis] > hinge[axis])[:, None]
+        else:
+            is_beyond = (ring.mean(axis=0) > hinge)[axis]
+        return np.where(is_beyond, hinge + turned(ring - hinge, angle), ring)
+
+    return room.changed(moved)
 
 
 CHANGES: dict[str, Change] = {
@@ -196,9 +171,8 @@ CHANGES: dict[str, Change] = {
 
 def shove(room: Room, hidden: Hidden, rng: np.random.Generator) -> Room:
     """Return the room after one of its larger things was pushed aside."""
-    k = _draw_thing(room, rng)
-    name, ring = room.things[k]
-    others = [Polygon(other) for other_name, other in room.things if other_name != name]
+    name = _draw_thing(room, rng)
+    ring, others = room.rings[name], [Polygon(room.rings[one]) for one in room.obstacles if one != name]
     for _ in range(60):
         angle, way = rng.uniform(-np.pi, np.pi), rng.uniform(0.2, 0.4)
         shift = np.round([way * np.cos(angle), way * np.sin(angle)], 4)
@@ -210,7 +184,7 @@ def shove(room: Room, hidden: Hidden, rng: np.random.Generator) -> Room:
         raise Redraw("nothing can be shoved")
     hidden.values = {"dx": float(shift[0]), "dy": float(shift[1])}
     hidden.place = name
-    return _with_thing(room, k, ring + shift)
+    return room.with_ring(name, ring + shift)
 
 
 def put_fence(room: Room, hidden: Hidden, rng: np.random.Generator) -> LineString:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +13,10 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from shapely.geometry import LineString
 from shapely.prepared import prep
 
+from benchmarks.hidden_effects.geometry import largest_part, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.blind.base import N_LOGGED, STEP, Base, advance, start_state
 from benchmarks.hidden_effects.worlds.blind.robots import Robot
-from benchmarks.hidden_effects.worlds.blind.rooms import largest_part
 
 GRID_STEP = 0.08
 """[m]"""
@@ -145,11 +144,6 @@ class Manoeuvre:
     """[rad] of a spin, [s] of a stop, [m] of backing up."""
     pace: float = 0.0
     """Share of the largest speed."""
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 def _manoeuvres(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.log import Floats, Odometry
 from benchmarks.hidden_effects.worlds.blind.base import PHI, RIM_LEFT, RIM_RIGHT, X, Y
 from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden
@@ -30,18 +30,6 @@ class Convention:
     """Share of a period before the first stamp."""
     skew: float = 0.0
     """By how much the rate differs from the data sheet."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Odometry:
-    """What is logged."""
-
-    stamps: Floats
-    """(n,) [s]"""
-    poses: Floats
-    """(n, 3) [m, m, rad], phi not wrapped."""
-    twists: Floats
-    """(n, 2) [m/s, rad/s]"""
 
 
 def count(

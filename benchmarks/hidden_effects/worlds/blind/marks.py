@@ -9,11 +9,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.hidden_effects.library import CHANNEL
-from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.log import Floats, Odometry
 from benchmarks.hidden_effects.worlds.blind.base import OMEGA, PHI, SPEED_LEFT, SPEED_RIGHT, V, X, Y
 from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import CHANNELS, NOTES
-from benchmarks.hidden_effects.worlds.blind.logged import Odometry, Reference
+from benchmarks.hidden_effects.worlds.blind.logged import Reference
 from benchmarks.hidden_effects.worlds.blind.robots import Robot
 from benchmarks.hidden_effects.worlds.blind.scans import Scans
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ class Scenery:
     robot: Robot
     driven: Driven
     scans: Scans
+    hidden: Mapping[str, Hidden]
+    """All that is hidden in the run."""
     duration: float
     """[s] as planned."""
     plain: bool
@@ -99,29 +101,60 @@ def place_slip(hidden: Hidden, driven: Driven, rng: np.random.Generator) -> None
     }
 
 
-Place = Callable[[Scenery, Hidden, np.random.Generator, Mapping[str, Hidden]], None]
+SECTIONS = {
+    "glass": ((0.9, 2.0), 0.05),
+    "mirror": ((0.7, 1.6), 0.04),
+    "black_surface": ((0.8, 2.0), 0.05),
+    "f_door": ((0.8, 0.95), 0.03),
+    "f_bloom": ((0.2, 0.35), 0.008),
+    "f_curtain": ((0.9, 2.0), 0.04),
+}
+"""Of effects of a part of a wall: between which lengths [m] it is, and the least share of the rays that meet it."""
+DURING_RUN = {"f_door": (0.35, 0.55), "f_knock": (0.4, 0.6), "f_shoved": (0.35, 0.6)}
+"""Of what happens once: between which shares of the run."""
 
 
-def _glass(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    scenery.draw_section(hidden, rng, lengths=(0.9, 2.0), least_share=0.05)
-    hidden.values["alpha_ret"] = rounded(rng.uniform(0.3, 0.65), 3)
-    hidden.values["depth"] = rounded(rng.uniform(0.6, 2.2), 2) if scenery.plain else 0.0
+def place(scenery: Scenery, hidden: Hidden, rng: np.random.Generator) -> None:
+    """Draw what of an effect depends on the run."""
+    middle = 0.0
+    if hidden.name in SECTIONS:
+        moved = scenery.hidden.get("moved_wall") if hidden.name == "black_surface" else None
+        lengths, least_share = SECTIONS[hidden.name]
+        avoid = -1 if moved is None else moved.wall
+        middle = scenery.draw_section(hidden, rng, lengths=lengths, least_share=least_share, avoid=avoid)
+    if hidden.name in ("f_dust", "f_ramp"):
+        _spot(scenery, hidden, rng)
+    if hidden.name == "glass":
+        hidden.values["alpha_ret"] = rounded(rng.uniform(0.3, 0.65), 3)
+        hidden.values["depth"] = rounded(rng.uniform(0.6, 2.2), 2) if scenery.plain else 0.0
+    elif hidden.name == "black_surface":
+        hidden.values["r0"] = rounded(middle * rng.uniform(0.55, 0.8), 3)
+    elif hidden.name == "f_door":
+        _door(scenery, hidden)
+    elif hidden.name == "f_dust":
+        hidden.values["mu"] = float(rng.uniform(0.12, 0.25))
+    elif hidden.name == "f_ramp":
+        hidden.values["beta"] = float(scenery.robot.height / rng.uniform(1.2, 1.8))
+        hidden.values["dir"] = float(rng.uniform(-3, 3))
+    elif hidden.name == "max_range":
+        ranges = scenery.scans.true_ranges
+        seen = ranges[ranges < scenery.robot.range_max]
+        hidden.values = {"R": rounded(np.quantile(seen, rng.uniform(0.75, 0.88)), 2)}
+    elif hidden.name == "min_range":
+        hidden.values = {"r_min": rounded(np.quantile(scenery.scans.true_ranges, rng.uniform(0.06, 0.15)), 3)}
+    if hidden.name in DURING_RUN:
+        hidden.values["t0"] = rounded(scenery.duration * rng.uniform(*DURING_RUN[hidden.name]), 2)
 
 
-def _mirror(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    scenery.draw_section(hidden, rng, lengths=(0.7, 1.6), least_share=0.04)
+def _spot(scenery: Scenery, hidden: Hidden, rng: np.random.Generator) -> None:
+    radius = float(rng.uniform(0.5, 0.8))
+    x, y = visited(scenery.driven, radius, 40, rng)[int(rng.integers(3, 10)) - 1]
+    hidden.xy = (rounded(x, 3), rounded(y, 3))
+    hidden.values = {"x": float(x), "y": float(y), "r": radius}
 
 
-def _black_surface(
-    scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]
-) -> None:
-    avoid = others["moved_wall"].wall if "moved_wall" in others else -1
-    middle = scenery.draw_section(hidden, rng, lengths=(0.8, 2.0), least_share=0.05, avoid=avoid)
-    hidden.values["r0"] = rounded(middle * rng.uniform(0.55, 0.8), 3)
-
-
-def _door(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    scenery.draw_section(hidden, rng, lengths=(0.8, 0.95), least_share=0.03)
+def _door(scenery: Scenery, hidden: Hidden) -> None:
+    """Build the small room behind the door, and hinge its leaf."""
     outer, edge = scenery.built.outer, hidden.wall
     along = outer[(edge + 1) % len(outer)] - outer[edge]
     along = along / np.hypot(*along)
@@ -139,73 +172,12 @@ def _door(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Ma
         "leaf": along * (hidden["b"] - hidden["a"]),
         "hinge": hinge,
     }
-    t0 = rounded(scenery.duration * rng.uniform(0.35, 0.55), 2)
-    hidden.values |= {"angle": -1.75, "dt": 2.5, "t0": t0}
+    hidden.values |= {"angle": -1.75, "dt": 2.5}
     hidden.xy = (rounded(hinge[0], 3), rounded(hinge[1], 3))
 
 
-def _spot(scenery: Scenery, hidden: Hidden, rng: np.random.Generator) -> None:
-    radius = float(rng.uniform(0.5, 0.8))
-    x, y = visited(scenery.driven, radius, 40, rng)[int(rng.integers(3, 10)) - 1]
-    hidden.xy = (rounded(x, 3), rounded(y, 3))
-    hidden.values = {"x": float(x), "y": float(y), "r": radius}
-
-
-def _dust(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    _spot(scenery, hidden, rng)
-    hidden.values["mu"] = float(rng.uniform(0.12, 0.25))
-
-
-def _ramp(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    _spot(scenery, hidden, rng)
-    hidden.values["beta"] = float(scenery.robot.height / rng.uniform(1.2, 1.8))
-    hidden.values["dir"] = float(rng.uniform(-3, 3))
-
-
-def _max_range(
-    scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]
-) -> None:
-    ranges = scenery.scans.true_ranges
-    seen = ranges[ranges < scenery.robot.range_max]
-    hidden.values = {"R": rounded(np.quantile(seen, rng.uniform(0.75, 0.88)), 2)}
-
-
-def _min_range(
-    scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]
-) -> None:
-    hidden.values = {"r_min": rounded(np.quantile(scenery.scans.true_ranges, rng.uniform(0.06, 0.15)), 3)}
-
-
-def _knock(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    hidden.values["t0"] = rounded(scenery.duration * rng.uniform(0.4, 0.6), 2)
-
-
-def _bloom(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    scenery.draw_section(hidden, rng, lengths=(0.2, 0.35), least_share=0.008)
-
-
-def _curtain(
-    scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]
-) -> None:
-    scenery.draw_section(hidden, rng, lengths=(0.9, 2.0), least_share=0.04)
-
-
-def _shoved(scenery: Scenery, hidden: Hidden, rng: np.random.Generator, others: Mapping[str, Hidden]) -> None:
-    hidden.values["t0"] = rounded(scenery.duration * rng.uniform(0.35, 0.6), 2)
-
-
-PLACES: dict[str, Place] = {
-    "glass": _glass,
-    "mirror": _mirror,
-    "black_surface": _black_surface,
-    "f_door": _door,
-    "f_dust": _dust,
-    "f_ramp": _ramp,
-    "max_range": _max_range,
-    "min_range": _min_range,
-    "f_knock": _knock,
-    "f_bloom": _bloom,
-    "f_curtain": _curtain,
-    "f_shoved": _shoved,
-}
+PLACED = (
+    "glass", "mirror", "black_surface", "f_door", "f_dust", "f_ramp", "max_range", "min_range", "f_knock", "f_bloom",
+    "f_curtain", "f_shoved",
+)  # fmt: skip
 """In the order in which they are drawn."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import shapely
 from shapely.geometry import Polygon
 
-from benchmarks.hidden_effects.case import Redraw, geojson
+from benchmarks.hidden_effects import geometry
+from benchmarks.hidden_effects.case import Redraw
+from benchmarks.hidden_effects.geometry import free_space, largest_part, ngon, outward, turned
 from benchmarks.hidden_effects.log import Floats
 
 Thing = tuple[str, Floats]
@@ -20,19 +20,8 @@ KEEP_OFF = 0.14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Room:
-    """Walls and things of a room."""
-
-    name: str
-    outer: Floats
-    """(n, 2) [m] corners of the arena, counter-clockwise."""
-    things: tuple[Thing, ...]
-
-    @property
-    def walls(self) -> Floats:
-        """All walls (n, 4) [m], first those of the arena: x and y of one end, then of the other."""
-        rings = [self.outer, *(ring for _, ring in self.things)]
-        return np.concatenate([np.column_stack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
+class Room(geometry.Room):
+    """An arena and the things in it."""
 
     @property
     def lengths(self) -> Floats:
@@ -44,47 +33,13 @@ class Room:
         """Middle (2,) [m] of the arena's bounding box."""
         return np.asarray(0.5 * (self.outer.min(axis=0) + self.outer.max(axis=0)))
 
-    def free(self) -> Any:
-        """Return the free space as a polygon."""
-        arena = Polygon(self.outer)
-        if not self.things:
-            return arena
-        return arena.difference(shapely.union_all([Polygon(ring) for _, ring in self.things]))
-
     def outward(self, edge: int) -> Floats:
         """Return the outward normal (2,) of a wall of the arena."""
-        along = self.outer[(edge + 1) % len(self.outer)] - self.outer[edge]
-        return np.asarray(np.array([along[1], -along[0]]) / np.hypot(*along))
+        return outward(self.outer[edge], self.outer[(edge + 1) % len(self.outer)])
 
     def wall_name(self, edge: int) -> str:
         """Return the name of a wall of the arena."""
         return f"{self.name}/edge_{edge}"
-
-    def geojson(self) -> str:
-        """Return the map of the room."""
-        return geojson(self.name, {self.name: self.outer, **dict(self.things)}, digits=5)
-
-
-def largest_part(shape: Any) -> Any:
-    """Return the largest polygon of a shape."""
-    return max(getattr(shape, "geoms", [shape]), key=lambda part: part.area)
-
-
-def largest_area(shape: Any) -> float:
-    """Return the area [m2] of the largest polygon of a shape that may be empty."""
-    return max((part.area for part in getattr(shape, "geoms", [shape])), default=0.0)
-
-
-def ngon(n: int, radius: float, turn: float = 0.0, stretch: float = 1.0) -> Floats:
-    """Return the corners (n, 2) [m] of a regular polygon, its y stretched."""
-    angle = turn + 2 * np.pi * np.arange(n) / n
-    return np.column_stack([radius * np.cos(angle), stretch * radius * np.sin(angle)])
-
-
-def turned(points: Floats, angle: float) -> Floats:
-    """Return points (n, 2) turned about the origin by an angle [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,14 +116,8 @@ def draw_room(kind: str, footprint: float, rng: np.random.Generator) -> Room:
         raise Redraw("no layout")
     angle = rng.uniform(-np.pi, np.pi) if rng.random() < 0.5 else rng.choice([0, np.pi / 2])
     shift = rng.uniform(-6, 6, 2)
-    return Room(
-        name=kind,
-        outer=np.round(turned(outer, angle) + shift, 4),
-        things=tuple(
-            (f"{name}_{k + 1}", np.round(turned(ring, angle) + shift, 4))
-            for k, (name, ring) in enumerate(things)
-        ),
-    )
+    rings = {kind: outer} | {f"{name}_{k + 1}": ring for k, (name, ring) in enumerate(things)}
+    return Room(rings={name: np.round(turned(ring, angle) + shift, 4) for name, ring in rings.items()})
 
 
 def _furnish(
@@ -194,9 +143,8 @@ def _furnish(
             continue
         if any(shape.distance(Polygon(other)) < 0.06 for _, other in things):
             continue
-        room = Room(name="", outer=outer, things=(*things, (name, ring)))
-        passable = room.free().buffer(-gap)
-        largest = largest_area(passable)
+        passable = free_space(outer, [*(other for _, other in things), ring]).buffer(-gap)
+        largest = largest_part(passable).area
         if largest < 0.45 * empty_area or largest < 0.9 * passable.area:
             continue
         things.append((name, ring))

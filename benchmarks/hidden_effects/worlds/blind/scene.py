@@ -11,11 +11,11 @@ import numpy as np
 from shapely.geometry import LineString, Point
 from shapely.prepared import prep
 
+from benchmarks.hidden_effects.geometry import largest_part
 from benchmarks.hidden_effects.log import Booleans, Floats, Ints
 from benchmarks.hidden_effects.worlds.blind.base import X, Y
 from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden, Secrets
-from benchmarks.hidden_effects.worlds.blind.rooms import largest_part
 
 STEP = 0.05
 """[s]"""

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 
 from benchmarks.hidden_effects.case import Redraw
+from benchmarks.hidden_effects.geometry import largest_part
 from benchmarks.hidden_effects.worlds.blind.base import Base, X, Y
 from benchmarks.hidden_effects.worlds.blind.changes import changed_room, jittered, put_fence, shove
 from benchmarks.hidden_effects.worlds.blind.drive import STYLES, Driven, Link, Planner, drive
@@ -16,7 +17,7 @@ from benchmarks.hidden_effects.worlds.blind.logged import Convention
 from benchmarks.hidden_effects.worlds.blind.marks import travelled
 from benchmarks.hidden_effects.worlds.blind.placing import place_slip
 from benchmarks.hidden_effects.worlds.blind.robots import Robot, draw_robot, robots_for
-from benchmarks.hidden_effects.worlds.blind.rooms import PLANS, Room, draw_room, largest_part
+from benchmarks.hidden_effects.worlds.blind.rooms import PLANS, Room, draw_room
 from benchmarks.hidden_effects.worlds.blind.scans import Flaws
 
 N_RAYS = (70e3, 150e3)
