@@ -32,8 +32,6 @@ class Spec:
     """This effect instead of the suite's turn."""
     strength: float | None = None
     """0...1 of a single effect instead of strata in turn (own world)."""
-    has_second: bool = False
-    """A second run on another path (own world)."""
     floors: Path | None = None
     """Folder of the floors that rooms are cut from (floors, pixels)."""
 
@@ -53,7 +51,6 @@ class Case:
     robot: str
     """robot.yaml"""
     truth: dict[str, Any]
-    second: Log | None = None
     world: str = "hidden_effects"
     """Name of the world in its logs."""
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -115,8 +112,6 @@ def save(case: Case, folder: Path, number: int) -> None:
     seen = folder / "cases" / f"{number:04d}"
     seen.mkdir(parents=True, exist_ok=True)
     write_log(case.log, seen / "run.mcap", case.world)
-    if case.second is not None:
-        write_log(case.second, seen / "second.mcap", case.world)
     for name, content in case.map.items():
         (seen / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     (seen / "robot.yaml").write_text(case.robot)

@@ -10,8 +10,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from benchmarks.hidden_effects.case import BACKGROUNDS, KINDS, Spec, save
 from benchmarks.hidden_effects.worlds import WORLDS
@@ -36,12 +38,17 @@ def generate(options: argparse.Namespace) -> None:
             f"world {options.world} has no suite {options.suite}; expected one of {', '.join(suites)}"
         )
     start = max((int(path.stem) for path in options.output.glob("truth/*.json")), default=-1) + 1
-    with ProcessPoolExecutor(options.workers) as pool:
-        jobs = [
-            pool.submit(make_and_save, options.world, spec_of(options, k), options.output, start + k)
-            for k in range(options.n)
-        ]
-        for job in jobs:
+    in_pool(
+        options.workers,
+        make_and_save,
+        [(options.world, spec_of(options, k), options.output, start + k) for k in range(options.n)],
+    )
+
+
+def in_pool(workers: int, work: Callable[..., str], jobs: Iterable[tuple[Any, ...]]) -> None:
+    """Do jobs in processes; print the line of each, in the order of the jobs."""
+    with ProcessPoolExecutor(workers) as pool:
+        for job in [pool.submit(work, *arguments) for arguments in jobs]:
             print(job.result(), flush=True)
 
 
@@ -54,7 +61,6 @@ def spec_of(options: argparse.Namespace, k: int) -> Spec:
         background=options.background,
         effect=options.effect,
         strength=options.strength,
-        has_second=options.second,
         floors=options.floors,
     )
 
@@ -70,10 +76,7 @@ def answer(options: argparse.Namespace) -> None:
     if not options.again:
         done = options.folder / "answers" / options.entrant
         names = [name for name in names if not (done / name / "run.json").exists()]
-    with ProcessPoolExecutor(options.workers) as pool:
-        jobs = [pool.submit(answer_case, options.entrant, options.folder, name) for name in names]
-        for job in jobs:
-            print(job.result(), flush=True)
+    in_pool(options.workers, answer_case, [(options.entrant, options.folder, name) for name in names])
 
 
 def score(options: argparse.Namespace) -> None:
@@ -109,7 +112,6 @@ def main() -> None:
     one.add_argument("--background", choices=BACKGROUNDS, default="", help="default: clean and dirty in turn")
     one.add_argument("--effect", default="", help="this effect instead of all in turn")
     one.add_argument("--strength", type=float, help="own: 0...1 of a single instead of strata in turn")
-    one.add_argument("--second", action="store_true", help="own: a second run of each, on another path")
     one.add_argument("--floors", type=Path, help="floors, pixels: folder of the floors of KTH")
     one.add_argument("--workers", type=int, default=1)
     one.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")

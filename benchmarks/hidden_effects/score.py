@@ -52,18 +52,6 @@ def _statistic(
     return what, value, f"n = {len(values)}", "" if most is None else f"<= {most:g}", is_met
 
 
-def _is_wrong(case: Case) -> bool:
-    return bool(case.wrong_names)
-
-
-def _is_named(case: Case) -> bool:
-    return bool(case.reported_names)
-
-
-def _is_first(case: Case) -> bool:
-    return case.is_first_right
-
-
 def _agrees_as_stated(case: Case) -> bool:
     """Tell whether a report says that all is well with the tolerances of the robot file."""
     scales = [(case.report or {}).get(key) for key in ("map_scale", "pose_scale")]
@@ -91,25 +79,33 @@ def table(cases: Sequence[Case]) -> list[Row]:
         what = (
             f"material single, first name right, {background} ({len({c.names[0] for c in chosen})} effects)"
         )
-        rows.append(_share(what, map(_is_first, chosen), least))
+        rows.append(_share(what, (c.is_first_right for c in chosen), least))
     for background, least in (("dirty", 0.99), ("clean", None)):
         chosen = of(material, background, lambda c: (ratio(c) or 0) >= 2)
         rows.append(
-            _share(f"... at twice the materiality or more, {background}", map(_is_first, chosen), least)
+            _share(
+                f"... at twice the materiality or more, {background}",
+                (c.is_first_right for c in chosen),
+                least,
+            )
         )
     for background in ("clean", "dirty"):
         chosen = of(material, background, lambda c: ratio(c) is None)
-        rows.append(_share(f"... effects without a size, {background}", map(_is_first, chosen)))
+        rows.append(_share(f"... effects without a size, {background}", (c.is_first_right for c in chosen)))
     below = [c for c in by["singles"] if c.is_below_materiality]
     rows += [
-        _share("... below it: silent", (not _is_named(c) for c in below), 0.98),
-        _share("no mark in the run: silent or right", (not _is_wrong(c) for c in unmarked)),
+        _share("... below it: silent", (not c.reported_names for c in below), 0.98),
+        _share("no mark in the run: silent or right", (not c.wrong_names for c in unmarked)),
         _share("named wrongly first (singles)", (c.is_first_wrong for c in by["singles"]), most=0.005),
-        _share("any wrong name (singles)", map(_is_wrong, by["singles"])),
+        _share("any wrong name (singles)", (bool(c.wrong_names) for c in by["singles"])),
     ]
     for background, most in (("clean", 0.0), ("dirty", 0.0), ("wrong_tolerances", 0.02)):
         rows.append(
-            _share(f"false name on none, {background}", map(_is_named, of(by["none"], background)), most=most)
+            _share(
+                f"false name on none, {background}",
+                (bool(c.reported_names) for c in of(by["none"], background)),
+                most=most,
+            )
         )
     wrong = of(by["none"], "wrong_tolerances")
     rows += [
@@ -125,7 +121,7 @@ def table(cases: Sequence[Case]) -> list[Row]:
     return [
         *rows,
         _share("outside the library: said to be unknown", (c.is_unknown for c in by["foreign"]), 0.95),
-        _share("... with no library name left", (not _is_named(c) for c in by["foreign"]), 0.80),
+        _share("... with no library name left", (not c.reported_names for c in by["foreign"]), 0.80),
         _share("... right answers wrongly doubted", (c.is_unknown for c in right), most=0.02),
         *_rows_of_sizes(cases),
         *[
@@ -300,11 +296,11 @@ COMPARED: Mapping[str, tuple[Claim, Claim]] = {
     "nothing hidden: silent": (lambda c: c.suite == "none", is_good),
     "material single, clean: named first": (
         lambda c: c.suite == "singles" and c.background == "clean" and c.is_material,
-        _is_first,
+        lambda c: c.is_first_right,
     ),
     "material single, dirty: named first": (
         lambda c: c.suite == "singles" and c.background == "dirty" and c.is_material,
-        _is_first,
+        lambda c: c.is_first_right,
     ),
     "single named wrongly first": (lambda c: c.suite == "singles", lambda c: c.is_first_wrong),
     "several: exactly these": (lambda c: c.suite in ("pairs", "triples"), lambda c: c.is_right),

@@ -19,13 +19,13 @@ from sensorgraph.cli import run as run_command
 
 def answer(case: Path) -> dict[str, Any]:
     """Return report.json of the command, with the CPU time of the diagnosis alone."""
-    runs = [str(path) for path in (case / "run.mcap", case / "second.mcap") if path.exists()]
+    run = str(case / "run.mcap")
     drawn, pixels = case / "arena.geojson", case / "arena.yaml"
     files = ["--arena", str(drawn if drawn.exists() else pixels), "--robot", str(case / "robot.yaml")]
     printed = io.StringIO()
     with tempfile.TemporaryDirectory() as out:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            code = run_command(["diagnose", *runs, *files, "-o", out])
+            code = run_command(["diagnose", run, *files, "-o", out])
         if code:
             raise RuntimeError(printed.getvalue().strip()[-4000:])
         report: dict[str, Any] = json.loads((Path(out) / "report.json").read_text())

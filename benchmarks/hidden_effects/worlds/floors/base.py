@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.floors.effect import Effect
 from benchmarks.hidden_effects.worlds.floors.robots import Robot
@@ -16,11 +17,6 @@ from benchmarks.hidden_effects.worlds.floors.ways import Ways
 STYLES = ("waypoints", "wander")
 SIGHT = 2.5
 """[m] that one who wanders looks ahead."""
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle within [-pi, pi) [rad]."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 class Driver:

@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 import shapely
 
-from benchmarks.hidden_effects.case import Case, Redraw, Spec, geojson, truth_of
+from benchmarks.hidden_effects.case import Case, Redraw, Spec, truth_of
 from benchmarks.hidden_effects.library import DETERMINISTIC, LIBRARY, materiality_ratio
-from benchmarks.hidden_effects.log import Floats, Log
+from benchmarks.hidden_effects.log import Floats, Log, Odometry
 from benchmarks.hidden_effects.worlds.floors.base import drive
 from benchmarks.hidden_effects.worlds.floors.effect import EFFECTS, Effect
 from benchmarks.hidden_effects.worlds.floors.effects import FOREIGN, note_of
 from benchmarks.hidden_effects.worlds.floors.logged import Scans, count, observe, scan
-from benchmarks.hidden_effects.worlds.floors.rooms import FOLDER, OUTLINE, Room, floor_files
+from benchmarks.hidden_effects.worlds.floors.rooms import FOLDER, Room, floor_files
 from benchmarks.hidden_effects.worlds.floors.scene import (
     OMEGA,
     PHI,
     RIM_LEFT,
     RIM_RIGHT,
-    Odometry,
     Scene,
     V,
     X,
@@ -204,7 +203,7 @@ def _case(spec: Spec, scene: Scene, runs: Runs, mark: Mark, attempt: int) -> Cas
             commands=runs.commands[:, 1:],
             arrival_seed=(SEED, spec.index),
         ),
-        map={"arena.geojson": geojson(OUTLINE, scene.plan.rings)},
+        map={"arena.geojson": scene.plan.geojson()},
         robot=robot.yaml(),
         truth=truth_of(
             spec,
@@ -305,12 +304,12 @@ def _made(scene: Scene, runs: Runs, attempt: int) -> dict[str, Any]:
     over_sigma = noise[np.isfinite(noise)] / scene.robot.sigma
     odometry = odometry_error(scene, scene.run, runs.plain_odometry)
     return {
-        "room": scene.plan.name,
+        "room": scene.plan.floor,
         "robot": scene.robot.name,
         "style": scene.style,
         "duration": scene.duration,
         "way": round(scene.way, 1),
-        "walls": len(runs.plain_scans.rays.wall_names),
+        "walls": len(runs.plain_scans.rays.walls),
         "furniture": len(scene.plan.furniture),
         "turned_left": round(float(turned[turned > 0].sum()), 1),
         "turned_right": round(float(-turned[turned < 0].sum()), 1),

@@ -7,8 +7,8 @@ import types
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from benchmarks.hidden_effects.log import Booleans, Floats
-from benchmarks.hidden_effects.worlds.floors.scene import BaseState, Odometry, Rays, Scene
+from benchmarks.hidden_effects.log import Booleans, Floats, Odometry
+from benchmarks.hidden_effects.worlds.floors.scene import BaseState, Rays, Scene
 
 Mount = tuple[Floats, Floats, Floats]
 """(n_scans, n_rays) each [m, m, rad]."""

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.log import Floats, Odometry
 from benchmarks.hidden_effects.worlds.floors.base import follow
 from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, even, rounded, sign
 from benchmarks.hidden_effects.worlds.floors.scene import (
@@ -16,7 +16,6 @@ from benchmarks.hidden_effects.worlds.floors.scene import (
     STEP,
     TIME,
     BaseState,
-    Odometry,
     Scene,
     V,
     pose_at,

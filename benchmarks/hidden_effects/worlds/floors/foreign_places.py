@@ -9,10 +9,11 @@ import numpy as np
 from shapely.geometry import LineString, Point, Polygon
 
 from benchmarks.hidden_effects.case import Redraw
+from benchmarks.hidden_effects.geometry import edges_of
 from benchmarks.hidden_effects.log import Booleans, Floats
 from benchmarks.hidden_effects.worlds.floors.effect import Effect, even, rounded
 from benchmarks.hidden_effects.worlds.floors.placing import OnWall, Rebuilt, free_spot, is_passed
-from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, PIER, Room, rectangle
+from benchmarks.hidden_effects.worlds.floors.rooms import OUTLINE, Room, rectangle
 from benchmarks.hidden_effects.worlds.floors.scene import PHI, Rays, Scene, X, meet_discs, meet_walls
 
 REFRACTION = 1.5
@@ -94,7 +95,7 @@ class Added(Effect):
 
     def add(self, rays: Rays, rings: Sequence[Floats], is_there: Booleans | None = None) -> None:
         """Shorten rays that meet rings (n, 2) [m] while they are there."""
-        walls = np.vstack([np.hstack([ring, np.roll(ring, -1, 0)]) for ring in rings])
+        walls = np.vstack([edges_of(ring) for ring in rings])
         short = np.minimum(rays.ranges, meet_walls(rays.starts, rays.directions, walls).ranges)
         rays.ranges = short if is_there is None else np.where(is_there, short, rays.ranges)
 
@@ -140,17 +141,19 @@ class Plaster(Rebuilt, name="g_plaster"):
     def draw(self, scene: Scene) -> None:
         self.parameters = rounded(d=even(scene, 0.03, 0.05))
 
-    def change(self, room: Room) -> None:
-        for name, ring in room.rings.items():
-            if name != OUTLINE and not name.startswith(PIER):
-                continue
+    def changed(self, room: Room) -> Room:
+        def lined(name: str, ring: Floats) -> Floats:
+            if name in room.furniture:
+                return ring
             edge = np.roll(ring, -1, 0) - ring
             length = np.hypot(*edge.T)[:, None]
             after = np.column_stack([-edge[:, 1], edge[:, 0]]) / length * (1 if name == OUTLINE else -1)
             before = np.roll(after, 1, 0)
             blunt = 1 + (after * before).sum(1, keepdims=True)
             corner = np.where(blunt > 0.2, (after + before) / np.maximum(blunt, 0.2), after)
-            room.rings[name] = ring + corner * self.parameters["d"]
+            return np.asarray(ring + corner * self.parameters["d"])
+
+        return room.changed(lined)
 
 
 class Cart(Added, name="g_cart"):
@@ -184,10 +187,14 @@ class Overhang(Rebuilt, name="g_overhang"):
     def draw(self, scene: Scene) -> None:
         self.parameters = rounded(d=even(scene, 0.07, 0.11))
 
-    def change(self, room: Room) -> None:
-        for name in room.furniture:
-            larger = Polygon(room.rings[name]).buffer(self.parameters["d"], join_style="mitre")
-            room.rings[name] = np.array(larger.exterior.coords)[:-1]
+    def changed(self, room: Room) -> Room:
+        def larger(name: str, ring: Floats) -> Floats:
+            if name not in room.furniture:
+                return ring
+            grown = Polygon(ring).buffer(self.parameters["d"], join_style="mitre")
+            return np.array(grown.exterior.coords)[:-1]
+
+        return room.changed(larger)
 
 
 class Pipes(Effect, name="g_pipes"):

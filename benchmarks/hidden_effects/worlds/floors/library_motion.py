@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import with_edge_moved
 from benchmarks.hidden_effects.worlds.floors.base import follow, lagged
 from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, law, rounded, sign, signed, size
 from benchmarks.hidden_effects.worlds.floors.people import legs
@@ -129,7 +130,7 @@ class Glass(OnWall, name="glass"):
         if self.parameters["depth"] > 0:
             behind = rays.ranges + self.parameters["depth"] / np.maximum(rays.cosine, 1e-3)
         else:
-            skipped = np.full(rays.wall.shape, self.part.wall)
+            skipped = np.full(rays.wall.shape, self.part.edge)
             behind = meet_walls(rays.starts, rays.directions, rays.walls, skipped).ranges
         rays.ranges = np.where(is_through, behind, rays.ranges)
 
@@ -185,9 +186,9 @@ class MovedObstacle(Rebuilt, name="moved_obstacle"):
         self.parameters = rounded(dx=shift * math.cos(angle), dy=shift * math.sin(angle))
         self.location = location_of(scene, self.moved)
 
-    def change(self, room: Room) -> None:
+    def changed(self, room: Room) -> Room:
         shift = (self.parameters["dx"], self.parameters["dy"])
-        room.rings[self.moved] = room.rings[self.moved] + shift
+        return room.with_ring(self.moved, room.rings[self.moved] + shift)
 
 
 class MissingObstacle(Rebuilt, name="missing_obstacle"):
@@ -197,8 +198,8 @@ class MissingObstacle(Rebuilt, name="missing_obstacle"):
         self.gone = pick_obstacle(scene, 0.02)
         self.location = location_of(scene, self.gone)
 
-    def change(self, room: Room) -> None:
-        del room.rings[self.gone]
+    def changed(self, room: Room) -> Room:
+        return room.with_ring(self.gone, None)
 
 
 class MovedWall(Rebuilt, name="moved_wall"):
@@ -210,13 +211,8 @@ class MovedWall(Rebuilt, name="moved_wall"):
         self.location = part.location
         self.parameters = rounded(d=sign(scene) * size(scene, 0.01))
 
-    def change(self, room: Room) -> None:
-        ring = room.rings[OUTLINE]
-        first, last = self.edge, (self.edge + 1) % len(ring)
-        along = ring[last] - ring[first]
-        outward = np.array([along[1], -along[0]]) / np.hypot(*along)
-        ring[first] += outward * self.parameters["d"]
-        ring[last] += outward * self.parameters["d"]
+    def changed(self, room: Room) -> Room:
+        return room.with_ring(OUTLINE, with_edge_moved(room.outer, self.edge, self.parameters["d"]))
 
 
 class MapScale(Rebuilt, name="map_scale"):
@@ -227,12 +223,11 @@ class MapScale(Rebuilt, name="map_scale"):
         dx, dy = scene.rng.normal(0, 0.003), scene.rng.normal(0, 0.003)
         self.parameters = rounded(s=scale, dx=dx, dy=dy)
 
-    def change(self, room: Room) -> None:
-        outline = self.scene.plan.rings[OUTLINE]
+    def changed(self, room: Room) -> Room:
+        outline = self.scene.plan.outer
         middle = (outline.min(0) + outline.max(0)) / 2
-        shift = (self.parameters["dx"], self.parameters["dy"])
-        for name, ring in room.rings.items():
-            room.rings[name] = middle + (1 + self.parameters["s"]) * (ring - middle) + shift
+        shift, scale = (self.parameters["dx"], self.parameters["dy"]), 1 + self.parameters["s"]
+        return room.changed(lambda _, ring: middle + scale * (ring - middle) + shift)
 
 
 class People(Effect, name="people"):

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.hidden_effects.log import Booleans, Floats
+from benchmarks.hidden_effects.geometry import wrapped
+from benchmarks.hidden_effects.log import Booleans, Floats, Odometry
 from benchmarks.hidden_effects.worlds.floors.effect import Effect
 from benchmarks.hidden_effects.worlds.floors.scene import (
     RIM_LEFT,
     RIM_RIGHT,
     STEP,
     TIME,
-    Odometry,
     Rays,
     Setup,
     pose_at,
@@ -87,7 +87,7 @@ def observe(setup: Setup, run: Floats, effect: Effect | None = None) -> tuple[Fl
             noise[i] = kept * noise[i - 1] + math.sqrt(1 - kept * kept) * noise[i]
     poses = poses + noise * (robot.sigma_xy, robot.sigma_xy, robot.sigma_yaw)
     jitter = rng.normal(size=len(t)) * background.pose_jitter
-    poses[:, 2] = (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    poses[:, 2] = wrapped(poses[:, 2])
     return t + np.clip(jitter, -MOST_POSE_JITTER, MOST_POSE_JITTER), poses
 
 
@@ -123,7 +123,6 @@ def aim(setup: Setup, run: Floats, effect: Effect | None = None) -> Rays:
     bearings = effect.bearing(taken, nominal)
     x, y, phi = pose_at(run, taken)
     c, s = np.cos(phi), np.sin(phi)
-    walls, names = setup.room.walls()
     rays = Rays(
         nominal=nominal,
         taken=taken,
@@ -131,8 +130,7 @@ def aim(setup: Setup, run: Floats, effect: Effect | None = None) -> Rays:
         bearings=bearings,
         starts=np.stack([x + c * mount_x - s * mount_y, y + s * mount_x + c * mount_y], -1),
         directions=phi + mount_yaw + bearings,
-        walls=walls,
-        wall_names=names,
+        walls=setup.room.walls,
         rng=np.random.default_rng((*setup.seed, 5)),
     )
     effect.meet(rays)

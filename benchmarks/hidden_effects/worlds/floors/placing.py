@@ -26,10 +26,8 @@ MOST_ATTEMPTS = 4000
 class WallPart:
     """A part of a wall of the outline."""
 
-    wall: int
-    """Index among all walls."""
     edge: int
-    """Index among those of the outline."""
+    """Index of the wall."""
     a: float
     b: float
     """[m] from the wall's first end."""
@@ -41,18 +39,18 @@ class WallPart:
 
     def hit_by(self, rays: Rays) -> Booleans:
         """Return which rays end on it."""
-        return np.asarray((rays.wall == self.wall) & (rays.along >= self.a) & (rays.along <= self.b))
+        return np.asarray((rays.wall == self.edge) & (rays.along >= self.a) & (rays.along <= self.b))
 
     def reflected(self, rays: Rays, is_hit: Booleans) -> Floats:
         """Return the ranges [m] from the wall to what the rays that hit it (n,) meet as in a mirror."""
-        ends = rays.walls[self.wall]
+        ends = rays.walls[self.edge]
         along = np.array([ends[2] - ends[0], ends[3] - ends[1]])
         along /= np.hypot(*along)
         angle = math.atan2(along[1], along[0])
         directions = rays.directions[is_hit]
         ahead = np.stack([np.cos(directions), np.sin(directions)], -1)
         starts = rays.starts[is_hit] + rays.ranges[is_hit][:, None] * ahead
-        skipped = np.full(len(directions), self.wall)
+        skipped = np.full(len(directions), self.edge)
         return meet_walls(starts, 2 * angle - directions, rays.walls, skipped).ranges
 
 
@@ -62,19 +60,18 @@ def pick_wall(
     """Draw a part [m] of a wall on which at least this share of the rays ends."""
     hits = scene.hits
     seen = []
-    for edge in range(len(scene.room.rings[OUTLINE])):
-        wall = hits.wall_names.index((OUTLINE, edge))
-        x0, y0, x1, y1 = hits.walls[wall]
+    for edge in range(len(scene.room.outer)):  # whose walls come first
+        x0, y0, x1, y1 = hits.walls[edge]
         length = math.hypot(x1 - x0, y1 - y0)
         if length > SHORTEST_WALL:
-            seen.append((float((hits.wall == wall).mean()), wall, edge, length))
+            seen.append((float((hits.wall == edge).mean()), edge, length))
     seen.sort(reverse=True)
     good = [one for one in seen if one[0] >= least_share] or seen[:2]
-    _, wall, edge, length = good[scene.rng.integers(len(good))]
-    along = hits.along[hits.wall == wall]
+    _, edge, length = good[scene.rng.integers(len(good))]
+    along = hits.along[hits.wall == edge]
     half = min(length / 2, scene.rng.uniform(shortest, longest) / 2)
     middle = float(np.clip(scene.rng.choice(along), half, length - half))
-    return WallPart(wall=wall, edge=edge, a=round(middle - half, 3), b=round(middle + half, 3))
+    return WallPart(edge=edge, a=round(middle - half, 3), b=round(middle + half, 3))
 
 
 class OnWall(Effect):
@@ -93,24 +90,23 @@ class OnWall(Effect):
 class Rebuilt(Effect):
     """The true room is not that of the map."""
 
-    def change(self, room: Room) -> None:
-        """Change a copy of the room."""
+    def changed(self, room: Room) -> Room:
+        """Return the room as it is."""
         raise NotImplementedError
 
     def meet(self, rays: Rays) -> None:
         """Let rays meet the walls of the changed room."""
-        room = self.scene.room.copy()
-        self.change(room)
-        rays.walls, rays.wall_names = room.walls()
+        rays.walls = self.changed(self.scene.room).walls
         rays.meet()
 
 
 def pick_obstacle(scene: Scene, least_share: float) -> str:
     """Draw a piece of furniture at which at least this share of the rays ends."""
-    names = scene.room.furniture
-    hits = scene.hits
+    names, walls = scene.room.furniture, scene.room.wall_names
     shares = {
-        name: np.isin(hits.wall, [j for j, (ring, _) in enumerate(hits.wall_names) if ring == name]).mean()
+        name: np.isin(
+            scene.hits.wall, [j for j, wall in enumerate(walls) if wall.startswith(f"{name}/")]
+        ).mean()
         for name in names
     }
     good = [name for name in names if shares[name] >= least_share]

@@ -15,7 +15,9 @@ from shapely import affinity
 from shapely.geometry import Point, Polygon, box, shape
 from shapely.geometry.base import BaseGeometry
 
+from benchmarks.hidden_effects import geometry
 from benchmarks.hidden_effects.case import Redraw
+from benchmarks.hidden_effects.geometry import largest_part
 from benchmarks.hidden_effects.log import Floats
 
 OUTLINE = "floor"
@@ -30,51 +32,35 @@ FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Room:
-    """Rings of walls; the rays of a laser are stopped at each."""
+class Room(geometry.Room):
+    """The outline of a part of a floor, its piers and its furniture."""
 
-    name: str
-    """Of the floor that it was cut from."""
-    rings: dict[str, Floats]
-    """(n, 2) [m] of each, counter-clockwise; the first is the outline of the free space."""
-
-    def copy(self) -> Room:
-        """Return a room whose rings may be changed."""
-        return Room(name=self.name, rings={name: ring.copy() for name, ring in self.rings.items()})
+    floor: str
+    """Name of the floor that it was cut from."""
 
     @property
     def furniture(self) -> list[str]:
         """Names of what may be moved."""
-        return [name for name in self.rings if name != OUTLINE and not name.startswith(PIER)]
+        return [name for name in self.obstacles if not name.startswith(PIER)]
 
     def free(self) -> BaseGeometry:
-        """Return the free space."""
-        free: BaseGeometry = Polygon(self.rings[OUTLINE])
-        for name, ring in self.rings.items():
-            if name != OUTLINE:
-                free = free.difference(Polygon(ring).buffer(0))
+        """Return the free space; rings of a changed room may cross themselves."""
+        free: BaseGeometry = Polygon(self.outer)
+        for name in self.obstacles:
+            free = free.difference(Polygon(self.rings[name]).buffer(0))
         return free
-
-    def walls(self) -> tuple[Floats, list[tuple[str, int]]]:
-        """Return all walls (n, 4) [m] by their ends, and of each its ring and its index there."""
-        walls: list[Floats] = []
-        names: list[tuple[str, int]] = []
-        for name, ring in self.rings.items():
-            walls.append(np.hstack([ring, np.roll(ring, -1, axis=0)]))
-            names += [(name, i) for i in range(len(ring))]
-        return np.ascontiguousarray(np.vstack(walls)), names
 
 
 def raster(room: Room) -> dict[str, str | bytes]:
     """Return the files of a map as map_server does: arena.pgm and arena.yaml; unknown outside and inside of things."""
-    outline = room.rings[OUTLINE]
+    outline = room.outer
     x0, y0 = np.floor((outline.min(0) - MARGIN) / RESOLUTION) * RESOLUTION
     nx, ny = np.ceil((outline.max(0) + MARGIN - (x0, y0)) / RESOLUTION).astype(int)
     free = room.free()
     shapely.prepare(free)
     x, y = np.meshgrid(x0 + (np.arange(nx) + 0.5) * RESOLUTION, y0 + (np.arange(ny) + 0.5) * RESOLUTION)
     image = np.where(shapely.contains_xy(free, x, y), FREE, UNKNOWN).astype(np.uint8)
-    for wall in room.walls()[0]:
+    for wall in room.walls:
         length = np.hypot(wall[2] - wall[0], wall[3] - wall[1])
         share = np.linspace(0, 1, int(length / (RESOLUTION / 10)) + 2)
         column = ((wall[0] + share * (wall[2] - wall[0]) - x0) / RESOLUTION).astype(int)
@@ -147,20 +133,12 @@ def free_space(path: Path) -> BaseGeometry:
     arena: BaseGeometry = Polygon()
     walls = []
     for feature in json.loads(text)["features"]:
-        geometry = shape(feature["geometry"])
+        part = shape(feature["geometry"])
         if feature["properties"].get("kind") == "arena":
-            arena = geometry
+            arena = part
         else:
-            walls.append(geometry.buffer(WALL, join_style="mitre"))
+            walls.append(part.buffer(WALL, join_style="mitre"))
     return arena.difference(shapely.union_all(walls))
-
-
-def largest(geometry: BaseGeometry) -> Polygon:
-    """Return the largest polygon of a geometry, an empty one if there is none."""
-    if isinstance(geometry, Polygon):
-        return geometry
-    polygons = [one for one in getattr(geometry, "geoms", []) if isinstance(one, Polygon)]
-    return max(polygons, key=lambda polygon: polygon.area) if polygons else Polygon()
 
 
 def cut_room(rng: np.random.Generator, radius: float, floors: Sequence[Path]) -> Room:
@@ -176,7 +154,7 @@ def cut_room(rng: np.random.Generator, radius: float, floors: Sequence[Path]) ->
                 rings[f"{PIER}_{i}"] = _corners(Polygon(hole))
         if not Polygon(rings[OUTLINE]).is_valid:
             continue
-        room = Room(name=path.name.split(".")[0], rings=rings)
+        room = Room(floor=path.name.split(".")[0], rings=rings)
         if isinstance(room.free(), Polygon) and _furnish(rng, radius, room) >= LEAST_PIECES:
             return room
     raise Redraw("no part of a floor is wide enough")
@@ -192,16 +170,16 @@ def _part(rng: np.random.Generator, radius: float, free: BaseGeometry) -> Polygo
     if rng.random() < 0.5:
         w, h = h, w
     cx, cy = rng.uniform(x0, x1), rng.uniform(y0, y1)
-    part = largest(free.intersection(box(cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2)))
+    part = largest_part(free.intersection(box(cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2)))
     if part.area < 22:
         return None
     # slits narrower than 8 cm are no place for a map
-    part = largest(part.buffer(-0.04, join_style="mitre").buffer(0.04, join_style="mitre"))
-    part = largest(part.simplify(0.012))
-    drivable = largest(part.buffer(-radius - SLACK))
+    part = largest_part(part.buffer(-0.04, join_style="mitre").buffer(0.04, join_style="mitre"))
+    part = largest_part(part.simplify(0.012))
+    drivable = largest_part(part.buffer(-radius - SLACK))
     if part.area > 140 or drivable.area < 9 or drivable.area < 0.3 * part.area:
         return None
-    near = largest(part.intersection(drivable.buffer(radius + 0.7, join_style="mitre")))
+    near = largest_part(part.intersection(drivable.buffer(radius + 0.7, join_style="mitre")))
     if near.area < part.area * 0.8:
         return None
     x, y = rng.uniform(-6, 6, 2)
@@ -227,7 +205,7 @@ def _corners(polygon: Polygon) -> Floats:
 def _furnish(rng: np.random.Generator, radius: float, room: Room) -> int:
     """Add furniture to the room's rings, near to where the robot gets; return how many."""
     free = room.free()
-    bare = largest(free.buffer(-radius - SLACK)).area
+    bare = largest_part(free.buffer(-radius - SLACK)).area
     wanted = int(rng.integers(3, 11))
     n = 0
     for _ in range(MOST_PIECES_TRIED):
@@ -243,7 +221,7 @@ def _furnish(rng: np.random.Generator, radius: float, room: Room) -> int:
         if not free.contains(thing.buffer(0.03)):
             continue
         left = free.difference(thing)
-        drivable = largest(left.buffer(-radius - SLACK))
+        drivable = largest_part(left.buffer(-radius - SLACK))
         if drivable.area < 0.55 * bare or drivable.area < 6 or thing.distance(drivable) > radius + 0.5:
             continue
         free = left

@@ -172,8 +172,6 @@ class Rays:
     """[rad] in the map."""
     walls: Floats
     """(n_walls, 4) [m]"""
-    wall_names: list[tuple[str, int]]
-    """Ring of each wall, and its index there."""
     rng: np.random.Generator
     """For effects alone."""
     ranges: Floats = field(init=False)
@@ -232,18 +230,6 @@ class BaseState:
     rim_left: float = 0.0
     rim_right: float = 0.0
     """[m/s] as the encoders see it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Odometry:
-    """What the base logs."""
-
-    stamps: Floats
-    """(n,) [s]"""
-    poses: Floats
-    """(n, 3) [m, m, rad]"""
-    twists: Floats
-    """(n, 2) [m/s, rad/s]"""
 
 
 def pose_at(run: Floats, t: Floats | float) -> tuple[Floats, Floats, Floats]:

@@ -86,11 +86,13 @@ def _robot(suite: str, index: int) -> Robot:
 
 def _true_room(rng: np.random.Generator, plan: Room, corners: float, is_dirty: bool) -> Room:
     """Return the room as it is: corners off by some millimetres [m], those of a thing partly together."""
-    room = plan.copy()
-    for name, ring in room.rings.items():
+
+    def built(name: str, ring: Floats) -> Floats:
         is_thing = name != OUTLINE
         shift = rng.normal(0, corners / 1.4, (1, 2)) if is_thing else np.zeros((1, 2))
-        if is_dirty:
-            off = rng.normal(0, corners / (1.4 if is_thing else 1.0), ring.shape)
-            ring += np.clip(off + shift, -MOST_CORNER, MOST_CORNER)
-    return room
+        if not is_dirty:
+            return ring
+        off = rng.normal(0, corners / (1.4 if is_thing else 1.0), ring.shape)
+        return ring + np.clip(off + shift, -MOST_CORNER, MOST_CORNER)
+
+    return plan.changed(built)

@@ -214,13 +214,8 @@ def make(spec: Spec) -> Case:
     driven = setup.drive(effects)
     run = record(setup, driven, effects, int(noise_rng.integers(2**62)))
     told = [truth_of(setup, effect, effects, context, driven) for effect in effects]
-    second = None
-    if spec.has_second:
-        other = replace(setup, path_seed=int(path_rng.integers(2**62)))
-        second = record(other, other.drive(effects), effects, int(noise_rng.integers(2**62)))
     return Case(
         log=run,
-        second=second,
         map={"arena.geojson": room.geojson()},
         robot=robot.yaml(),
         truth=truth_file(

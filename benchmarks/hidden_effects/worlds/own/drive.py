@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import shapely
 
+from benchmarks.hidden_effects.geometry import Room, interpolated, largest_part
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.robot import COMMAND_PERIOD, BaseLoop, RobotSpec
-from benchmarks.hidden_effects.worlds.own.world import Room
 
 SIMULATION_STEP = 0.01
 """[s] of the integrated truth."""
@@ -71,14 +71,14 @@ class TrueDrive:
 
     def at(self, stamps: Floats) -> Floats:
         """Interpolate poses (..., 3) at stamps (...) [s]."""
-        return np.stack([np.interp(stamps, self.stamps, column) for column in self.poses.T], axis=-1)
+        return interpolated(stamps, self.stamps, self.poses)
 
     def travelled(self, stamps: Floats) -> Floats:
         """Return way and turn of the wheels (n, 2) [m, rad] up to stamps (n,) [s]."""
         total = np.concatenate(
             [np.zeros((1, 2)), np.cumsum((self.wheels[1:] + self.wheels[:-1]) / 2 * SIMULATION_STEP, axis=0)]
         )
-        return np.stack([np.interp(stamps, self.stamps, column) for column in total.T], axis=-1)
+        return interpolated(stamps, self.stamps, total)
 
 
 @dataclass(eq=False)
@@ -95,7 +95,7 @@ class Errand:
     paces: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        free = self.room.free
+        free = self.room.free()
         self.tight, self.wide = largest_part(free.buffer(-CLEARANCE)), largest_part(free.buffer(-0.5))
         shapely.prepare(self.tight)
         shapely.prepare(self.wide)
@@ -169,11 +169,6 @@ class Errand:
                 is_arc=bool(rng.random() < 0.4 and self.wide.contains(shapely.LineString([here, best]))),
             )
         )
-
-
-def largest_part(area: shapely.Geometry) -> shapely.Geometry:
-    parts = list(getattr(area, "geoms", [area]))
-    return max(parts, key=lambda part: part.area)
 
 
 @dataclass(eq=False)

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import turned, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.drive import TrueDrive
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, at, laws
-from benchmarks.hidden_effects.worlds.own.world import ARENA, Walls
+from benchmarks.hidden_effects.worlds.own.world import ARENA, Walls, centroid
 
 FOREIGN_CHANNEL = {"odom_scale_jump": "odometry", "turn_deadband": "drive", "battery_sag": "drive"}
 KINDS = {
@@ -78,10 +79,6 @@ def draw(name: str, rng: np.random.Generator, context: Mapping[str, Any]) -> Hid
     return HiddenEffect(name=name, parameters=values)
 
 
-def _turned(angle: Any) -> Any:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
 def _pitch(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> Floats:
     gain = np.gradient(scene.driven.wheels[:, 0], scene.driven.stamps)
     pitch = -p["c"] * np.interp(scene.times.ravel(), scene.driven.stamps, gain)  # braking: nose down
@@ -92,7 +89,7 @@ def _pitch(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> 
 
 
 def _crosstalk(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> Floats:
-    off = _turned(scene.stated - p["turn"] * scene.clock)
+    off = wrapped(scene.stated - p["turn"] * scene.clock)
     hit = (np.abs(off) < p["width"]) & (scene.rng(effect).random(len(off)) < 0.7)
     return np.where(hit, np.minimum(scene.ranges, p["r0"]), scene.ranges)
 
@@ -136,7 +133,7 @@ laws("ray", "bearings", bearing_scale=lambda scene, p, effect: scene.bearings * 
 
 
 def _sunlight(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> Floats:
-    off = _turned(scene.angles - p["world"])
+    off = wrapped(scene.angles - p["world"])
     return scene.lost((np.abs(off) < p["width"]) & (scene.rng(effect).random(len(off)) < 0.75))
 
 
@@ -222,9 +219,8 @@ def _door_opens(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect
 @at("geometry", "rotated_obstacle")
 def _rotated_obstacle(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> None:
     ring = scene.room.rings[str(effect.place)]
-    c, s, middle = np.cos(p["turn"]), np.sin(p["turn"]), ring.mean(axis=0)
-    turned = middle + (ring - middle) @ np.array([[c, s], [-s, c]])
-    scene.room = scene.room.with_ring(str(effect.place), turned)
+    middle = ring.mean(axis=0)
+    scene.room = scene.room.with_ring(str(effect.place), middle + turned(ring - middle, p["turn"]))
 
 
 PoseLaw = Callable[[Mapping[str, Any], Floats, Floats, TrueDrive, Mapping[str, Any]], Floats]
@@ -234,9 +230,9 @@ PoseLaw = Callable[[Mapping[str, Any], Floats, Floats, TrueDrive, Mapping[str, A
 def _camera_distortion(
     p: Mapping[str, Any], stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
 ) -> Floats:
-    room = context["room"]
-    off = poses[:, :2] - room.centroid
-    reach = float(np.linalg.norm(room.rings[ARENA] - room.centroid, axis=1).max()) * 0.7
+    room, middle = context["room"], centroid(context["room"])
+    off = poses[:, :2] - middle
+    reach = float(np.linalg.norm(room.outer - middle, axis=1).max()) * 0.7
     rho2 = (off**2).sum(axis=1, keepdims=True) / reach**2
     bent = poses.copy()
     bent[:, :2] += p["edge"] * off / reach * rho2

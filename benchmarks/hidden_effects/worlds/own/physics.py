@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import Room
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.drive import TrueDrive
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, at, laws
-from benchmarks.hidden_effects.worlds.own.world import Room, cast, disc_range, shift_edge
+from benchmarks.hidden_effects.worlds.own.world import cast, centroid, disc_range, shift_edge
 
 
 def _moved_wall(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect) -> Room:
@@ -19,8 +20,8 @@ def _moved_wall(scene: SimulatedScan, p: Mapping[str, Any], effect: HiddenEffect
 
 
 def _scaled(room: Room, s: float) -> Room:
-    c = room.centroid
-    return Room(rings={name: c + (1 + s) * (ring - c) for name, ring in room.rings.items()})
+    c = centroid(room)
+    return room.changed(lambda _, ring: c + (1 + s) * (ring - c))
 
 
 laws(

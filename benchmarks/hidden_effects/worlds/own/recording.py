@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import Room
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.own import foreign
 from benchmarks.hidden_effects.worlds.own.drive import Errand, TrueDrive, TrueMotors, drive, wrap
@@ -15,7 +16,7 @@ from benchmarks.hidden_effects.worlds.own.physics import odometry
 from benchmarks.hidden_effects.worlds.own.robot import BaseLoop, RobotSpec
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, observe
 from benchmarks.hidden_effects.worlds.own.strengths import Context
-from benchmarks.hidden_effects.worlds.own.world import Room, cast, walls_of
+from benchmarks.hidden_effects.worlds.own.world import cast, walls_of
 
 RUN_DURATION = 81.0
 """[s]"""
@@ -76,15 +77,13 @@ class CaseSetup:
         rng, size = np.random.default_rng([self.back_seed, 1]), self.background.vertices
         if size == 0:
             return self.room
-        rings = {}
-        for name, ring in self.room.rings.items():
-            off = (
-                rng.uniform(-1, 1, ring.shape)
-                if self.background.uniform
-                else np.clip(rng.normal(size=ring.shape), -2, 2)
-            )
-            rings[name] = ring + size * off
-        return Room(rings=rings)
+
+        def built(_: str, ring: Floats) -> Floats:
+            if self.background.uniform:
+                return ring + size * rng.uniform(-1, 1, ring.shape)
+            return ring + size * np.clip(rng.normal(size=ring.shape), -2, 2)
+
+        return self.room.changed(built)
 
     def true_mount(self) -> Floats:
         """Return the mount (3,) as built."""

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import Room, interpolated
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.drive import TrueDrive
 from benchmarks.hidden_effects.worlds.own.robot import RobotSpec
-from benchmarks.hidden_effects.worlds.own.world import Room, Walls, cast, disc_range, walls_of
+from benchmarks.hidden_effects.worlds.own.world import Walls, cast, disc_range, walls_of
 
 N_SUBRAYS = 31
 
@@ -220,7 +221,7 @@ def _look(scene: SimulatedScan, effects: Sequence[HiddenEffect]) -> Floats:
     discs = [disc_range(scene.origins, scene.angles, np.array([x, y]), r) for x, y, r in scene.discs]
     clock = scene.times.ravel()
     for stamps, centres, radius in scene.walkers:
-        at = np.stack([np.interp(clock, stamps, column) for column in centres.T], axis=1)
+        at = interpolated(clock, stamps, centres)
         away = at - scene.poses[:, :2]
         far = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
         at = scene.poses[:, :2] + away / far * np.maximum(far, 0.45 + radius)  # people do not run into robots

@@ -11,11 +11,12 @@ import numpy as np
 import shapely
 
 from benchmarks.hidden_effects import library
+from benchmarks.hidden_effects.geometry import Room, interpolated, largest_part
 from benchmarks.hidden_effects.log import Floats
-from benchmarks.hidden_effects.worlds.own.drive import TrueDrive, largest_part
+from benchmarks.hidden_effects.worlds.own.drive import TrueDrive
 from benchmarks.hidden_effects.worlds.own.robot import RobotSpec
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect
-from benchmarks.hidden_effects.worlds.own.world import ARENA, Room, TrueHits
+from benchmarks.hidden_effects.worlds.own.world import ARENA, TrueHits
 
 Walker = tuple[Floats, Floats, float]
 """Times (k,) [s], centres (k, 2) [m] and radius [m] of a disc that moves."""
@@ -38,7 +39,7 @@ def walkers(
         stamps, centres = _walk(free, enter, enter + stay, rng)
         gone = np.array([[1e4, 1e4]])
         fine = np.arange(enter, enter + stay, 0.05)
-        at = np.stack([np.interp(fine, stamps, column) for column in centres.T], axis=1)
+        at = interpolated(fine, stamps, centres)
         ends = np.array([enter - 1e-3]), np.array([fine[-1] + 1e-3])
         times = np.concatenate([ends[0], fine, ends[1]])
         if rng.random() < 0.5:
@@ -124,7 +125,7 @@ class Context:
 
     def pick_obstacle(self, rng: np.random.Generator) -> str:
         """Draw a well seen obstacle."""
-        names = [name for name in self.room.rings if name != ARENA]
+        names = self.room.obstacles
         shares = np.array([self.share(name) for name in names])
         good = shares >= min(0.015, shares.max())
         return str(rng.choice(np.array(names)[good]))
@@ -242,7 +243,7 @@ def _min_range(context: Context, u: float, rng: np.random.Generator) -> Found:
 def _unmapped(context: Context, u: float, rng: np.random.Generator) -> Found:
     r = size_of("unmapped_obstacle", u)
     way = shapely.LineString(context.driven.poses[::20, :2])
-    free = context.room.free.buffer(-r - 0.05)
+    free = context.room.free().buffer(-r - 0.05)
     x0, y0, x1, y1 = free.bounds
     best, far = np.zeros(2), -1.0
     for point in rng.uniform((x0, y0), (x1, y1), size=(300, 2)):
@@ -278,7 +279,7 @@ def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> Found:
 
 def _people(context: Context, u: float, rng: np.random.Generator) -> Found:
     """Persons as bodies or pairs of legs that walk between random places for part of the run."""
-    free = largest_part(context.room.free.buffer(-0.3))
+    free = largest_part(context.room.free().buffer(-0.3))
     found = walkers(free, float(context.driven.stamps[-1]), u, rng)
     return {"parameters": {"p": None}, "extra": {"walkers": found}}
 

@@ -1,53 +1,19 @@
-"""Rooms drawn from a seed, their GeoJSON, and a plain ray caster (rays x walls)."""
+"""Rooms drawn from a seed, and a plain ray caster (rays x walls)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from shapely import affinity
 
-from benchmarks.hidden_effects.case import geojson
+from benchmarks.hidden_effects.geometry import Room, rectangle, turned
 from benchmarks.hidden_effects.log import Floats, Ints
 
 ARENA = "arena"
 MIN_GAP = 0.9
 """[m] between obstacles, and between obstacles and walls: the robot passes."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Room:
-    """Rings of the outer wall (first) and of the obstacles, counter-clockwise."""
-
-    rings: dict[str, Floats]
-    """name -> (n_vertices, 2) [m]; `arena` is the outer wall."""
-
-    @property
-    def free(self) -> shapely.Geometry:
-        """Free space: arena minus obstacles."""
-        solids = [shapely.Polygon(ring) for name, ring in self.rings.items() if name != ARENA]
-        return shapely.Polygon(self.rings[ARENA]).difference(shapely.union_all(solids))
-
-    @property
-    def centroid(self) -> Floats:
-        """(2,) [m] of the arena's outer ring."""
-        return np.array(shapely.Polygon(self.rings[ARENA]).centroid.coords[0])
-
-    def edge(self, name: str) -> tuple[Floats, Floats]:
-        """Return both ends (2,) of the wall `FEATURE/edge_i`."""
-        feature, i = name.split("/edge_")
-        ring = self.rings[feature]
-        return ring[int(i)], ring[(int(i) + 1) % len(ring)]
-
-    def with_ring(self, name: str, ring: Floats | None) -> Room:
-        """Return the room with one ring replaced, or left out."""
-        rings = {**self.rings, name: ring}
-        return replace(self, rings={key: value for key, value in rings.items() if value is not None})
-
-    def geojson(self) -> str:
-        """Return the map as a FeatureCollection."""
-        return geojson(ARENA, self.rings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,12 +46,14 @@ class TrueHits:
     """(n,) [m] from the first vertex of the wall."""
 
 
+def centroid(room: Room) -> Floats:
+    """Return the centroid (2,) [m] of the arena."""
+    return np.array(shapely.Polygon(room.outer).centroid.coords[0])
+
+
 def walls_of(room: Room) -> Walls:
     """Return the segments of all rings."""
-    a = np.concatenate(list(room.rings.values()))
-    b = np.concatenate([np.roll(ring, -1, axis=0) for ring in room.rings.values()])
-    names = tuple(f"{name}/edge_{i}" for name, ring in room.rings.items() for i in range(len(ring)))
-    return Walls(a=a, b=b, names=names)
+    return Walls(a=room.walls[:, :2], b=room.walls[:, 2:], names=room.wall_names)
 
 
 def cast(walls: Walls, origins: Floats, angles: Floats) -> TrueHits:
@@ -159,9 +127,9 @@ def _outer(rng: np.random.Generator) -> Floats:
         p=[3, 3, 2, 1, 1, 1] / np.float64(11),
     )
     if kind == "square":
-        ring = _box(5.0, 5.0)
+        ring = rectangle(5.0, 5.0)
     elif kind == "rectangle":
-        ring = _box(*rng.permutation([rng.uniform(4.0, 8.0), rng.uniform(6.0, 11.0)]))
+        ring = rectangle(*rng.permutation([rng.uniform(4.0, 8.0), rng.uniform(6.0, 11.0)]))
     elif kind == "l_shape":
         w, h = rng.uniform(6.0, 9.0, size=2)
         u, v = rng.uniform(0.45, 0.6) * w, rng.uniform(0.45, 0.6) * h
@@ -183,25 +151,19 @@ def _outer(rng: np.random.Generator) -> Floats:
         )
     else:
         w, h = rng.uniform(4.5, 8.0), rng.uniform(5.0, 9.0)
-        ring = _box(w, h) + rng.uniform(-0.5, 0.5, size=(4, 2))
+        ring = rectangle(w, h) + rng.uniform(-0.5, 0.5, size=(4, 2))
     if rng.random() < 0.25:
-        turn = rng.uniform(-0.6, 0.6)
-        c, s = np.cos(turn), np.sin(turn)
-        ring = ring @ np.array([[c, s], [-s, c]])
+        ring = turned(ring, rng.uniform(-0.6, 0.6))
     if rng.random() < 0.3:
         ring = ring + rng.uniform(-5, 5, size=2)
     return np.round(ring.astype(np.float64), 3)
-
-
-def _box(w: float, h: float) -> Floats:
-    return np.array([(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)])
 
 
 def _obstacle(rng: np.random.Generator) -> Floats:
     kind = rng.choice(["box", "triangle", "l_shape", "hexagon"], p=[0.4, 0.2, 0.25, 0.15])
     w, h = rng.uniform(0.25, 0.9, size=2)
     if kind == "box":
-        ring = _box(w, h)
+        ring = rectangle(w, h)
     elif kind == "triangle":
         ring = np.array([(0.0, 0.0), (w + 0.2, 0.0), (rng.uniform(0, w), h + 0.2)])
     elif kind == "l_shape":
@@ -211,9 +173,7 @@ def _obstacle(rng: np.random.Generator) -> Floats:
         angle = np.arange(6) * np.pi / 3
         ring = rng.uniform(0.12, 0.35) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ring = ring - ring.mean(axis=0)
-    turn = rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
-    c, s = np.cos(turn), np.sin(turn)
-    return ring @ np.array([[c, s], [-s, c]])
+    return turned(ring, float(rng.choice([0.0, rng.uniform(-np.pi, np.pi)])))
 
 
 def shift_edge(ring: Floats, i: int, d: float) -> Floats:

@@ -11,9 +11,10 @@ import numpy as np
 import shapely
 
 from benchmarks.hidden_effects.case import Case, Spec, truth_of
+from benchmarks.hidden_effects.geometry import Room, ngon, with_edge_moved
 from benchmarks.hidden_effects.library import CHANNEL
 from benchmarks.hidden_effects.log import Floats, Log
-from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Room
+from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER
 
 LIBRARY = {
     "dev": (
@@ -126,11 +127,6 @@ class Hidden:
         return self.parameters[key]
 
     @property
-    def is_known(self) -> bool:
-        """Tell whether it is in the library."""
-        return self.name in CHANNEL
-
-    @property
     def channel(self) -> str:
         """Where it shows."""
         return CHANNELS.get(self.name) or CHANNEL.get(self.name, "scan")
@@ -139,8 +135,8 @@ class Hidden:
 class Secrets:
     """All that is hidden in a case, by name."""
 
-    def __init__(self, *hidden: Hidden) -> None:
-        self.all = hidden
+    def __init__(self, *hidden: Hidden | None) -> None:
+        self.all = tuple(one for one in hidden if one is not None)
 
     def get(self, name: str) -> Hidden | None:
         """Return the effect of a name, if it is hidden."""
@@ -169,7 +165,7 @@ def draw_hidden(name: str, room: Room, rng: np.random.Generator) -> Hidden:
         values["theta2"] = values["theta1"] + values.pop("width")
     if name in ON_WALLS:
         place = _wall(room, rng)
-        a, b = room.edges()[place]
+        a, b = room.edge(place)
         xy = _point((a + b) / 2)
         if name in PARTS:
             length = float(np.hypot(*(b - a)))
@@ -178,7 +174,7 @@ def draw_hidden(name: str, room: Room, rng: np.random.Generator) -> Hidden:
             values["b"] = values["a"] + width
             xy = _point(a + (b - a) * (values["a"] + width / 2) / length)
     elif name in ("moved_obstacle", "missing_obstacle"):
-        place = str(rng.choice(room.obstacles()))
+        place = str(rng.choice(room.obstacles))
         xy = _point(room.rings[place].mean(axis=0))
     elif name == "unmapped_obstacle":
         xy = _free_spot(room, values["r"], rng)
@@ -199,7 +195,8 @@ def _wall(room: Room, rng: np.random.Generator) -> str:
 
 def _free_spot(room: Room, radius: float, rng: np.random.Generator) -> tuple[float, float]:
     """Draw a place near a wall, so that the way through the room stays free."""
-    ring = room.free(radius + 0.05).difference(room.free(radius + 0.25))
+    free = room.free()
+    ring = free.buffer(-(radius + 0.05)).difference(free.buffer(-(radius + 0.25)))
     x0, y0, x1, y1 = ring.bounds
     while True:
         x, y = rng.uniform((x0, y0), (x1, y1))
@@ -254,25 +251,22 @@ def changed_room(room: Room, hidden: Sequence[Hidden]) -> Room:
         elif one.name == "moved_obstacle":
             room = room.with_ring(one.place, room.rings[one.place] + [one["dx"], one["dy"]])
         elif one.name == "unmapped_obstacle":
-            angle = 2 * np.pi * np.arange(24) / 24
-            ring = one["r"] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            room = room.with_ring("new", ring + [one["x"], one["y"]])
+            room = room.with_ring("new", ngon(24, one["r"]) + [one["x"], one["y"]])
         elif one.name == "moved_wall":
-            room = room.with_ring(OUTER, _shifted(room.rings[OUTER], int(one.place.split("_")[1]), one["d"]))
+            room = room.with_ring(OUTER, with_edge_moved(room.outer, int(one.place.split("_")[1]), one["d"]))
         elif one.name == "map_scale":
-            middle = room.rings[OUTER].mean(axis=0)
-            for name, ring in list(room.rings.items()):
-                room = room.with_ring(name, middle + (ring - middle) * (1 + one["s"]))
+            middle, scale = room.outer.mean(axis=0), 1 + one["s"]
+            room = Room(rings={name: middle + (ring - middle) * scale for name, ring in room.rings.items()})
     return room
 
 
-def _shifted(ring: Floats, i: int, d: float) -> Floats:
-    """Move edge i of a rectilinear ring outward by d [m]."""
-    j = (i + 1) % len(ring)
-    along = (ring[j] - ring[i]) / np.hypot(*(ring[j] - ring[i]))
-    out = ring.copy()
-    out[[i, j]] += d * np.array([along[1], -along[0]])
-    return out
+def as_built(room: Room, secrets: Secrets, rng: np.random.Generator, *, dirty: bool) -> tuple[Room, Room]:
+    """Return the room as it stands, dirty with every corner up to 4 mm off, and the one that the pilot keeps clear of."""
+    built = changed_room(room, secrets.all)
+    if dirty:
+        built = built.changed(lambda _, ring: ring + rng.uniform(-0.004, 0.004, ring.shape))
+    new = built.rings.get("new")
+    return built, room if new is None else room.with_ring("new", new)
 
 
 def bent_by_lens(poses: Floats, room: Room, edge: float) -> Floats:

@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from benchmarks.hidden_effects.case import Case, Spec
+from benchmarks.hidden_effects.geometry import Room
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
@@ -22,15 +23,15 @@ from benchmarks.hidden_effects.worlds.simulators.hidden import (
     SIGMA_YAW,
     Hidden,
     Secrets,
+    as_built,
     bent_by_lens,
     case_of,
-    changed_room,
     draw_hidden,
     hidden_of,
     seen_by_camera,
     truth,
 )
-from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Pilot, Room, draw_room
+from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Pilot, draw_room
 
 ROOT_SEED = 20261123
 SUITES = ("none", "singles", "foreign")
@@ -94,11 +95,9 @@ def make(spec: Spec) -> Case:
     room = draw_room(rng)
     n_rays, fov = int(rng.choice([121, 181])), float(rng.choice([np.pi, 4.0]))
     one = _hidden(name, room, rng)
-    secrets = Secrets(*([one] if one is not None else []))
-    built = changed_room(room, secrets.all)
-    if dirty:
-        built = built.jittered(0.004, rng)
-    pilot = Pilot(room if "new" not in built.rings else room.with_ring("new", built.rings["new"]), rng)
+    secrets = Secrets(one)
+    built, passable = as_built(room, secrets, rng, dirty=dirty)
+    pilot = Pilot(passable, rng)
     start = pilot.start()
     people = round(secrets.value("people", "count"))
     world = world_yaml(built, start, secrets, n_rays, fov, people)

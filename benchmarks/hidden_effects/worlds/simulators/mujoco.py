@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.hidden_effects.case import KINDS, Case, Spec
+from benchmarks.hidden_effects.geometry import Room
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
@@ -15,6 +16,7 @@ from benchmarks.hidden_effects.worlds.simulators.hidden import (
     SIGMA_YAW,
     Hidden,
     Secrets,
+    as_built,
     bent_by_lens,
     case_of,
     changed_room,
@@ -25,7 +27,7 @@ from benchmarks.hidden_effects.worlds.simulators.hidden import (
 )
 from benchmarks.hidden_effects.worlds.simulators.mujoco_drive import Base, Driven, bench_test, drive
 from benchmarks.hidden_effects.worlds.simulators.mujoco_laser import Laser, Scanner
-from benchmarks.hidden_effects.worlds.simulators.rooms import Pilot, Room, draw_room
+from benchmarks.hidden_effects.worlds.simulators.rooms import Pilot, draw_room
 
 DURATION = 80.0
 """[s]"""
@@ -48,14 +50,13 @@ def make(spec: Spec) -> Case:
         mount=(round(float(rng.uniform(0.0, 0.15)), 3), 0.0, 0.0),
     )
     one = draw_hidden(name, room, rng) if name else None
-    secrets = Secrets(*([one] if one is not None else []))
+    secrets = Secrets(one)
     radius, track, tau, delay = bench_test(base)
-    built = changed_room(room, secrets.all)
+    built, passable = as_built(room, secrets, rng, dirty=dirty)
     if dirty:
-        built = built.jittered(0.004, rng)
         off = rng.uniform(-1, 1, 3) * [0.0015, 0.0015, math.radians(0.03)]
         laser = replace(laser, off=(float(off[0]), float(off[1]), float(off[2])))
-    driven = drive(base, Pilot(_passable(room, built), rng), secrets, DURATION, rng)
+    driven = drive(base, Pilot(passable, rng), secrets, DURATION, rng)
     stamps = 0.5 + np.arange(round((DURATION - 1.0) * laser.rate)) / laser.rate
     scanner = Scanner(driven=driven, room=built, laser=laser, secrets=secrets, dirty=dirty, rng=rng)
     ranges = scanner.scans(stamps)
@@ -108,12 +109,6 @@ def _mark(
         "changed_share": float((off > 3).mean()),
         "rmse_over_sigma": float(np.sqrt((np.minimum(off, 5.0) ** 2).mean())),
     }
-
-
-def _passable(room: Room, built: Room) -> Room:
-    """Return the room that the pilot keeps clear of: things as mapped and as they are."""
-    new = built.rings.get("new")
-    return room if new is None else room.with_ring("new", new)
 
 
 def _draw_base(rng: np.random.Generator) -> Base:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from benchmarks.hidden_effects.geometry import interpolated, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.simulators.hidden import Secrets
 from benchmarks.hidden_effects.worlds.simulators.rooms import Pilot
@@ -51,11 +52,11 @@ class Driven:
 
     def pose_at(self, when: Floats) -> Floats:
         """Return poses (..., 3), phi unwrapped."""
-        return np.stack([np.interp(when, self.times, c) for c in self.poses.T], axis=-1)
+        return interpolated(when, self.times, self.poses)
 
     def wheels_at(self, when: Floats) -> Floats:
         """Return wheel angles (..., 2) [rad]."""
-        return np.stack([np.interp(when, self.times, c) for c in self.wheels.T], axis=-1)
+        return interpolated(when, self.times, self.wheels)
 
 
 def model_xml(base: Base, secrets: Secrets) -> str:
@@ -111,12 +112,11 @@ def drive(base: Base, pilot: Pilot, secrets: Secrets, duration: float, rng: np.r
     now = (0.0, 0.0)
     late, phi = secrets.value("dead_time", "L"), start[2]
     payload = secrets.get("payload")
-    body, turned = model.body("robot").id, 0.0
+    body = model.body("robot").id
     for k in range(n):
         t = k * STEP
         pose = np.array([data.qpos[0], data.qpos[1], 2 * np.arctan2(data.qpos[6], data.qpos[3])])
-        turned = float((pose[2] - phi + np.pi) % (2 * np.pi) - np.pi)
-        phi += turned
+        phi += wrapped(float(pose[2] - phi))
         poses[k], wheels[k] = (pose[0], pose[1], phi), data.qpos[7:9]
         if k % per_command == 0:
             sent = pilot.command(poses[k])

@@ -9,10 +9,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from benchmarks.hidden_effects.geometry import Room, interpolated, outward, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.simulators.hidden import PARTS, Secrets
 from benchmarks.hidden_effects.worlds.simulators.mujoco_drive import LASER_HEIGHT, Driven
-from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER, Room
+from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER
 
 THICKNESS, HEIGHT = 0.1, 1.2
 SOLID, PART = 0, 1
@@ -49,10 +50,10 @@ class World:
     def __init__(self, room: Room, secrets: Secrets, people: int = 0) -> None:
         self.part = next((one for one in secrets.all if one.name in PARTS), None)
         spec = mujoco.MjSpec()
-        for name, (a, b) in room.edges().items():
+        for name in room.wall_names:
             if name.startswith(OUTER):
-                self._wall(spec, name, a, b)
-        for name in room.obstacles():
+                self._wall(spec, name, *room.edge(name))
+        for name in room.obstacles:
             ring = room.rings[name]
             spec.add_mesh(
                 name=name,
@@ -79,15 +80,14 @@ class World:
         self._box(spec, first, last, PART)
         self._box(spec, last, b, SOLID)
         if "depth" in self.part.parameters:
-            outward = np.array([along[1], -along[0]]) * self.part["depth"]
-            self._box(spec, first + outward - 4 * along, last + outward + 4 * along, SOLID)
+            behind = outward(a, b) * self.part["depth"]
+            self._box(spec, first + behind - 4 * along, last + behind + 4 * along, SOLID)
 
     @staticmethod
     def _box(spec: mujoco.MjSpec, a: Floats, b: Floats, group: int) -> None:
         along, middle = b - a, (a + b) / 2
         length = float(np.hypot(*along))
-        outward = np.array([along[1], -along[0]]) / length
-        x, y = middle + outward * THICKNESS / 2
+        x, y = middle + outward(a, b) * THICKNESS / 2
         yaw = float(np.arctan2(along[1], along[0]))
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -122,7 +122,7 @@ class World:
 
 def walkers(room: Room, count: int, stamps: Floats, rng: np.random.Generator) -> Floats:
     """Let people walk between random points at 0.7 m/s, (n_stamps, count, 2) [m]."""
-    free = room.free(PERSON + 0.05)
+    free = room.free().buffer(-(PERSON + 0.05))
     x0, y0, x1, y1 = free.bounds
     tracks = []
     for _ in range(count):
@@ -133,7 +133,7 @@ def walkers(room: Room, count: int, stamps: Floats, rng: np.random.Generator) ->
                 points.append(point)
         corners = np.array(points)
         when = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T)) / 0.7])
-        tracks.append(np.stack([np.interp(stamps, when, c) for c in corners.T], axis=1))
+        tracks.append(interpolated(stamps, when, corners))
     return np.stack(tracks, axis=1)
 
 
@@ -271,7 +271,7 @@ class Scanner:
         z = np.where(incidence > value("incidence_dropout", "alpha_max", 9.0), np.inf, z)
         sun = secrets.get("sunlight")
         if sun is not None:
-            off = (angles - sun["towards"] + np.pi) % (2 * np.pi) - np.pi
+            off = wrapped(angles - sun["towards"])
             z = np.where((np.abs(off) < sun["width"]) & (rng.random(n) < 0.75), np.inf, z)
         p = value("random_outliers", "p")
         z = np.where(rng.random(n) < p, rng.uniform(0, laser.range_max, n), z) if p else z
@@ -281,7 +281,7 @@ class Scanner:
             z = np.where((rng.random(n) < dust["p"]) & (echo < z), echo, z)
         ghost = secrets.get("crosstalk")
         if ghost is not None:
-            off = (bearings - ghost["turn"] * when + np.pi) % (2 * np.pi) - np.pi
+            off = wrapped(bearings - ghost["turn"] * when)
             seen = (np.abs(off) < ghost["width"]) & (rng.random(n) < 0.7)
             z = np.where(seen, np.minimum(z, ghost["r0"] + 0.02 * rng.normal(size=n)), z)
         post = secrets.get("self_occlusion")

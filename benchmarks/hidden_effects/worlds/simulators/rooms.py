@@ -2,56 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
-from benchmarks.hidden_effects.case import geojson
+from benchmarks.hidden_effects.geometry import Room, ngon, rectangle, turned, wrapped
 from benchmarks.hidden_effects.log import Floats
 
 OUTER = "arena"
 GAP = 1.0
 """[m] between obstacles, and between obstacles and walls."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Room:
-    """Closed rings of vertices (n, 2) [m], counter-clockwise; `arena` is the outer wall, the others are obstacles."""
-
-    rings: dict[str, Floats]
-
-    def geojson(self) -> str:
-        """Return the map as users draw it."""
-        return geojson(OUTER, self.rings)
-
-    def edges(self) -> dict[str, tuple[Floats, Floats]]:
-        """Return both ends of every wall by the name that GeoJSON readers give it."""
-        return {
-            f"{name}/edge_{i}": (ring[i], ring[(i + 1) % len(ring)])
-            for name, ring in self.rings.items()
-            for i in range(len(ring))
-        }
-
-    def free(self, clearance: float) -> shapely.Geometry:
-        """Return where the middle of a robot may be that keeps so far [m] from all walls."""
-        solids = [shapely.Polygon(ring) for name, ring in self.rings.items() if name != OUTER]
-        return shapely.Polygon(self.rings[OUTER]).difference(shapely.union_all(solids)).buffer(-clearance)
-
-    def with_ring(self, name: str, ring: Floats | None) -> Room:
-        """Return the room with one ring replaced; None takes it out."""
-        rings = {key: value for key, value in {**self.rings, name: ring}.items() if value is not None}
-        return replace(self, rings=rings)
-
-    def jittered(self, size: float, rng: np.random.Generator) -> Room:
-        """Return the room as built: every vertex off the map by up to `size` [m] in x and y."""
-        return Room(
-            rings={name: ring + rng.uniform(-size, size, ring.shape) for name, ring in self.rings.items()}
-        )
-
-    def obstacles(self) -> list[str]:
-        """Return the names of the obstacles."""
-        return [name for name in self.rings if name != OUTER]
 
 
 def draw_room(rng: np.random.Generator) -> Room:
@@ -67,7 +28,7 @@ def draw_room(rng: np.random.Generator) -> Room:
             [(0, 0), (w, 0), (w, p), (w + depth, p), (w + depth, 2 * p), (w, 2 * p), (w, h), (0, h)]
         )
     else:
-        outer = np.array([(0, 0), (w, 0), (w, h), (0, h)])
+        outer = rectangle(w, h)
     rings = {OUTER: np.round(outer.astype(np.float64), 3)}
     keep_out, inside = shapely.Polygon(outer).exterior.buffer(GAP), shapely.Polygon(outer)
     for _ in range(300):
@@ -87,12 +48,8 @@ def _prism(rng: np.random.Generator) -> Floats:
         w, h = rng.uniform(0.3, 0.9, 2) / 2
         ring = np.array([(-w, -h), (w, -h), (w, h), (-w, h)])
     else:
-        n = int(rng.integers(3, 7))
-        angle = 2 * np.pi * np.arange(n) / n
-        ring = rng.uniform(0.25, 0.45) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    turn = rng.uniform(-np.pi, np.pi)
-    c, s = np.cos(turn), np.sin(turn)
-    return ring @ np.array([[c, s], [-s, c]])
+        ring = ngon(int(rng.integers(3, 7)), rng.uniform(0.25, 0.45))
+    return turned(ring, rng.uniform(-np.pi, np.pi))
 
 
 @dataclass(eq=False)
@@ -107,8 +64,8 @@ class Pilot:
     """[s] between set points."""
 
     def __post_init__(self) -> None:
-        self.space = self.room.free(0.45)
-        self.core = self.room.free(0.42)
+        self.space = self.room.free().buffer(-0.45)
+        self.core = self.room.free().buffer(-0.42)
         self.spin_left, self.back_left, self.pause_left = 0.0, 0.0, 1.0
         self.target: Floats | None = None
         self.speed = self.v_max
@@ -141,7 +98,7 @@ class Pilot:
         assert self.target is not None
         away = self.target - pose[:2]
         distance = float(np.hypot(*away))
-        off = float((np.arctan2(away[1], away[0]) - pose[2] + np.pi) % (2 * np.pi) - np.pi)
+        off = wrapped(float(np.arctan2(away[1], away[0]) - pose[2]))
         if distance < 0.12:
             self._arrived(pose)
             return 0.0, 0.0
