@@ -147,10 +147,10 @@ def _wing(room: Room, hidden: Hidden, rng: np.random.Generator, robot: Robot) ->
 
     def moved(name: str, ring: Floats) -> Floats:
         if name == room.name:
-            ring, is_beyond = np.array(corners), (np.array(corners)[:, axis] > hinge[axis])[:, None]
-        else:
-            is_beyond = (ring.mean(axis=0) > hinge)[axis]
-        return np.where(is_beyond, hinge + turned(ring - hinge, angle), ring)
+            outer = np.array(corners)
+            is_beyond = outer[:, axis] > hinge[axis]
+            return np.where(is_beyond[:, None], hinge + turned(outer - hinge, angle), outer)
+        return hinge + turned(ring - hinge, angle) if ring.mean(axis=0)[axis] > hinge[axis] else ring
 
     return room.changed(moved)
 
