@@ -14,6 +14,7 @@ import pytest
 import logs
 import sensorgraph as sg
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.surveying.cluster import cluster
 from sensorgraph.surveying.limited import TaskError, TaskLimits, run_limited
 from sensorgraph.surveying.quantities import LABELS
 from sensorgraph.surveying.store import ResultStore, find_logs
@@ -167,3 +168,17 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: 
     with pytest.raises(SensorgraphError, match="no scheduler answers") as caught:
         sg.fleet(tmp_path / "x.mcap", tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     assert "\n" not in str(caught.value)
+
+
+def test_the_local_cluster_listens_only_on_this_machine() -> None:
+    pytest.importorskip("distributed")
+    psutil = pytest.importorskip("psutil")
+
+    def listening() -> set[tuple[str, int]]:
+        found = psutil.Process().net_connections("tcp")
+        return {tuple(one.laddr) for one in found if one.status == psutil.CONN_LISTEN}
+
+    before = listening()
+    with cluster(None, 1):
+        opened = listening() - before
+    assert opened and {address for address, _ in opened} <= {"127.0.0.1", "::1"}

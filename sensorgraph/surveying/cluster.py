@@ -48,8 +48,8 @@ def cluster(address: str | None, n_workers: int | None) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # another cluster may use the port of the dashboard
             local: Any = LocalCluster(  # type: ignore[no-untyped-call]
-                n_workers=1, threads_per_worker=n, processes=False, dashboard_address=DASHBOARD, silence_logs=50,
-                memory_limit=0,
+                n_workers=1, threads_per_worker=n, processes=False, dashboard_address=DASHBOARD,
+                worker_dashboard_address="127.0.0.1:0", silence_logs=50, memory_limit=0,
             )  # fmt: skip
         with local, Client(local, set_as_default=False) as client:  # type: ignore[no-untyped-call]
             yield client
