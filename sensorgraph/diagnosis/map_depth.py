@@ -55,7 +55,7 @@ def _distance_before_walls(data: ScanData) -> float:
     beams = data.scene().shoot()
     off = beams.ranges - np.where(data.returned, data.ranges, np.nan)
     near = (beams.wall >= 0) & (np.abs(off) < 4 * data.tolerances.map)
-    return float(np.median((off * beams.cosine)[near])) if near.any() else 0.0
+    return float(np.median(off[near] * beams.cosine[near])) if near.any() else 0.0
 
 
 def _log_likelihood(data: ScanData, is_compared: Bools, noise_bounds: NoiseBounds) -> float:

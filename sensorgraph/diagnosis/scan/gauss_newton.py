@@ -217,15 +217,22 @@ class Solver:
         tau[: len(Nuisance)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
         return tau
 
+    def factor(self, system: System, state: State) -> Floats:
+        """Return the lower Cholesky factor of M + 1/tau² for the nuisances that are not held at 0."""
+        free, n = ~self.locked, self.n_g
+        return np.linalg.cholesky(with_prior(system.matrix[:n, :n], self.scaled(state))[np.ix_(free, free)])
+
     def objective(
-        self, system: System, state: State, responsibilities: Responsibilities, delta_prior: Floats
+        self,
+        system: System,
+        lower: Floats,
+        state: State,
+        responsibilities: Responsibilities,
+        delta_prior: Floats,
     ) -> float:
-        """Return J [nats]; see the module."""
-        tau = self.scaled(state)
-        free = ~self.locked
-        n = self.n_g
+        """Return J [nats]; see the module. `lower` is the `factor` of the system."""
+        tau, free = self.scaled(state), ~self.locked
         penalty = 0.5 * float(np.sum((state.g[free] / tau[free]) ** 2))
-        lower = np.linalg.cholesky(with_prior(system.matrix[:n, :n], tau)[np.ix_(free, free)])
         volume = 2 * float(np.log(np.diag(lower)).sum() + np.log(tau[free]).sum())
         return (
             float(responsibilities.log_p.sum())
@@ -273,9 +280,9 @@ def iterate(
         system = solver.assemble(responsibilities.weight, state.pose_scale)
         inverse = np.linalg.inv(pose_prior(solver.data, state.pose_scale))
         length = np.einsum("ni,nij,nj->n", state.delta, inverse, state.delta)
-        j = solver.objective(system, state, responsibilities, length)
+        lower = solver.factor(system, state)
+        j = solver.objective(system, lower, state, responsibilities, length)
         if best is None or j > best.j:
-            covariance = _covariance(system, solver, state)
             gained = np.inf if best is None else j - best.j
             best = Solution(
                 state=state.copy(),
@@ -283,7 +290,7 @@ def iterate(
                 j=j,
                 responsibilities=responsibilities,
                 system=system,
-                covariance=covariance,
+                covariance=np.zeros((0, 0)),
             )
             if gained < SCAN.fit.min_round_gain and turn > 1:
                 break
@@ -310,11 +317,11 @@ def iterate(
         if noise_free:
             state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         if scales_free:
-            state.pose_scale, state.map_scale = _scales(solver, system, state, noise_bounds)
+            state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
             box = solver.box(state)  # the bounds may have shrunk since g was solved for
             state.g = np.clip(state.g, -box, box)
     assert best is not None
-    return best
+    return replace(best, covariance=_covariance(best.system, solver, best.state))
 
 
 def fitted_noise(
@@ -339,27 +346,29 @@ def fitted_noise(
     )
 
 
-def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBounds) -> tuple[float, float]:
+def _scales(
+    solver: Solver, system: System, lower: Floats, state: State, noise_bounds: NoiseBounds
+) -> tuple[float, float]:
     """Estimate the factors by which the tolerances of reference pose and map are too tight.
 
         pose_scale ← pose_scale sqrt(median(q) / CHI2_MEDIAN_3),    q = deltaᵀ (P - h⁻¹)⁻¹ delta.
 
     P - h⁻¹ is the covariance of the estimated delta under the prior. The corners of the map are treated in the same way.
-    Medians are used, because an effect then does not widen the tolerances.
+    Medians are used, because an effect then does not widen the tolerances. `lower` is the `factor` of the system.
     """
     prior = pose_prior(solver.data, state.pose_scale)
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior
     q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)
     pose = state.pose_scale * float(np.sqrt(np.median(q) / CHI2_MEDIAN_3))
-    n = solver.n_g
-    corners = np.arange(len(Nuisance), n)
+    free = np.flatnonzero(~solver.locked)
+    corners = free[free >= len(Nuisance)]
     scale = state.map_scale
     if len(corners) >= SCAN.fit.min_known_corners:
         tau = solver.scaled(state)
-        a = with_prior(system.matrix[:n, :n], tau)
-        rows, _ = dtrtri(np.linalg.cholesky(a), lower=1)  # a^-1 = rows' rows
-        left = (rows**2).sum(axis=0)[corners] / tau[corners] ** 2  # remaining share of the prior variance
+        rows, _ = dtrtri(lower, lower=1)  # (M + 1/tau²)^-1 = rows' rows
+        variances = (rows**2).sum(axis=0)[-len(corners) :]
+        left = variances / tau[corners] ** 2  # remaining share of the prior variance
         seen = left < SCAN.fit.max_prior_share
         if seen.sum() >= SCAN.fit.min_known_corners:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])

@@ -70,14 +70,12 @@ def explain(
     """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
     search = EffectSearch(data, noise_bounds, threshold, progress)
     select(search, threshold=threshold, most=most)
-    current = _without_usual(data, search.current, noise_bounds)
-    gains, n = {}, len(current.model)
+    search.remove_usual()
+    current, gains, n = search.current, {}, len(search.current.model)
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
             tick(index, n + 1)
-            rest = fit(data, without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
-            one = current.model[index]
-            gains[index] = worth(data, one, current, rest)
+            gains[index] = worth(data, current.model[index], current, search.rest(index))
         tick(n, n + 1)
         errors = standard_errors(current, noise_bounds)
     rivals = search.rivals
@@ -208,18 +206,32 @@ class EffectSearch:
         self._memory.struck.add((gone.name, gone.place))
         self._take(self._rests[index], model)
 
+    def remove_usual(self) -> None:
+        """Remove sensor effects that are within the known-good runs of the site, the last found first.
+
+        Next to a bias that exceeds the known-good runs, a drift within them would absorb half of it. A single effect is
+        kept, because it absorbs nothing of another one.
+        """
+        for index in range(len(self.current.model) - 1, -1, -1):
+            if len(self.current.model) > 1 and is_within_baseline(self.current, self.current.model[index]):
+                self._take(self.rest(index), [])
+
     def _take(self, fitted: Fitted, model: list[Amendment]) -> None:
         self.current, self._rests = fitted, {}
         model[:] = fitted.model
+
+    def rest(self, index: int) -> Fitted:
+        """Return the fit of the present model without one of its effects."""
+        if index not in self._rests:
+            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, 2, 4)
+        return self._rests[index]
 
     def evidence(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
         """Return the evidence [nats] for an effect in addition to the others; the last one has just been weighed."""
         index = next(k for k, a in enumerate(model) if a is hypothesis)
         if index == len(model) - 1:
             return math.inf
-        if index not in self._rests:
-            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, 2, 4)
-        return worth(self.data, hypothesis, self.current, self._rests[index])
+        return worth(self.data, hypothesis, self.current, self.rest(index))
 
     def needed(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
         """Return the evidence [nats] that an effect needs to stay."""
@@ -227,18 +239,6 @@ class EffectSearch:
 
     def _fit(self, model: tuple[Amendment, ...], state: State, outer: int, inner: int) -> Fitted:
         return fit(self.data, model, state, self.noise_bounds, outer=outer, inner=inner)
-
-
-def _without_usual(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
-    """Remove sensor effects that are within the known-good runs of the site, the last found first.
-
-    Next to a bias that exceeds the known-good runs, a drift within them would absorb half of it. A single effect is kept,
-    because it absorbs nothing of another one.
-    """
-    for index in range(len(current.model) - 1, -1, -1):
-        if len(current.model) > 1 and is_within_baseline(current, current.model[index]):
-            current = fit(data, without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
-    return current
 
 
 def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:
