@@ -33,7 +33,7 @@ PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
 
 
 @pytest.mark.parametrize("seed", [1, *further(2)])
-@pytest.mark.parametrize("memory", [0.0, 0.9])
+@pytest.mark.parametrize("memory", [0.9, *further(0.0)])
 def test_nothing_planted_nothing_named(memory: float, seed: int) -> None:
     result = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
     assert result.effects == () and result.unknown is None and result.skipped == ""

@@ -129,7 +129,7 @@ def heard(run: Run, silent: float, seed: int = 0) -> Run:
     return reported(run, v, omega)
 
 
-@pytest.mark.parametrize("silent", [0.0, 1.2])
+@pytest.mark.parametrize("silent", [1.2, *further(0.0)])
 def test_a_link_that_loses_commands_is_no_lag(silent: float) -> None:
     result = diagnose_drive(heard(make_run(3), silent), ROBOT)
     assert result.effects == () and (result.unknown is not None) == (silent > 0)

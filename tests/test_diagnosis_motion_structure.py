@@ -136,9 +136,9 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
     [
         (turning_at_rest, "continues at rest"),
         (out_of_round, "repeats with every turn of a wheel"),
-        (turned_by_place, "yaw error of the reference"),
-        (worn_half_way, "changes once"),
         *further(
+            (turned_by_place, "yaw error of the reference"),
+            (worn_half_way, "changes once"),
             (scrubbing, "in tight turns"),
             (slewed, "clock offset that changes"),
             (sliding_at_speed, "depends on speed"),
