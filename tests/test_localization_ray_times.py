@@ -175,7 +175,7 @@ def test_a_stamp_at_the_end_of_the_sweep_shows_against_the_odometry() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "last"), [(15.0, 45.0), (0.0, 59.75)], ids=["half the log", "all but the end"]
+    ("first", "last"), [(15.0, 45.0), *further((0.0, 59.75))], ids=["half the log", "all but the end"]
 )
 def test_scans_beyond_the_odometry_show_no_lag_and_are_placed_as_well(first: float, last: float) -> None:
     run = run_as_stated()
