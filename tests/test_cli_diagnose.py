@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import further
 from scan_samples import ROOM_ROBOT, drive_in_room
 
 import logs
@@ -177,7 +178,7 @@ def test_what_was_taken_for_granted_of_a_log_is_said_on_all_channels(
 
 
 @pytest.mark.usefixtures("no_pictures")
-@pytest.mark.parametrize("scale", [0.7, 1.3])
+@pytest.mark.parametrize("scale", [0.7, *further(1.3)])
 def test_an_arena_of_another_scale_is_said_first(
     scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -237,6 +238,18 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
     assert "mirrored" in report["unknown"]["statement"]
 
 
+@pytest.fixture(scope="module")
+def mistaken(folder: Path) -> Path:
+    """Return the folder with robots and runs that are not diagnosed."""
+    (folder / "default.yaml").write_text("sensor: {n_rays: 181}\n")
+    (folder / "near.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, range_max: 1.0}\n")
+    (folder / "exact.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, sigma: 0}\n")
+    run = driven_run(0)
+    logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
+    logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")
+    return folder
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -262,15 +275,9 @@ def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_gets_one_line(
-    folder: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    mistaken: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (folder / "default.yaml").write_text("sensor: {n_rays: 181}\n")
-    run = driven_run(0)
-    logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
-    logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")
-    (folder / "near.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, range_max: 1.0}\n")
-    (folder / "exact.yaml").write_text("sensor: {n_rays: 61, rate: 5.0, sigma: 0}\n")
-    paths = [str(folder / a) if a.endswith((".mcap", ".yaml")) else a for a in arguments]
+    paths = [str(mistaken / a) if a.endswith((".mcap", ".yaml")) else a for a in arguments]
     assert cli(["diagnose", *paths, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1

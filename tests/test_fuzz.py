@@ -14,7 +14,7 @@ from sensorgraph.cli import run as cli
 @pytest.mark.parametrize("name", [name for name in READERS if name != "model"])
 def test_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     """`python -m benchmarks.fuzz` tries 100,000; here some of each kind."""
-    assert not fuzz_reader(READERS[name](), 25, 1, tmp_path)
+    assert not fuzz_reader(READERS[name](), 10, 1, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["inspect", "recover", "show", "predict", "record", "export", "nav2"])
@@ -25,4 +25,4 @@ def test_what_is_fuzzed_works_undamaged(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["inspect", "recover", "show", "predict"])
 def test_an_odd_option_or_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    assert not fuzz_command(name, 8, 1, tmp_path)
+    assert not fuzz_command(name, 4, 1, tmp_path)
