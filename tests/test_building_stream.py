@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import further
 
 import logs
 from logs import stream
@@ -77,7 +78,7 @@ def test_pieces_are_the_run(path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("split", [None, "every10", "block"])
+@pytest.mark.parametrize("split", [None, *further("every10", "block")])
 def test_streamed_and_whole_give_the_same_bytes(path: Path, split: str | None, tmp_path: Path) -> None:
     streamed = build([open_log(path)], split=split, names=["a"])
     whole = build([logs.read(path)], split=split, names=["a"])

@@ -170,7 +170,7 @@ def lost(tmp_path_factory: pytest.TempPathFactory, room: Arena, sensor: logs.Ran
     return out
 
 
-@pytest.mark.parametrize("name", ["build", "evaluate", "review", "diagnose"])
+@pytest.mark.parametrize("name", ["build", "diagnose", *further("evaluate", "review")])
 def test_a_command_refuses_jumps_in_one_line_and_force_overrules_it(
     name: str, lost: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

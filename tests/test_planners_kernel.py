@@ -269,8 +269,8 @@ print(quarter(8.0))
 @pytest.mark.parametrize(
     ("number", "package"),
     [
-        ("SIGINT", "planners"), ("SIGTERM", "robotmodic_ident"),
-        *further(("SIGINT", "robotmodic_ident"), ("SIGTERM", "planners")),
+        ("SIGINT", "planners"),
+        *further(("SIGTERM", "robotmodic_ident"), ("SIGINT", "robotmodic_ident"), ("SIGTERM", "planners")),
     ],
 )  # fmt: skip
 def test_a_signal_while_a_kernel_compiles_is_handled_once_it_is_compiled(

@@ -59,11 +59,10 @@ def test_an_anytime_plan_ends_complete_clear_and_within_limits(whole: Plan) -> N
 
 
 def test_a_budget_is_a_prefix_of_the_whole(whole: Plan) -> None:
-    for minutes in (0.5, 2.0):
-        part = planned(budget=60 * minutes)
-        assert part.curve.duration <= 60 * minutes + 1e-6
-        stamps = np.arange(0.0, part.curve.duration - 1.0, 0.1)  # but for the turn that brakes at its end
-        np.testing.assert_allclose(part.curve.sample(stamps)[0], whole.curve.sample(stamps)[0], atol=1e-9)
+    part = planned(budget=60.0)
+    assert part.curve.duration <= 60.0 + 1e-6
+    stamps = np.arange(0.0, part.curve.duration - 1.0, 0.1)  # but for the turn that brakes at its end
+    np.testing.assert_allclose(part.curve.sample(stamps)[0], whole.curve.sample(stamps)[0], atol=1e-9)
 
 
 def test_both_rooms_are_seen_before_one_is_finished(whole: Plan) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import further
 from test_building_sweep import N_RAYS, RATE, SWEEP_TIME, run_of
 from test_world_ray_order import room
 
@@ -58,8 +59,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ["inspect", "log.mcap"],
         ["evaluate", "graph.sensorgraph", "log.mcap", "--poses", "log"],
-        ["review", "log.mcap", "--poses", "log", "-o", "review.rrd"],
-        ["locate", "log.mcap", "--csv", "poses.csv"],
+        *further(
+            ["review", "log.mcap", "--poses", "log", "-o", "review.rrd"],
+            ["locate", "log.mcap", "--csv", "poses.csv"],
+        ),
     ],
     ids=lambda words: words[0],
 )
