@@ -8,6 +8,8 @@ from threading import Thread
 
 import numpy as np
 import pytest
+from localization_samples import loop_poses, room_run
+from watching_samples import graph
 
 pytest.importorskip("zenoh")
 from rosbags.typesys import Stores, get_typestore
@@ -15,8 +17,6 @@ from rosbags.typesys import Stores, get_typestore
 from benchmarks import zenoh_robot as lab
 from logs.live.keys import parse_token
 from sensorgraph.cli import run as cli
-from tests.localization_samples import loop_poses, room_run
-from tests.test_watching_pose import graph
 
 
 def test_a_running_robot_is_watched_and_its_statements_are_published(
