@@ -331,7 +331,6 @@ def test_nothing_is_said_of_a_good_log(located: Localization) -> None:
     assert located.notes == ()
 
 
-@pytest.mark.slow
 def test_robot_that_was_carried_is_found_again_or_said_to_be_lost() -> None:
     """Carried across the room between two scans, turned, and the wheels noticed nothing."""
     truth = np.concatenate([TRUTH[:60], TRUTH[15:50]])

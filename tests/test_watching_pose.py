@@ -49,7 +49,6 @@ def test_a_belief_put_off_by_half_a_metre_is_off_within_five_seconds() -> None:
     assert first.pose.since == first.t
 
 
-@pytest.mark.slow
 def test_a_robot_that_was_carried_is_found_where_it_is() -> None:
     poses = loop_poses(60)
     there = np.column_stack(
