@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, EvidenceSettings
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.types import Floats
 
 
@@ -27,7 +27,7 @@ class SimulationError:
         """Return the error in words."""
         return f"a simulation without it is off by {self.drift:.2g} m after a minute and by {100 * self.speed:.2g} cm/s"
 
-    def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+    def is_material(self, top_speed: float, evidence: float) -> bool:
         """Tell whether the error certainly matters to a user.
 
         Parameters
@@ -35,9 +35,9 @@ class SimulationError:
         top_speed : [m/s] Of the robot. The limits are proportional to it.
         evidence : [nats] That the error is not zero.
         """
-        factor = top_speed / settings.reference_speed
+        factor = top_speed / EVIDENCE.reference_speed
         drift, speed = sure_share(evidence) * self.drift, sure_share(evidence) * self.speed
-        return drift > settings.min_drift * factor or speed > settings.min_speed_error * factor
+        return drift > EVIDENCE.min_drift * factor or speed > EVIDENCE.min_speed_error * factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +57,10 @@ class ReferenceError:
         """Return the error in words."""
         return f"the reference is off by {100 * self.place:.2g} cm and {np.degrees(self.yaw):.2g} degrees"
 
-    def is_material(self, top_speed: float, evidence: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+    def is_material(self, top_speed: float, evidence: float) -> bool:
         """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
         share = sure_share(evidence)
-        return share * self.place > settings.min_place_error or share * self.yaw > settings.min_yaw_error
+        return share * self.place > EVIDENCE.min_place_error or share * self.yaw > EVIDENCE.min_yaw_error
 
 
 def sure_share(evidence: float) -> float:

@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import (
     calibrate,
 )
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
 from sensorgraph.types import Floats
 
@@ -61,11 +61,9 @@ class Change:
     """[s] since the first scan."""
 
 
-def compare(
-    first: DrivingCalibration, second: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION
-) -> tuple[Difference, ...]:
+def compare(first: DrivingCalibration, second: DrivingCalibration) -> tuple[Difference, ...]:
     """Compare wheels and mount of two runs, in the order of PARAMETERS."""
-    limit = _threshold(settings.level / len(PARAMETERS))
+    limit = _threshold(CALIBRATION.level / len(PARAMETERS))
     stderr = np.hypot(first.stderr, second.stderr)
     return tuple(
         Difference(
@@ -80,9 +78,7 @@ def compare(
     )
 
 
-def change_within(
-    motion: LaserMotion, found: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION
-) -> Change | None:
+def change_within(motion: LaserMotion, found: DrivingCalibration) -> Change | None:
     """Return the parameter that changed once during a run; None if none did.
 
     Each border between blocks with at least a quarter of the run on either side is tried. Both sides are
@@ -93,26 +89,26 @@ def change_within(
     ----------
     found : Calibration of the whole run.
     """
-    s, n = settings, len(motion.first)
-    if not is_long_enough(found, s):
+    s, n = CALIBRATION, len(motion.first)
+    if not is_long_enough(found):
         return None
     at = [n * b // s.blocks for b in range(s.blocks // 4, s.blocks - s.blocks // 4 + 1)]
     splits = [k for k in at if min(k, n - k) >= s.window * s.least_side]
     best: Difference | None = None
     for k in splits:
-        sides = compare(calibrate(motion.part(slice(0, k)), s), calibrate(motion.part(slice(k, n)), s), s)
+        sides = compare(calibrate(motion.part(slice(0, k))), calibrate(motion.part(slice(k, n))))
         for one in sides:
             one = replace(one, threshold=_threshold(s.level / (len(PARAMETERS) * len(splits))))
             if one.differs and one.is_material and (best is None or _sigmas(one) > _sigmas(best)):
                 best = one
     if best is None:
         return None
-    return Change(difference=best, at_s=_time_of(found.rows, PARAMETERS.index(best.name), s))
+    return Change(difference=best, at_s=_time_of(found.rows, PARAMETERS.index(best.name)))
 
 
-def is_long_enough(found: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION) -> bool:
+def is_long_enough(found: DrivingCalibration) -> bool:
     """Tell whether a run has enough windows before and after a change to show it."""
-    return len(found.rows.scores) >= 2 * settings.least_side
+    return len(found.rows.scores) >= 2 * CALIBRATION.least_side
 
 
 def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
@@ -144,7 +140,7 @@ def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Flo
     return values, errors, middles
 
 
-def _time_of(rows: WindowRows, parameter: int, settings: DrivingCalibrationSettings) -> float:
+def _time_of(rows: WindowRows, parameter: int) -> float:
     """Return the time [s] at which one parameter changed: where two fits gain most over one.
 
         gain_k = (S_k - S_n I_k / I_n)² / (I_k (1 - I_k / I_n))
@@ -153,7 +149,7 @@ def _time_of(rows: WindowRows, parameter: int, settings: DrivingCalibrationSetti
     projected out.
     """
     n = len(rows.scores)
-    least = max(n // settings.blocks, 1)
+    least = max(n // CALIBRATION.blocks, 1)
     total = rows.information.sum(axis=0) + rows.prior
     kept = [k for k in range(len(PARAMETERS) + len(NUISANCES)) if k != parameter]
     # score and information of the parameter, with the other parameters projected out

@@ -22,7 +22,7 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.diagnosis.motion.calibration.short_drive import (
     N_FACTORS,
     StepNoise,
@@ -96,15 +96,15 @@ class DrivingCalibration:
         return replace(self, values=values, stderr=errors, metre="the map's")
 
 
-def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBRATION) -> DrivingCalibration:
+def calibrate(motion: LaserMotion) -> DrivingCalibration:
     """Estimate wheels and mount from one run; a short one has large standard errors."""
-    s = settings
+    s = CALIBRATION
     before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
-    prior = np.diag(prior_errors(s) ** -2.0)
+    prior = np.diag(prior_errors() ** -2.0)
     if len(motion.first) < s.window * s.least_windows:
-        values, stderr, rows = _from_few_steps(motion, before, prior, s)
+        values, stderr, rows = _from_few_steps(motion, before, prior)
     else:
-        values, stderr, rows = _from_windows(motion, before, prior, s)
+        values, stderr, rows = _from_windows(motion, before, prior)
     stderr[YAW] = np.hypot(stderr[YAW], s.sideways_sd)
     way = float(np.hypot(*np.diff(motion.odometry[:, :2], axis=0).T).sum())
     turn = float(np.abs(np.diff(motion.odometry[:, 2])).sum())
@@ -112,7 +112,7 @@ def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBR
         values=values,
         stderr=stderr,
         mount=motion.mount,
-        hidden=hidden_parameters(stderr, way, turn, s),
+        hidden=hidden_parameters(stderr, way, turn),
         way_m=way,
         turn_rad=turn,
         duration_s=float(np.ptp(motion.stamps)),
@@ -120,17 +120,15 @@ def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBR
     )
 
 
-def prior_errors(settings: DrivingCalibrationSettings) -> Floats:
+def prior_errors() -> Floats:
     """Return the prior standard deviations (9,) of PARAMETERS and NUISANCES."""
-    s = settings
+    s = CALIBRATION
     return np.array(
         [s.scale_sd] * 2 + [s.heading_bias_sd] + [s.mount_sd] * 3 + [s.delay_sd] + [s.drift_sd] * 2
     )
 
 
-def hidden_parameters(
-    stderr: Floats, way: float, turn: float, settings: DrivingCalibrationSettings = CALIBRATION
-) -> dict[str, str]:
+def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]:
     """Return the parameters and the delay that a drive does not show, with the reason.
 
     Parameters
@@ -138,7 +136,7 @@ def hidden_parameters(
     stderr : (9,)
     way, turn : [m, rad] Distance and turns of the whole drive by the odometry.
     """
-    s = settings
+    s = CALIBRATION
     if way == turn == 0.0:
         short_way = short_turn = "the odometry never moves"
     else:
@@ -154,43 +152,39 @@ def hidden_parameters(
         names, "the drive does not separate it from the others; drive straight and turn to both sides"
     )
     other["delay"] = "the speed hardly changes during the drive"
-    limits = s.hidden_share * prior_errors(s)[: len(names)]
+    limits = s.hidden_share * prior_errors()[: len(names)]
     is_hidden = stderr[: len(names)] > limits
     return {name: lacks[name] or other[name] for name, hides in zip(names, is_hidden, strict=True) if hides}
 
 
-def _from_few_steps(
-    motion: LaserMotion, before: Floats, prior: Floats, settings: DrivingCalibrationSettings
-) -> tuple[Floats, Floats, WindowRows]:
+def _from_few_steps(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
     """Return values and standard errors (9,) of a drive whose noise is modelled; there are no windows."""
     nothing = np.zeros((0, N_ALL))
     rows = WindowRows(
         information=np.zeros((0, N_ALL, N_ALL)), scores=nothing, prior=prior, from_s=np.zeros(0)
     )
     if not len(motion.first):
-        return before, prior_errors(settings), rows
-    theta, noise, factors = before.copy(), StepNoise.of(motion, settings), np.zeros(N_FACTORS)
-    weights = noise.first_weights(_residuals(motion, theta), settings.tail)
-    for _ in range(settings.short_iterations):
+        return before, prior_errors(), rows
+    theta, noise, factors = before.copy(), StepNoise.of(motion), np.zeros(N_FACTORS)
+    weights = noise.first_weights(_residuals(motion, theta))
+    for _ in range(CALIBRATION.short_iterations):
         jacobians = _derivatives(motion, theta, 1)
         residuals = _residuals(motion, theta) + jacobians @ (theta - before)
-        steps = noise.whitened(weights, residuals, jacobians, prior, settings)
+        steps = noise.whitened(weights, residuals, jacobians, prior)
         factors = most_probable(steps, factors)
         moved = before + steps.moved(factors) - theta
         theta += moved
-        if (np.abs(moved) < settings.settled * widened_errors(steps, factors)).all():
+        if (np.abs(moved) < CALIBRATION.settled * widened_errors(steps, factors)).all():
             break
-        weights = student_weights(steps.slips(factors) / weights, settings.tail)
+        weights = student_weights(steps.slips(factors) / weights)
     stderr = widened_errors(steps, factors)
-    stderr[MOUNT_X] = np.hypot(stderr[MOUNT_X], settings.centre_sd)
+    stderr[MOUNT_X] = np.hypot(stderr[MOUNT_X], CALIBRATION.centre_sd)
     return theta, stderr, rows
 
 
-def _from_windows(
-    motion: LaserMotion, before: Floats, prior: Floats, settings: DrivingCalibrationSettings
-) -> tuple[Floats, Floats, WindowRows]:
+def _from_windows(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
     """Return values and standard errors (9,) of a drive whose windows show the noise, and its rows."""
-    s, theta = settings, before.copy()
+    s, theta = CALIBRATION, before.copy()
     information, scores = np.zeros((1, N_ALL, N_ALL)), np.zeros((1, N_ALL))
     jacobians = np.zeros((1, 3, N_ALL))
     for iteration in range(s.iterations):

@@ -14,7 +14,7 @@ import numpy as np
 from logs.notes import ODOMETRY_LEFT_OUT, notes_of
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.diagnosis.motion.calibration.step_scatter import step_scatter
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -72,7 +72,6 @@ def laser_motion(
     run: Run,
     located: Run,
     *,
-    settings: DrivingCalibrationSettings = CALIBRATION,
     progress: ProgressBars = no_progress,
 ) -> LaserMotion:
     """Measure the motion of the laser from the scans alone.
@@ -90,7 +89,7 @@ def laser_motion(
     run = replace(run, sensor=replace(located.sensor, mount=run.sensor.mount))
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     paired = pair(located)
-    length = _lengths(odometry, settings)
+    length = _lengths(odometry)
     keys = _keys(length, paired.paired)
     mount = np.asarray(run.sensor.mount, dtype=np.float64)
     poses, steps, scatter = paired.poses[keys], np.zeros((0, 3)), None
@@ -99,12 +98,12 @@ def laser_motion(
             found = _by_scans_alone(run, keys, poses, bar)
         poses = found.poses
         steps = compose(invert(poses[:-1]), poses[1:])
-        if len(steps) < settings.window * settings.least_windows:
+        if len(steps) < CALIBRATION.window * CALIBRATION.least_windows:
             scatter = step_scatter(found, steps, mount)
         there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
         steps = compose(compose(back, steps), there)
         steps[:, 2] = wrap(steps[:, 2])
-    whole = np.diff(length[keys]) < settings.longest_step
+    whole = np.diff(length[keys]) < CALIBRATION.longest_step
     if scatter is not None:
         scatter = scatter[:, whole][:, :, whole]
     return LaserMotion(
@@ -112,7 +111,7 @@ def laser_motion(
         second=keys[1:][whole],
         steps=steps[whole],
         headings=poses[:-1, 2][whole],
-        stamps=_even_stamps(run.stamps, settings),
+        stamps=_even_stamps(run.stamps),
         odometry=odometry,
         mount=mount,
         scatter=scatter,
@@ -135,13 +134,13 @@ def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
     return run, odometry_at_scans(run, motion)
 
 
-def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats:
+def _even_stamps(stamps: Floats) -> Floats:
     """Return stamps (n,) that never decrease; moving averages if the log was written in bursts."""
     rising = np.maximum.accumulate(stamps)
     intervals = np.diff(rising)
     mean = float(np.ptp(rising)) / max(len(intervals), 1)
-    if (intervals < settings.short_interval * mean).mean() > settings.most_bursts:
-        w = settings.burst_scans
+    if (intervals < CALIBRATION.short_interval * mean).mean() > CALIBRATION.most_bursts:
+        w = CALIBRATION.burst_scans
         before, after = rising[0] - mean * np.arange(w, 0, -1), rising[-1] + mean * np.arange(1, w + 1)
         rising = np.convolve(
             np.concatenate([before, rising, after]), np.ones(2 * w + 1) / (2 * w + 1), "valid"
@@ -149,10 +148,10 @@ def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats
     return np.asarray(rising + 1e-6 * np.arange(len(rising)))
 
 
-def _lengths(odometry: Floats, settings: DrivingCalibrationSettings) -> Floats:
+def _lengths(odometry: Floats) -> Floats:
     """Return the accumulated distance and turn at each scan (n_scans,), in steps."""
-    ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / settings.step_way
-    turns = np.abs(np.diff(odometry[:, 2])) / settings.step_turn
+    ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / CALIBRATION.step_way
+    turns = np.abs(np.diff(odometry[:, 2])) / CALIBRATION.step_turn
     return np.concatenate([[0.0], np.cumsum(ways + turns)])
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.settings import DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.localization.settings import WHEELS
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
@@ -43,7 +43,7 @@ class StepNoise:
     """(3, n) [m, m, rad] standard deviation of slip in each step."""
 
     @classmethod
-    def of(cls, motion: LaserMotion, settings: DrivingCalibrationSettings) -> StepNoise:
+    def of(cls, motion: LaserMotion) -> StepNoise:
         """Return the noise of the steps, from the scans' own covariance and from the way and turn of each step."""
         n = len(motion.first)
         steps = compose(invert(motion.odometry[:-1]), motion.odometry[1:])
@@ -62,18 +62,17 @@ class StepNoise:
         k = np.flatnonzero(motion.second[:-1] == motion.first[1:])
         ends[k, k + 1] = ends[k + 1, k] = -1.0
         scans = (
-            np.square([settings.scan_place, settings.scan_place, settings.scan_turn])[:, None, None] * ends
+            np.square([CALIBRATION.scan_place, CALIBRATION.scan_place, CALIBRATION.scan_turn])[:, None, None]
+            * ends
         )
         if motion.scatter is not None:
             scans = scans + motion.scatter
         return cls(scans=scans, wheels=np.maximum(wheels, 1e-6))
 
-    def first_weights(self, residuals: Floats, tail: float) -> Floats:
+    def first_weights(self, residuals: Floats) -> Floats:
         """Return weights (3, n) of slips from the residuals (n, 3) before any fit, relative to their median size."""
         size = np.abs(residuals.T / self.wheels)
-        return student_weights(
-            (size / (SIGMA_OF_MAD * np.median(size, axis=1, keepdims=True) + 1e-9)) ** 2, tail
-        )
+        return student_weights((size / (SIGMA_OF_MAD * np.median(size, axis=1, keepdims=True) + 1e-9)) ** 2)
 
     def whitened(
         self,
@@ -81,7 +80,6 @@ class StepNoise:
         residuals: Floats,
         jacobians: Floats,
         prior: Floats,
-        settings: DrivingCalibrationSettings,
     ) -> WhiteSteps:
         """Combine residuals (n, 3) and their derivatives (n, 3, k) into rows with independent noise.
 
@@ -99,8 +97,8 @@ class StepNoise:
             turned=turned,
             by_scans=np.maximum(values, 0.0),
             prior=prior,
-            usual=np.repeat(2 * np.log([1.0, settings.usual_slip]), 3),
-            spread=2 * float(np.log(settings.noise_spread)),
+            usual=np.repeat(2 * np.log([1.0, CALIBRATION.usual_slip]), 3),
+            spread=2 * float(np.log(CALIBRATION.noise_spread)),
         )
 
 
@@ -157,9 +155,9 @@ class WhiteSteps:
         return np.asarray(mean**2 / b + left_open)
 
 
-def student_weights(squares: Floats, tail: float) -> Floats:
+def student_weights(squares: Floats) -> Floats:
     """Return the weights of squared residuals, in units of their variance, under Student's t."""
-    return np.asarray((tail + 1) / (tail + squares))
+    return np.asarray((CALIBRATION.tail + 1) / (CALIBRATION.tail + squares))
 
 
 def most_probable(steps: WhiteSteps, start: Floats) -> Floats:

@@ -65,7 +65,7 @@ def drive_result(
         error = float(np.sqrt(covariance[term.column, term.column]))
         amendment = replace(
             _sized(model, term, fit, error),
-            probability=probability(evidence[term], alternatives.values(), EVIDENCE),
+            probability=probability(evidence[term], alternatives.values()),
             evidence=evidence[term],
         )
         found.append((amendment, term))
@@ -75,7 +75,7 @@ def drive_result(
             objection = _objection(model, amendment, float(np.hypot(error, term.blur)))
             material |= {term.effect} if objection is None else set()
         entries.append(replace(entry, facts=replace(entry.facts, objection=objection)))
-        rival = strongest_rival(term.effect, alternatives, EVIDENCE)
+        rival = strongest_rival(term.effect, alternatives)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
         if rival is not None:

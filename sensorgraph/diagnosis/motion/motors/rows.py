@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -108,7 +108,7 @@ def drive_rows(
     ChannelSkippedError
         Commands and odometry hardly overlap.
     """
-    sigma = clock_sigma(robot, EVIDENCE)
+    sigma = clock_sigma(robot)
     offset, error = clock if clock is not None else (0.0, 0.0)
     is_late = abs(offset) > max(2 * sigma, 3 * error, DRIVE.min_clock_offset)
     late = offset if is_late else 0.0

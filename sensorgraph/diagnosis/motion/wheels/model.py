@@ -16,7 +16,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY, EvidenceSettings
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
@@ -54,10 +54,10 @@ class SlipPatch:
         return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= ODOMETRY.patch.radius_range[1])
 
 
-def clock_sigma(robot: Robot, settings: EvidenceSettings) -> float:
+def clock_sigma(robot: Robot) -> float:
     """Return the standard deviation of a clock offset that needs no effect [s]."""
     return float(
-        np.clip(settings.clock_tolerance_share * robot.tolerances.stamp, *settings.clock_tolerance_range)
+        np.clip(EVIDENCE.clock_tolerance_share * robot.tolerances.stamp, *EVIDENCE.clock_tolerance_range)
     )
 
 
@@ -163,7 +163,7 @@ class WheelModel:
     def prior(self, terms: Sequence[WheelTerm]) -> BoundedPrior:
         """Return the prior of the columns with some effects free; other patches are fixed at 0."""
         sigma = [regressor.tolerance for _, regressor in self.layout.regressors]
-        sigma += [clock_sigma(self.robot, EVIDENCE), ODOMETRY.marker_sigma]
+        sigma += [clock_sigma(self.robot), ODOMETRY.marker_sigma]
         sigma += [SHUT_SIGMA] * len(self.patches)
         k = len(sigma)
         if self.structure is not None:

@@ -151,7 +151,7 @@ def _amendment(
 ) -> Amendment:
     """Return an effect with sizes, standard errors, evidence and probability."""
     evidence = model.evidence(terms, term)
-    sure = probability(evidence, _alternatives(model, term, terms, rng).values(), EVIDENCE)
+    sure = probability(evidence, _alternatives(model, term, terms, rng).values())
     theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
     if term.effect is WHEEL_SLIP:
         amendment = _slip(model, term.column - model.layout.n, theta, error)
@@ -237,9 +237,7 @@ def _rivals(
     model: WheelModel, terms: Sequence[WheelTerm], named: Sequence[Amendment], rng: np.random.Generator
 ) -> list[Rival]:
     material = [term for term in terms if any(a.effect is term.effect for a in named)]
-    found = (
-        strongest_rival(term.effect, _alternatives(model, term, terms, rng), EVIDENCE) for term in material
-    )
+    found = (strongest_rival(term.effect, _alternatives(model, term, terms, rng)) for term in material)
     return [rival for rival in found if rival is not None]
 
 

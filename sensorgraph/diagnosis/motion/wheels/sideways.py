@@ -113,7 +113,7 @@ def _sliding(
     """Return sideways motion other than a constant angle, if it matters to a user."""
     rows = model.rows
     # positions older than the headings also look like sliding in curves; allow the tolerance of a clock
-    nuisance = clock_sigma(model.robot, EVIDENCE) * (aside.distance * aside.rate)[:, None]
+    nuisance = clock_sigma(model.robot) * (aside.distance * aside.rate)[:, None]
     noise = LimitedNoiseFitter(limits)
     test = StructureTest(rows.valid, aside.y, noise, rows.masked(nuisance))
     own = rows.masked(np.stack([aside.distance, aside.turn], axis=1))
