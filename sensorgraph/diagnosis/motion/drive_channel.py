@@ -7,7 +7,6 @@ is fitted to the motion that the wheels report.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
@@ -49,33 +48,24 @@ def diagnose_drive(
         rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
-    explained = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
-    said = with_slow_leftover(explained.model, explained.selected)
+    model, selected, deviations = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
+    said = with_slow_leftover(model, selected)
     if said.terms or said.structure is not None:
-        ramped = _explain(explained.model.with_ramped_set_point(), named_wheels)
-        if ramped.log_likelihood > explained.log_likelihood + EVIDENCE.threshold:
-            explained, said = ramped, with_slow_leftover(ramped.model, ramped.selected)
-    selected, evidence = confirmed(explained.model, said)
-    return drive_result(explained.model, selected, evidence, explained.deviations)
+        ramped, other, listed = _explain(model.with_ramped_set_point(), named_wheels)
+        if other.log_likelihood(ramped) > selected.log_likelihood(model) + EVIDENCE.threshold:
+            model, said, deviations = ramped, with_slow_leftover(ramped, other), listed
+    selected, evidence = confirmed(model, said)
+    return drive_result(model, selected, evidence, deviations)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Explained:
-    """Effects and structure of a run under one model."""
+def _explain(
+    model: DriveModel, named_wheels: Sequence[Amendment]
+) -> tuple[DriveModel, MotorSelection, tuple[Deviation, ...]]:
+    """Select effects and structure under the acceleration limits of the model, with a separate noise fit.
 
-    model: DriveModel
-    selected: MotorSelection
-    deviations: tuple[Deviation, ...]
-
-    @property
-    def log_likelihood(self) -> float:
-        """[nats] less the complexity penalty of all free parameters."""
-        return self.selected.log_likelihood(self.model)
-
-
-def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> _Explained:
-    """Select effects and structure under the acceleration limits of the model, with a separate noise fit."""
+    Returns the model, with its gains bounded or free, the selection, and the deviations before any effect is named.
+    """
     model, selected = select_under_any_gain(model)
     deviations = deviations_before_naming(model)
     selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
-    return _Explained(model=model, selected=selected, deviations=deviations)
+    return model, selected, deviations

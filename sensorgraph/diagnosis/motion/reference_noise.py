@@ -83,7 +83,7 @@ def difference_autocovariance(
     walk : [m/√s or rad/√s] Square root of the density of the wheels' random walk.
     period : [s] Between two averages.
     """
-    lags = np.arange(-1, ODOMETRY.noise.order + 2)
+    lags = np.arange(-1, ODOMETRY.filter_order + 2)
     level = wander**2 * memory ** np.abs(lags) + white**2 * (lags == 0)
     out = 2 * level[1:-1] - level[:-2] - level[2:]
     out[0] += walk**2 * period * 2 / 3

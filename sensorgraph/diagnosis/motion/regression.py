@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
-from sensorgraph.types import Floats
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.types import Floats, Ints
 
 SHUT_SIGMA = 1e-9
 """Prior standard deviation of a coefficient that is fixed at 0."""
@@ -99,7 +100,7 @@ class Regression:
             covariance=covariance,
         )
 
-    def clustered_covariance(self, fit: RegressionFit, clusters: Floats) -> Floats:
+    def clustered_covariance(self, fit: RegressionFit, clusters: Ints) -> Floats:
         """Return the covariance (k, k) for errors correlated within clusters; at least that of the model.
 
             robust = covariance  (sum over clusters of  s s')  covariance,   s = A' (y - A theta) of one cluster
@@ -112,11 +113,37 @@ class Regression:
         clusters : (n,) Index of the cluster of each row.
         """
         scores = self.A * (self.y - self.A @ fit.theta)[:, None]
-        sums = np.stack([np.bincount(clusters.astype(np.intp), weights=s) for s in scores.T], axis=1)
+        sums = np.stack([np.bincount(clusters, weights=s) for s in scores.T], axis=1)
         robust = fit.covariance @ (sums.T @ sums) @ fit.covariance
         ratio = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(fit.covariance), 1e-300), 1.0))
         out: Floats = fit.covariance * ratio[:, None] * ratio[None, :]
         return out
+
+
+def held_out_residual(
+    regression: Regression, prior: BoundedPrior, columns: Floats, y: Floats, stamps: Floats
+) -> Floats:
+    """Return the residual (k n,) of rows that were not fitted: every other block of the run, and vice versa.
+
+    Parameters
+    ----------
+    regression : Of the whitened rows.
+    columns, y : (k n, .), (k n,) Rows of k kinds before whitening.
+    stamps : (n,) [s]
+    """
+    block = ((stamps - stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
+    half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
+    for side in (0, 1):
+        train = half == side
+        fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
+        out[~train] = (y - columns @ fit.theta)[~train]
+    return out
+
+
+def clusters_of(stamps: Floats) -> Ints:
+    """Return the cluster (2 n,) of rows of two kinds at stamps (n,) [s], within which errors may be correlated."""
+    block = ((stamps - stamps[0]) / EVIDENCE.cluster).astype(np.intp)
+    return np.tile(block, 2)
 
 
 def ridge_solution(A: Floats, y: Floats) -> Floats:

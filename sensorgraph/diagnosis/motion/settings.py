@@ -60,6 +60,15 @@ class EvidenceSettings:
     """[m] distortion of the reference positions over the place, above which it matters to a user."""
     min_yaw_error: float = 0.005
     """[rad] distortion of the reference headings, above which it matters to a user."""
+    n_pieces: int = 6
+    """Number of pieces of the run in which scales, gains or delays may differ."""
+    n_jumps: int = 15
+    """Number of moments that are tried first for a single change."""
+    scale_sigma: float = 0.1
+    """Prior standard deviation of a coefficient of structure, unless its family says otherwise: of a scale, a gain, an
+    angle [rad], or a clock offset [s]."""
+    max_gap: float = 0.35
+    """[s] maximum gap in poses, odometry or commands, across which motion is compared."""
     clock_tolerance_share: float = 0.6
     """Standard deviation of a clock offset that needs no effect, as a share of the tolerance of one stamp."""
     clock_tolerance_range: tuple[float, float] = (0.0015, 0.0035)
@@ -72,8 +81,6 @@ class RowSettings:
 
     averaging_time: float = 0.1
     """[s] over which reference poses are averaged."""
-    max_gap: float = 0.35
-    """[s] maximum gap in poses or odometry, across which motion is compared."""
     min_rows: int = 60
     """Minimum number of rows, and of reference poses; with fewer, the channel is skipped."""
     min_travel: float = 0.02
@@ -105,8 +112,6 @@ class RowSettings:
 class LimitedNoiseSettings:
     """Limits of the noise model in tests for structure (`reference_noise`)."""
 
-    order: int = 24
-    """Order of the whitening filter."""
     max_walk: float = 3.0
     """Maximum density of the wheels' random walk, as a multiple of that in robot.yaml."""
     max_wander: float = 4.0
@@ -122,10 +127,6 @@ class OdometryStructureSettings:
     Used by `wheels/structure`, `wheels/each_wheel`, `wheels/reference_structure` and `wheels/selection`.
     """
 
-    n_pieces: int = 6
-    """Number of pieces of the run with separate scales."""
-    n_jumps: int = 15
-    """Number of moments that are tried first for a single change."""
     n_nearer_jumps: int = 5
     """Number of moments on each side of the best one that are tried next, and again around the best of these."""
     n_while: int = 9
@@ -137,8 +138,6 @@ class OdometryStructureSettings:
     is tight."""
     speed_cuts: tuple[float, ...] = (0.12, 0.22, 0.32)
     """[m/s] limits between speeds, for a robot at 0.4 m/s; proportional for a faster one."""
-    reference_speed: float = 0.4
-    """[m/s] speed of the robot for which these limits hold."""
     rate_cuts: tuple[float, ...] = (0.25, 0.5, 0.75)
     """[rad/s] limits between turn rates, for a robot at 1 rad/s; proportional for a faster one."""
     acceleration_quantile: float = 0.85
@@ -162,16 +161,12 @@ class OdometryStructureSettings:
     """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
     max_askew: float = 0.035
     """[rad] maximum misalignment of the heading of a reference that counts as setup: 2°."""
-    askew_sigma: float = 0.1
-    """[rad] prior standard deviation of that angle."""
     even_part: float = 0.5
     """Share of the contribution of a whole-run effect, above which structure takes its name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of jumps of the reference that are tried, each within a tenth of a second."""
     jump_sigma: float = 0.05
     """[m or rad] prior standard deviation of each jump of the reference."""
-    scale_sigma: float = 0.1
-    """Prior standard deviation of each scale coefficient; in seconds, of a clock offset."""
     rest_sigma: float = 0.01
     """[rad/s] prior standard deviation of a turn rate at rest."""
     yaw_sigma: float = 0.02
@@ -287,10 +282,6 @@ class OdometryChannelSettings:
 class DriveStructureSettings:
     """Structure in commands against odometry that no effect explains (`motors/structure`)."""
 
-    n_pieces: int = 6
-    """Number of pieces of the run with separate gains and delays."""
-    n_jumps: int = 15
-    """Number of moments at which a gain may change once."""
     speed_cuts: tuple[float, ...] = (0.25, 0.5)
     """Shares of the maximum speed, below which the gain may differ."""
     rate_cuts: tuple[float, ...] = (0.12, 0.2, 0.35, 0.6)
@@ -314,8 +305,6 @@ class DriveStructureSettings:
     lead_over_answer: float = 10.0
     """Evidence that a lag or a dead time needs for a name next to such a response or ramp, as a multiple of
     the latter's evidence."""
-    gain_sigma: float = 0.1
-    """Prior standard deviation of each gain coefficient."""
     delay_sigma: float = 0.05
     """[s] prior standard deviation of each delay."""
     max_families: int = 3
@@ -323,8 +312,6 @@ class DriveStructureSettings:
     enough evidence for a name."""
     slope_sigma: float = 0.05
     """[m/s] prior standard deviation of the speed change on a slope."""
-    deadband_sigma: float = 1.0
-    """Prior standard deviation of the share of a dead zone that is present."""
     accepted_sigma: float = 0.5
     """Prior standard deviation of each coefficient of structure that is part of the model."""
     share: float = 0.01
@@ -382,8 +369,6 @@ class DriveChannelSettings:
     """Minimum number of rows; with fewer, the channel is skipped."""
     min_commands: int = 20
     """Minimum number of commands; with fewer, the channel is skipped."""
-    max_gap: float = 0.35
-    """[s] maximum gap between commands, and maximum duration of an increment, that are compared."""
     settling_time: float = 0.3
     """[s] after the first command that is not compared, because earlier commands are unknown."""
     min_clock_offset: float = 0.004

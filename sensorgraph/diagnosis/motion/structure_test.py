@@ -32,12 +32,12 @@ class StructureFamily:
     """Variable that they depend on: `time`, `jump`, `speed`, ...; several families may have one kind."""
     columns: Floats
     """(n_kinds n, k)"""
-    labels: Sequence[str]
-    """(k,) name of each column; empty if columns are not reported separately."""
-    sigma: float
-    """Prior standard deviation of each coefficient."""
     statement: str
     """Noun phrase that completes the sentence "the readings differ by ..."."""
+    labels: Sequence[str] = ()
+    """(k,) name of each column; empty if columns are not reported separately."""
+    sigma: float = EVIDENCE.scale_sigma
+    """Prior standard deviation of each coefficient."""
     is_of_reference: bool = False
     """Whether it describes an error of the reference poses, not of the robot."""
     choice_price: float = 0.0

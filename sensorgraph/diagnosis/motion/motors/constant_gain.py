@@ -11,12 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveModel
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, select
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
-from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
@@ -56,20 +54,15 @@ def with_constant_gain(
     if not beyond.any():
         return selected
     columns = [column for column, is_beyond in zip(GAINS, beyond, strict=True) if is_beyond]
-    dt = model.rows.end - model.rows.start
-    distance, turn = both_kinds(fit.simulated, model.rows.n)
-    missing = fit.columns[:, columns] @ gains[beyond] * np.concatenate([dt, dt])
     structure = AcceptedStructure(
         family=StructureFamily(
             kind="constant gain",
             columns=fit.columns[:, columns],
-            labels=[],
-            sigma=DRIVE.structure.gain_sigma,
             statement=f"a constant gain: the base {_said(gains, columns)}",
         ),
         evidence=_lead(model, selected, selected),
         threshold=EVIDENCE.threshold,
-        size=simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base),
+        size=model.error_without(fit, fit.columns[:, columns] @ gains[beyond]),
     )
     return replace(selected, structure=structure)
 

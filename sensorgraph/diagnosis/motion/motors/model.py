@@ -16,13 +16,20 @@ from enum import IntEnum
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
 from sensorgraph.diagnosis.motion.motors.simulation import (
     AccelerationLimit,
     MotorParameters,
     MotorSimulation,
 )
-from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, RegressionFit
+from sensorgraph.diagnosis.motion.regression import (
+    SHUT_SIGMA,
+    BoundedPrior,
+    Regression,
+    RegressionFit,
+    clusters_of,
+)
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedStructure
 from sensorgraph.diagnosis.motion.whitening import (
@@ -151,8 +158,7 @@ class DriveModel:
         self.top_speed = commands.top_speed
         limits = robot.limits
         self.simulation = MotorSimulation(commands, rows, np.array([limits.a, limits.alpha]))
-        block = ((rows.start - rows.start[0]) / EVIDENCE.cluster).astype(np.intp)
-        self.clusters = np.concatenate([block, block]).astype(np.float64)
+        self.clusters = clusters_of(rows.start)
         self.whitener = self.stated_noise()
         self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
         self.structure: StructureFamily | None = None
@@ -253,7 +259,7 @@ class DriveModel:
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
         if self.has_any_gain:
-            sigma[list(GAINS)] = DRIVE.structure.gain_sigma / np.array([1.0, 1.0, base])
+            sigma[list(GAINS)] = EVIDENCE.scale_sigma / np.array([1.0, 1.0, base])
         prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
         if self.has_any_gain:
             prior.reach[list(GAINS)] = np.inf
@@ -335,6 +341,14 @@ class DriveModel:
         cut = clipped(residual, valid, limit, max(limit * stated, 1e-9))
         found = fit_autoregression(cut, valid, DRIVE.filter_order)
         return replace(found, sigma=max(found.sigma, 1e-6))
+
+    def error_without(self, fit: DriveFit, missing: Floats) -> SimulationError:
+        """Return the error of a simulation that lacks rates (2 n,) [m/s, rad/s] of a fit."""
+        dt = self.rows.end - self.rows.start
+        distance, turn = both_kinds(fit.simulated, self.rows.n)
+        return simulation_error(
+            distance * dt, turn * dt, missing * np.tile(dt, 2), dt, self.robot.wheels.base
+        )
 
     def residual(self, fit: DriveFit) -> Floats:
         """Return the residual (2 n,) of a fit."""

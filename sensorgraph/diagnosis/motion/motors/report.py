@@ -11,7 +11,6 @@ import numpy as np
 from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
-from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.considered import (
     ABSORBED,
     structure_entries,
@@ -24,7 +23,7 @@ from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_s
 from sensorgraph.diagnosis.motion.motors.selection import BY_WAITS, TIMING, MotorSelection
 from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
 from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, column_of_jump
-from sensorgraph.diagnosis.motion.regression import Regression
+from sensorgraph.diagnosis.motion.regression import held_out_residual
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedStructure
@@ -122,10 +121,8 @@ def drive_result(
 def _entry_of(model: DriveModel, a: Amendment, term: MotorTerm, selected: MotorSelection) -> Entry:
     """Return the ledger's entry of an effect of the model, with the error of a simulation without it."""
     rest = model.fit([other for other in selected.terms if other != term], selected.fit.motors)
-    rows, dt = model.rows, model.rows.end - model.rows.start
-    missing = model.rows.masked(selected.fit.simulated - rest.simulated) * np.concatenate([dt, dt])
-    distance, turn = both_kinds(selected.fit.simulated, rows.n)
-    size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
+    missing = model.rows.masked(selected.fit.simulated - rest.simulated)
+    size = model.error_without(selected.fit, missing)
     return accepted_entry(a, EVIDENCE.threshold, EVIDENCE.price, size)
 
 
@@ -214,7 +211,7 @@ def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
     out = []
     for partition, label, mask, direction in parts:
         e = left * np.sign(direction) * mask
-        sums = np.bincount(model.clusters[:n].astype(np.intp), weights=e)
+        sums = np.bincount(model.clusters[:n], weights=e)
         z = float(e.sum() / np.sqrt(max((sums**2).sum(), mask.sum(), 1.0)))
         if abs(z) > EVIDENCE.listed_z:
             out.append(
@@ -237,14 +234,8 @@ def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
     A residual that lasts for seconds does not count as noise.
     """
     rows, fit, structure = model.rows, selected.fit, selected.structure
-    regression, prior = fit.regression, model.prior(selected.terms, fit.motors)
-    block = ((rows.start - rows.start[0]) // EVIDENCE.held_out_block).astype(np.intp)
-    half = np.concatenate([block, block]) % 2
-    after = np.zeros(len(rows.y))
-    for side in (0, 1):
-        train = half == side
-        part = Regression.of(regression.A[train], regression.y[train]).solve(prior)
-        after[~train] = (rows.y - fit.simulated - fit.columns @ part.theta)[~train]
+    prior = model.prior(selected.terms, fit.motors)
+    after = held_out_residual(fit.regression, prior, fit.columns, rows.y - fit.simulated, rows.start)
     n, k = 2 * rows.n_valid, fit.columns.shape[1]
     left = model.residual(fit)
     if structure is not None and structure.family.kind == SLOW:

@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -118,8 +118,8 @@ def drive_rows(
     valid: Bools = (
         (start > stamps[0] + DRIVE.settling_time)
         & (end < stamps[-1])
-        & (gap < DRIVE.max_gap)
-        & (end - start < DRIVE.max_gap)
+        & (gap < EVIDENCE.max_gap)
+        & (end - start < EVIDENCE.max_gap)
     )
     if int(valid.sum()) < DRIVE.min_rows:
         raise ChannelSkippedError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.engine.verdict import Objection
-from sensorgraph.diagnosis.motion.consequence import simulation_error, sure_share
+from sensorgraph.diagnosis.motion.consequence import sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
@@ -28,7 +28,6 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
     TestedStructure,
 )
-from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
@@ -171,14 +170,12 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     model.tested = TestedStructure(families=dict(test.tested), threshold=needed)
     if gain < needed:
         return selected
-    dt = model.rows.end - model.rows.start
-    distance, turn = both_kinds(here.simulated, model.rows.n)
     found = _all_significant(test, own, family, families, needed)
-    missing = test.explained(own, found) * np.concatenate([dt, dt])
-    size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
+    size = model.error_without(here, test.explained(own, found))
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
     if family.kind == ROLLS_ON:
-        one = _each_time(family, test.explained(own, [family])[: model.rows.n] * dt)
+        rolled = test.explained(own, [family])[: model.rows.n] * (model.rows.end - model.rows.start)
+        one = _each_time(family, rolled)
         is_material |= replace(size, drift=one, speed=0.0).is_material(model.robot.limits.v, gain)
     is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
     changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)

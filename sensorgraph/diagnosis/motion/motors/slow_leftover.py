@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
+from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.motors.model import DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
@@ -61,7 +61,6 @@ def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSele
             family=StructureFamily(
                 kind=SLOW,
                 columns=left.rates[:, None],
-                labels=[],
                 sigma=1.0,
                 statement=words[0] if words else statement,
             ),
@@ -90,8 +89,7 @@ class _SlowPart:
 
 def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
     rows, robot = model.rows, model.robot
-    dt = rows.end - rows.start
-    cluster = model.clusters[: rows.n].astype(np.intp)
+    cluster = model.clusters[: rows.n]
     n_rows = np.bincount(cluster, rows.valid)
     block = np.where(rows.valid, cluster, -1)
     left = both_kinds(model.residual(selected.fit), rows.n)
@@ -106,14 +104,11 @@ def _slow_part(model: DriveModel, selected: MotorSelection) -> _SlowPart:
     sure = np.where(enough, sure, 0.0)
     excess = np.maximum(z2, 1.0)[:, enough]
     rates = np.concatenate([part[cluster] for part in sure])
-    distance, turn = both_kinds(selected.fit.simulated, rows.n)
     return _SlowPart(
         block=np.where(enough[cluster], block, -1),
         means=np.where(enough, means, 0.0),
         evidence=0.5 * float((excess - 1 - np.log(excess)).sum()),
-        size=simulation_error(
-            distance * dt, turn * dt, rates * np.concatenate([dt, dt]), dt, robot.wheels.base
-        ),
+        size=model.error_without(selected.fit, rates),
         rates=rates,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.motors.model import SIMULATED_TERMS, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Bools, Floats, Ints
@@ -63,7 +63,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     v, omega = both_kinds(fit.simulated, rows.n)
     middle = (rows.start + rows.end) / 2
     share = (middle - middle[rows.valid][0]) / np.ptp(middle[rows.valid])
-    n = DRIVE.structure.n_pieces
+    n = EVIDENCE.n_pieces
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
     pieces = [piece == k for k in range(1, n)]
     top_v, top_omega = max(float(np.abs(v).max()), 1e-3), max(float(np.abs(omega).max()), 1e-3)
@@ -85,7 +85,6 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         StructureFamily(
             kind=TIMING_OF_STRETCHES,
             columns=timing,
-            labels=[],
             sigma=DRIVE.structure.delay_sigma,
             statement="a delay that changes over time",
         ),
@@ -117,8 +116,6 @@ def _gains(
     return StructureFamily(
         kind=kind,
         columns=model.rows.masked(np.stack(columns, axis=1)),
-        labels=[],
-        sigma=DRIVE.structure.gain_sigma,
         statement=statement,
         choice_price=choice_price,
     )
@@ -148,7 +145,6 @@ def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
     return StructureFamily(
         kind=ANSWER,
         columns=model.rows.masked(np.stack(columns, axis=1)),
-        labels=[],
         sigma=DRIVE.structure.answer_sigma,
         statement="a response to commands that is not a single lag: the base rings, overshoots or creeps",
     )
@@ -160,7 +156,6 @@ def _lag_by_sense(model: DriveModel, fit: DriveFit) -> StructureFamily:
     return StructureFamily(
         kind=LAG_BY_SENSE,
         columns=(fit.columns[:, Column.LAG] * np.concatenate(faster))[:, None],
-        labels=[],
         sigma=DRIVE.structure.delay_sigma,
         statement="a lag that differs between speeding up and slowing down",
     )
@@ -179,17 +174,46 @@ def _slopes(model: DriveModel) -> StructureFamily:
     return StructureFamily(
         kind="heading",
         columns=rows.masked(np.stack(columns, axis=1)),
-        labels=[],
         sigma=DRIVE.structure.slope_sigma,
         statement="a speed that depends on the heading, as on a floor that slopes",
+    )
+
+
+def _asked_and_moved(model: DriveModel, fit: DriveFit) -> tuple[Floats, Floats, Floats]:
+    """Return simulated and measured rates (2, n) [m/s, rad/s], and the largest simulated ones (2, 1)."""
+    asked, moved = (np.stack(both_kinds(x, model.rows.n)) for x in (fit.simulated, model.rows.y))
+    return asked, moved, np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+
+
+def _by_commands(
+    kind: str,
+    statement: str,
+    model: DriveModel,
+    fit: DriveFit,
+    commands: Floats,
+    choice_price: float = 0.0,
+    limit: AccelerationLimit | None = None,
+) -> StructureFamily:
+    """Return the family of a base that responds to other commands (n_commands, 2); its coefficient is the share of that.
+
+    Parameters
+    ----------
+    limit : Where the acceleration is limited; default: as in the simulation.
+    """
+    rates = model.simulation.rates_of(fit.motors, commands, limit=limit)
+    return StructureFamily(
+        kind=kind,
+        columns=model.rows.masked((rates - fit.simulated)[:, None]),
+        sigma=1.0,
+        statement=statement,
+        choice_price=choice_price,
     )
 
 
 def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
     """Return the family of a base that pauses although it is commanded to move."""
     rows, settings = model.rows, DRIVE.structure
-    asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
-    top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+    asked, moved, top = _asked_and_moved(model, fit)
     still = (np.abs(moved) < settings.still_share * top).all(axis=0)
     stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
     commands, motors = model.simulation.commands, fit.motors
@@ -198,14 +222,8 @@ def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
         begin = rows.start[first] - motors.delay - SLOWED_DOWN * motors.tau
         end = rows.end[beyond - 1] - motors.delay
         without[(commands.stamps > begin) & (commands.stamps < end)] = 0.0
-    columns = model.simulation.rates_of(motors, without) - fit.simulated
-    return StructureFamily(
-        kind="stops",
-        columns=rows.masked(columns[:, None]),
-        labels=[],
-        sigma=settings.deadband_sigma,
-        statement="pauses in which the base stands despite commands to move: a link that drops out, a watchdog, a bumper",
-    )
+    statement = "pauses in which the base stands despite commands to move: a link that drops out, a watchdog, a bumper"
+    return _by_commands("stops", statement, model, fit, without)
 
 
 def _long_stretches(model: DriveModel, some: Bools) -> Ints:
@@ -223,8 +241,7 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     moments.
     """
     rows, settings, motors = model.rows, DRIVE.structure, fit.motors
-    asked, moved = (np.stack(both_kinds(x, rows.n)) for x in (fit.simulated, rows.y))
-    top = np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+    asked, moved, top = _asked_and_moved(model, fit)
     short = np.where(rows.valid, ((asked - moved) * np.sign(asked) / top).max(axis=0), 0.0)
     times = [
         (first, first + int(np.argmax(short[first:beyond])))
@@ -234,6 +251,9 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.NOWHERE, AccelerationLimit.MOTORS)
     if model.simulation.limit not in limits:
         limits = (model.simulation.limit,)
+    statement = (
+        "a temporary loss of speed despite commands to continue: motors that cut out, a link that drops out"
+    )
     for limit in limits if times else ():
         is_limited = limit is not AccelerationLimit.NOWHERE
         slowest = float((top[:, 0] / model.simulation.slew).max()) if is_limited else motors.tau
@@ -241,17 +261,8 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         for first, most in times:
             begin = rows.start[first] - motors.delay - settings.asked_share * slowest
             without[(stamps > begin) & (stamps < rows.start[most] - motors.delay)] = 0.0
-        columns = model.simulation.rates_of(motors, without, limit=limit) - fit.simulated
-        out.append(
-            StructureFamily(
-                kind="drops",
-                columns=rows.masked(columns[:, None]),
-                labels=[],
-                sigma=settings.deadband_sigma,
-                statement="a temporary loss of speed despite commands to continue: motors that cut out, a link that drops out",
-                choice_price=2 * len(times) * float(np.log(rows.n)),
-            )
-        )
+        price = 2 * len(times) * float(np.log(rows.n))
+        out.append(_by_commands("drops", statement, model, fit, without, price, limit))
     return out
 
 
@@ -271,17 +282,8 @@ def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         rolling = values.copy()
         some = stands & (since < time)
         rolling[some, 0] = ROLLING_SPEED * np.sign(values[last_way[some], 0])
-        columns = model.simulation.rates_of(fit.motors, rolling) - fit.simulated
-        out.append(
-            StructureFamily(
-                kind=ROLLS_ON,
-                columns=model.rows.masked(columns[:, None]),
-                labels=[],
-                sigma=DRIVE.structure.deadband_sigma,
-                statement="a motion that continues after a stop command: the base creeps or rolls on",
-                choice_price=float(np.log(len(times))),
-            )
-        )
+        statement = "a motion that continues after a stop command: the base creeps or rolls on"
+        out.append(_by_commands(ROLLS_ON, statement, model, fit, rolling, float(np.log(len(times)))))
     return out
 
 
@@ -292,7 +294,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
     ----------
     share, passed : (n,) Elapsed part of the run, as a share and in s.
     """
-    n, out = DRIVE.structure.n_jumps, list[StructureFamily]()
+    n, out = EVIDENCE.n_jumps, list[StructureFamily]()
     price = float(np.log(3 * n))
     for k in range(1, n + 1):
         if not TRIMMED <= k / (n + 1) <= 1 - TRIMMED:
@@ -306,7 +308,6 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
                 StructureFamily(
                     kind=jump_of(term.column),
                     columns=(fit.columns[:, term.column] * np.concatenate([later, later]))[:, None],
-                    labels=[],
                     sigma=DRIVE.structure.delay_sigma,
                     statement=f"a {what} of the motors {when}",
                     choice_price=price,
@@ -326,8 +327,7 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             StructureFamily(
                 kind=RAMP,
                 columns=model.rows.masked(np.stack(columns, axis=1)),
-                labels=[],
-                sigma=DRIVE.structure.deadband_sigma,
+                sigma=1.0,
                 statement=f"a slower change of speed: the base accelerates at about {share:.0%} of the limit in robot.yaml",
                 choice_price=float(np.log(len(shares))),
             )
@@ -339,9 +339,10 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return one family for each size of a dead zone of the commands, and for the most likely of all sizes."""
     rows, commands = model.rows, model.simulation.commands.values
     top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
-    moved, asked = (np.stack(both_kinds(x, rows.n)) for x in (rows.y, fit.simulated))
+    asked, moved, _ = _asked_and_moved(model, fit)
     shares = DRIVE.structure.deadbands
     of_grid, of_any = float(np.log(2 * (len(shares) + 1))), float(np.log(rows.n))
+    statement = "a dead zone: the motors do not respond to small commands"
     families = list[StructureFamily]()
     for kind in (0, 1):
         likeliest = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
@@ -349,16 +350,7 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         for size, price in sizes:
             without = commands.copy()
             without[np.abs(commands[:, kind]) < size, kind] = 0.0
-            families.append(
-                StructureFamily(
-                    kind="deadband",
-                    columns=(model.simulation.rates_of(fit.motors, without) - fit.simulated)[:, None],
-                    labels=[],
-                    sigma=DRIVE.structure.deadband_sigma,
-                    statement="a dead zone: the motors do not respond to small commands",
-                    choice_price=price,
-                )
-            )
+            families.append(_by_commands("deadband", statement, model, fit, without, price))
     return families
 
 

@@ -71,7 +71,6 @@ def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struct
         labels=[
             f"the {1 - q:.0%} with the largest acceleration" for q in ODOMETRY.structure.spinning_quantiles
         ],
-        sigma=ODOMETRY.structure.scale_sigma,
         statement="a loss of motion while wheels speed up: they spin",
     )
 
@@ -93,7 +92,6 @@ def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) 
                 kind="turns of a wheel",
                 columns=np.stack(columns, axis=1),
                 labels=[f"{wheel} wheel, once per turn" for wheel in ("left", "left", "right", "right")],
-                sigma=ODOMETRY.structure.scale_sigma,
                 statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
                 choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
             )

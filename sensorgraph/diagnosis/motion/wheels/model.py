@@ -14,8 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
+from sensorgraph.diagnosis.motion.regression import (
+    SHUT_SIGMA,
+    BoundedPrior,
+    Regression,
+    clusters_of,
+    ridge_solution,
+)
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
@@ -70,8 +77,7 @@ class WheelModel:
         self.y = wheel_rows(rows, wheels)
         self.motion = wheels
         self.A = self.layout.evaluate(rows, wheels, robot.wheels.base)
-        block = ((rows.stamps - rows.stamps[0]) / EVIDENCE.cluster).astype(np.intp)
-        self.clusters = np.concatenate([block, block]).astype(np.float64)
+        self.clusters = clusters_of(rows.stamps)
         self.patches: list[SlipPatch] = []
         self.structure: AcceptedStructure | None = None
         self.tested: list[TestedStructure] = []
@@ -172,6 +178,12 @@ class WheelModel:
         mean[self.layout.clock] = -self.rows.clock
         prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(k)
+
+    def error_without(self, missing: Floats) -> SimulationError:
+        """Return the error of a simulation that lacks rows (2 n,) [m, rad] of the motion."""
+        rows, motion = self.rows, self.motion
+        distance, turn = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn
+        return simulation_error(distance, turn, missing, np.gradient(rows.stamps), self.robot.wheels.base)
 
     def clock_left(self) -> float:
         """Return the remaining error of the assumed clock offset, with all effects free [s]."""

@@ -100,7 +100,6 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
             StructureFamily(
                 kind="reference jumps",
                 columns=columns,
-                labels=[],
                 sigma=ODOMETRY.structure.jump_sigma,
                 statement="jumps of the reference at single moments, or wheel counts that were lost then",
                 is_of_reference=True,

@@ -10,7 +10,6 @@ import numpy as np
 from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
-from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.considered import (
     ABSORBED,
     name_of,
@@ -18,7 +17,7 @@ from sensorgraph.diagnosis.motion.considered import (
     unknown_structure,
     unseen_effects,
 )
-from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, ridge_solution
+from sensorgraph.diagnosis.motion.regression import RegressionFit, held_out_residual, ridge_solution
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
@@ -100,10 +99,7 @@ def odometry_result(
 
 def _entry_of(model: WheelModel, term: WheelTerm, a: Amendment, fit: RegressionFit) -> Entry:
     """Return the ledger's entry of an effect of the model, with the error of a simulation without it."""
-    missing = model.columns[:, term.column] * fit.theta[term.column]
-    rows, base = model.rows, model.robot.wheels.base
-    distance, turn = rows.D_along @ model.motion.distance, rows.D_yaw @ model.motion.turn
-    size = simulation_error(distance, turn, missing, np.gradient(rows.stamps), base)
+    size = model.error_without(model.columns[:, term.column] * fit.theta[term.column])
     return accepted_entry(a, EVIDENCE.threshold, price(term), size)
 
 
@@ -258,8 +254,7 @@ def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
     out = []
     for family in _steady(odometry_families(model.rows, motion, model.robot.wheels)):
         Z = model.whitener(family.columns)
-        clusters = model.clusters.astype(np.intp)
-        sums = np.stack([np.bincount(clusters, weights=z) for z in (Z * residual[:, None]).T])
+        sums = np.stack([np.bincount(model.clusters, weights=z) for z in (Z * residual[:, None]).T])
         information = (Z**2).sum(axis=0)
         variance = np.maximum(information, (sums**2).sum(axis=1))
         z = Z.T @ residual / np.sqrt(np.maximum(variance, 1e-12))
@@ -295,13 +290,7 @@ def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | No
 def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
     """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa."""
     rows, regression, prior, columns = model.rows, model.regression, model.prior(terms), model.columns
-    block = ((rows.stamps - rows.stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
-    half = np.concatenate([block, block]) % 2
-    after = np.zeros(len(model.y))
-    for side in (0, 1):
-        train = half == side
-        fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
-        after[~train] = (model.y - columns @ fit.theta)[~train]
+    after = held_out_residual(regression, prior, columns, model.y, rows.stamps)
     nominal = np.zeros(columns.shape[1])
     nominal[model.layout.clock] = -rows.clock
     # noise floor: the residual with all structure fitted as well

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -108,8 +108,8 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
     phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
     step = np.diff(averages, axis=0)
-    is_dense = np.ptp(t, axis=1) < ROWS.max_gap + m * period
-    valid = (np.diff(centre) < max(ROWS.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
+    is_dense = np.ptp(t, axis=1) < EVIDENCE.max_gap + m * period
+    valid = (np.diff(centre) < max(EVIDENCE.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
     weights, index, has_room = _overlaps(t, start, end)
     smooth = _smooth_positions(averages, wheels, heading, centre, ends, m * period)
     increment_poses = [np.interp(middle, centre, column) for column in smooth.T]
@@ -159,7 +159,7 @@ def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bool
     a, span = start[index][..., None], (end - start)[index][..., None]
     weights = _shares((t[1:, None, :] - a) / span) - _shares((t[:-1, None, :] - a) / span)
     weights[places != index] = 0.0
-    ok = (last - first < room - 2) & ((end - start)[index].max(axis=1) < ROWS.max_gap)
+    ok = (last - first < room - 2) & ((end - start)[index].max(axis=1) < EVIDENCE.max_gap)
     return weights, index, ok
 
 

@@ -13,7 +13,6 @@ from sensorgraph.diagnosis.motion.consequence import (
     ReferenceError,
     SimulationError,
     reference_error,
-    simulation_error,
 )
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
@@ -256,12 +255,9 @@ def _best_structure(
 
 def _size(model: WheelModel, missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
     """Return the error of a simulation, or of a reference, that lacks rows (2 n,)."""
-    distance = model.rows.D_along @ model.motion.distance
-    turn = model.rows.D_yaw @ model.motion.turn
     if family.is_of_reference:
-        return reference_error(turn, missing)
-    dt = np.gradient(model.rows.stamps)
-    return simulation_error(distance, turn, missing, dt, model.robot.wheels.base)
+        return reference_error(model.rows.D_yaw @ model.motion.turn, missing)
+    return model.error_without(missing)
 
 
 def _in_stead_of_patches(

@@ -83,9 +83,7 @@ def _askew(
     rows = model.rows
     test = StructureTest(rows.valid, aside.y, LimitedNoiseFitter(limits))
     own, distance = rows.masked(aside.turn[:, None]), rows.masked(aside.distance)
-    family = StructureFamily(
-        kind="askew", columns=distance[:, None], labels=[], sigma=ODOMETRY.structure.askew_sigma, statement=""
-    )
+    family = StructureFamily(kind="askew", columns=distance[:, None], statement="")
     gain, missing = test.gain(own, family), test.explained(own, [family])
     angle = float(distance @ missing) / max(float(distance @ distance), 1e-12)
     needed = evidence_needed(test.dispersion(EVIDENCE.cluster, limits[0].period), rows)
@@ -144,11 +142,10 @@ def _sliding(
 
 def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[StructureFamily]:
     """Return the families of sideways motion, with columns (n, k)."""
-    sigma = ODOMETRY.structure.scale_sigma
     backward, to_right = aside.distance < 0, aside.turn < 0
     way = np.abs(aside.distance)
-    piece = np.arange(len(aside.y)) * ODOMETRY.structure.n_pieces // len(aside.y)
-    pieces = [piece == k for k in range(1, ODOMETRY.structure.n_pieces)]
+    piece = np.arange(len(aside.y)) * EVIDENCE.n_pieces // len(aside.y)
+    pieces = [piece == k for k in range(1, EVIDENCE.n_pieces)]
     kinds: list[tuple[str, str, list[Floats]]] = [
         (
             CURVE,
@@ -175,8 +172,6 @@ def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[Structure
         StructureFamily(
             kind=kind,
             columns=rows.masked(np.stack(columns, axis=1)),
-            labels=[],
-            sigma=sigma,
             statement=statement,
         )
         for kind, statement, columns in kinds

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.each_wheel import (
     reversals,
@@ -26,8 +26,8 @@ from sensorgraph.world.robot import Wheels
 Part = Literal["distance", "turn", "distance and turn", "left wheel", "right wheel"]
 PARTS: tuple[Part, ...] = ("left wheel", "right wheel", "turn")
 """Quantities that may change separately: each wheel, and the distance between them."""
-Scale = tuple[str, Part, Bools]
-"""Label, scaled quantity, and (n_increments,) mask of the increments."""
+Scale = tuple[str, Part, Bools | Floats]
+"""Label, scaled quantity, and (n_increments,) the share of each increment that is scaled."""
 JUMP = "jump"
 """Kind of the families of a scale that changes once."""
 CLOCK = "clock"
@@ -45,47 +45,49 @@ def odometry_families(
     is_reference_straight : Omit a reference that is distorted over the place.
     """
     base = size.base
-    rates = _rates(wheels)
-    families = [
-        _scales(rows, wheels, base, "time", "a scale that changes over time", _pieces(wheels)),
-        _steadily(rows, wheels, base),
-        _at_rest(rows, wheels),
-        *_jumps(rows, wheels, base),
-        *_for_a_while(rows, wheels, base),
-        _scales(rows, wheels, base, "speed", "a scale that depends on speed or turn rate", _speeds(rates)),
-        _scales(
-            rows,
-            wheels,
-            base,
+    rates, phi = _rates(wheels), rows.increment_poses[:, 2]
+    ahead, passed = np.sign(wheels.distance), (wheels.middle - wheels.start[0]) / np.ptp(wheels.middle)
+    by_direction: list[Scale] = [
+        ("backward", "distance", rates[:, 0] < 0),
+        ("to the right", "turn", rates[:, 1] < 0),
+    ]
+    by_heading: list[Scale] = [
+        (f"along {axis} of the map", "distance", ahead * share)
+        for axis, share in (("x", np.cos(phi)), ("y", np.sin(phi)))
+    ]
+    by_compass: list[Scale] = [
+        (f"towards {axis} of the map", "turn", share)
+        for axis, share in (("x", np.cos(phi)), ("y", np.sin(phi)))
+    ]
+    scales: list[tuple[str, str, Sequence[Scale]]] = [
+        ("time", "a scale that changes over time", _pieces(wheels)),
+        (
+            "steady change",
+            "a steady change of the wheels during the run: a tyre that loses air, a load that shifts",
+            [("from start to end", part, passed - 0.5) for part in PARTS],
+        ),
+        ("speed", "a scale that depends on speed or turn rate", _speeds(rates)),
+        (
             "direction",
             "a scale that differs forward and backward, or to the left and to the right",
-            [
-                ("backward", "distance", rates[:, 0] < 0),
-                ("to the right", "turn", rates[:, 1] < 0),
-            ],
+            by_direction,
         ),
-        _scales(
-            rows,
-            wheels,
-            base,
-            "curvature",
-            "a scale that differs in tight turns: the tyres scrub",
-            _tight_turns(rates, base),
-        ),
-        _scales(
-            rows,
-            wheels,
-            base,
-            "acceleration",
-            "a scale that depends on the acceleration",
-            _accelerations(wheels, rates),
+        ("curvature", "a scale that differs in tight turns: the tyres scrub", _tight_turns(rates, base)),
+        ("acceleration", "a scale that depends on the acceleration", _accelerations(wheels, rates)),
+        ("place", "a scale that depends on the place", _cells(rows, wheels)),
+        # a slope, or the pile of a carpet
+        ("heading", "a scale that depends on the heading", by_heading),
+        # iron deviates a compass by the sine of the heading (Bowditch, American Practical Navigator)
+        (
+            "compass",
+            "a turn scale that depends on the heading: a compass near iron, in odometry or reference",
+            by_compass,
         ),
     ]
-    if cells := _cells(rows, wheels):
-        families.append(_scales(rows, wheels, base, "place", "a scale that depends on the place", cells))
+    families = [_scales(rows, wheels, base, *one) for one in scales if one[2]]
+    families += [_at_rest(rows, wheels), *_jumps(rows, wheels, base), *_for_a_while(rows, wheels, base)]
     families += [_clock_pieces(rows, wheels, n) for n in ODOMETRY.structure.n_clock_pieces]
-    families += [reversals(rows, wheels, rates, base), _headings(rows, wheels), _compass(rows, wheels)]
-    families.append(spinning(rows, wheels, base))
+    families += [reversals(rows, wheels, rates, base), spinning(rows, wheels, base)]
     families += turns_of_a_wheel(rows, wheels, size)
     is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
     if is_wide and not is_reference_straight:
@@ -112,19 +114,20 @@ def _scales(
     scales: Sequence[Scale],
     choice_price: float = 0.0,
 ) -> StructureFamily:
-    """Return the family of columns that scale the motion of the wheels in some increments."""
-    columns = [_scaled(rows, wheels, base, part, mask.astype(np.float64)) for _, part, mask in scales]
+    """Return the family of columns that scale shares of the motion of the wheels."""
+    columns = [_scaled(rows, wheels, base, part, share) for _, part, share in scales]
     return StructureFamily(
         kind=kind,
         columns=np.stack(columns, axis=1),
         labels=[f"{label}, {part}" for label, part, _ in scales],
-        sigma=ODOMETRY.structure.scale_sigma,
         statement=statement,
         choice_price=choice_price,
     )
 
 
-def _scaled(rows: OdometryRows, wheels: WheelIncrements, base: float, part: Part, share: Floats) -> Floats:
+def _scaled(
+    rows: OdometryRows, wheels: WheelIncrements, base: float, part: Part, share: Bools | Floats
+) -> Floats:
     """Return the motion of the wheels (2 n,) in one quantity, weighted by shares (n_increments,)."""
     nothing = np.zeros(len(wheels.start))
     left, right = wheels.sides(base)
@@ -136,23 +139,11 @@ def _scaled(rows: OdometryRows, wheels: WheelIncrements, base: float, part: Part
     return rows.of_wheels(distance, wheels.turn * share if part != "distance" else nothing)
 
 
-def _steadily(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
-    """Return the family of wheels, and of a wheelbase, that change at a constant rate."""
-    share = (wheels.middle - wheels.start[0]) / np.ptp(wheels.middle) - 0.5
-    return StructureFamily(
-        kind="steady change",
-        columns=np.stack([_scaled(rows, wheels, base, part, share) for part in PARTS], axis=1),
-        labels=[f"{part}, from start to end" for part in PARTS],
-        sigma=ODOMETRY.structure.scale_sigma,
-        statement="a steady change of the wheels during the run: a tyre that loses air, a load that shifts",
-    )
-
-
 def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     """Return the family of a turn rate that persists at rest, and may change over time."""
     time = wheels.end - wheels.start
     piece = _piece(wheels)
-    n = ODOMETRY.structure.n_pieces
+    n = EVIDENCE.n_pieces
     turns = np.stack([time, *(time * (piece == k) for k in range(n))], axis=1)
     return StructureFamily(
         kind="at rest",
@@ -165,20 +156,20 @@ def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
 
 def _piece(wheels: WheelIncrements) -> Ints:
     """Return the index of the piece of the run, of `n_pieces`, in which each increment lies (n,)."""
-    n = ODOMETRY.structure.n_pieces
+    n = EVIDENCE.n_pieces
     span = wheels.end[-1] - wheels.start[0]
     return np.asarray(np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1))
 
 
 def _pieces(wheels: WheelIncrements) -> list[Scale]:
     piece = _piece(wheels)
-    labels = _spans(wheels, ODOMETRY.structure.n_pieces)
+    labels = _spans(wheels, EVIDENCE.n_pieces)
     return [(label, part, piece == k) for k, label in enumerate(labels) for part in PARTS]
 
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
     """Return one family for each of several moments, spread over the run, at which scales may change once."""
-    n = ODOMETRY.structure.n_jumps
+    n = EVIDENCE.n_jumps
     share = np.arange(1, n + 1) / (n + 1)
     return _changes_at(rows, wheels, base, wheels.start[0] + share * np.ptp(wheels.middle), n)
 
@@ -190,7 +181,7 @@ def nearer_jumps(
     n = 2 * ODOMETRY.structure.n_nearer_jumps + 1
     moments = moment + reach * np.linspace(-1, 1, n)
     inside = (moments > wheels.start[0]) & (moments < wheels.middle[-1])
-    return _changes_at(rows, wheels, base, moments[inside], ODOMETRY.structure.n_jumps * n)
+    return _changes_at(rows, wheels, base, moments[inside], EVIDENCE.n_jumps * n)
 
 
 def _for_a_while(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
@@ -212,7 +203,7 @@ def _for_a_while(rows: OdometryRows, wheels: WheelIncrements, base: float) -> li
 
 def jump_spacing(wheels: WheelIncrements) -> float:
     """Return the time [s] between the moments that are tried first."""
-    return float(np.ptp(wheels.middle)) / (ODOMETRY.structure.n_jumps + 1)
+    return float(np.ptp(wheels.middle)) / (EVIDENCE.n_jumps + 1)
 
 
 def _changes_at(
@@ -246,7 +237,7 @@ def _rates(wheels: WheelIncrements) -> Floats:
 
 def _speeds(rates: Floats) -> list[Scale]:
     v, omega = np.abs(rates).T
-    fastest = float(np.quantile(v, 0.98)) / ODOMETRY.structure.reference_speed
+    fastest = float(np.quantile(v, 0.98)) / EVIDENCE.reference_speed
     cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
     rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
     parts: tuple[Part, ...] = ("distance", "turn")  # a fast car turns less than its wheels are steered
@@ -296,38 +287,7 @@ def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements, n: int) -> Struct
         kind=CLOCK,
         columns=np.stack(columns, axis=1),
         labels=[f"{span}, clock" for span in _spans(wheels, n)],
-        sigma=ODOMETRY.structure.scale_sigma,
         statement="a clock offset that changes over time",
-    )
-
-
-def _headings(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
-    """Return the family of a distance that is longer in one direction of the map: a slope, the pile of a carpet."""
-    phi, nothing = rows.increment_poses[:, 2], np.zeros(len(wheels.start))
-    along = [np.abs(wheels.distance) * axis for axis in (np.cos(phi), np.sin(phi))]
-    return StructureFamily(
-        kind="heading",
-        columns=np.stack([rows.of_wheels(one, nothing) for one in along], axis=1),
-        labels=["along x of the map, distance", "along y of the map, distance"],
-        sigma=ODOMETRY.structure.scale_sigma,
-        statement="a scale that depends on the heading",
-    )
-
-
-def _compass(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
-    """Return the family of turns that are larger at some headings and smaller at the opposite ones.
-
-    Iron near a compass deviates it by the sine of the heading (Bowditch, American Practical Navigator, on
-    semicircular deviation).
-    """
-    phi, nothing = rows.increment_poses[:, 2], np.zeros(len(wheels.start))
-    turns = [wheels.turn * axis for axis in (np.cos(phi), np.sin(phi))]
-    return StructureFamily(
-        kind="compass",
-        columns=np.stack([rows.of_wheels(nothing, one) for one in turns], axis=1),
-        labels=["towards x of the map, turn", "towards y of the map, turn"],
-        sigma=ODOMETRY.structure.scale_sigma,
-        statement="a turn scale that depends on the heading: a compass near iron, in odometry or reference",
     )
 
 
