@@ -1,4 +1,4 @@
-"""Standard deviations from medians, which outliers hardly change."""
+"""Sizes of residuals: standard deviations from medians, which outliers hardly change, and root mean squares."""
 
 from __future__ import annotations
 
@@ -13,3 +13,8 @@ SIGMA_OF_MAD = 1.4826
 def robust_sigma(residuals: Floats) -> float:
     """Return the standard deviation of residuals (n,) around 0, from their median absolute value; n > 0."""
     return SIGMA_OF_MAD * float(np.median(np.abs(residuals)))
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of values (n,); 0 if there are none."""
+    return float(np.sqrt(np.square(values).mean())) if values.size else 0.0

@@ -18,15 +18,9 @@ from sensorgraph.diagnosis.scan.column_fit import fit_columns
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.unnamed import sure
-from sensorgraph.diagnosis.scan.unnamed.error_profiles import (
-    BEARING_ERROR,
-    BIAS_BY_BEARING,
-    BIAS_BY_RANGE,
-    ErrorProfile,
-    error_profiles,
-    find,
-)
+from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
+from sensorgraph.diagnosis.scan.unnamed.columns import estimated
+from sensorgraph.diagnosis.scan.unnamed.error_profiles import find, profiles
 from sensorgraph.effects import EFFECTS, Amendment
 
 
@@ -41,19 +35,21 @@ def told(error: Floats | float, *effects: Amendment) -> tuple[ScanData, Floats]:
     return replace(data, sensor=replace(data.sensor, bearings=bearings), memo={}), bearings
 
 
-def likeliest(data: ScanData) -> ErrorProfile:
-    return error_profiles(null_of(data))[0]
+def shown(data: ScanData) -> tuple[Doubt, Floats, Floats]:
+    """Return the profile that a run surely shows, with its knots and its errors."""
+    (doubt,) = sure(find(checked_of(null_of(data))))
+    assert doubt.profile is not None
+    return doubt, np.array(doubt.profile.at), np.array(doubt.profile.error)
 
 
 def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
     true = data_of(hall_arena()).sensor.bearings
     ripple = np.radians(1.0) * np.sin(2 * true + 0.4)
     data, bearings = told(ripple)
-    found = likeliest(data)
-    assert found.kind == BEARING_ERROR and not found.is_stretched
-    expected = np.interp(found.knots, bearings, ripple - ripple.mean())
-    np.testing.assert_allclose(found.errors, expected, atol=np.radians(0.15))
-    (doubt,) = sure(find(checked_of(null_of(data))))
+    doubt, knots, errors = shown(data)
+    assert doubt.family == "bearing_error"
+    expected = np.interp(knots, bearings, ripple - ripple.mean())
+    np.testing.assert_allclose(errors, expected, atol=np.radians(0.15))
     assert "bearings are off by up to" in doubt.statement and doubt.size is not None
     assert doubt.size.is_material(data.sensor.sigma)
 
@@ -62,12 +58,12 @@ def test_a_ripple_of_the_bearings_is_found_and_its_shape_told() -> None:
 def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, bearings = told(true - true / (1 + stretch))
-    found = likeliest(data)
-    assert found.kind == BEARING_ERROR and found.is_stretched
-    assert found.stretch == pytest.approx(stretch, abs=0.003)
-    widths = [float(w) for w in re.findall(r"([\d.]+)°", found.sentence())]
+    doubt, knots, errors = shown(data)
+    assert doubt.family == "bearing_error" and doubt.statement.startswith("the field of view is")
+    assert np.polyfit(knots, errors, 1)[0] == pytest.approx(stretch, abs=0.003)
+    widths = [float(w) for w in re.findall(r"([\d.]+)°", doubt.statement)]
     assert widths == pytest.approx([np.degrees(np.ptp(true)), np.degrees(np.ptp(bearings))], abs=0.3)
-    assert ("wider" in found.sentence()) is (stretch > 0)
+    assert ("wider" in doubt.statement) is (stretch > 0)
 
 
 @pytest.mark.parametrize(
@@ -99,26 +95,26 @@ def test_a_bias_that_grows_with_the_square_of_the_range_is_told_by_range() -> No
     data = data_of(hall_arena())
     z = np.where(data.returned, data.ranges, 2.0)
     data = replace(data, ranges=data.ranges + 0.004 * (z - 2.0) ** 2, memo={})
-    found = likeliest(data)
-    assert found.kind == BIAS_BY_RANGE
-    curve = 0.004 * (found.knots - 2.0) ** 2
-    np.testing.assert_allclose(np.diff(found.errors), np.diff(curve), atol=0.006)
-    assert "depends on the range" in found.sentence()
+    doubt, knots, errors = shown(data)
+    assert doubt.family == "bias_by_range"
+    curve = 0.004 * (knots - 2.0) ** 2
+    np.testing.assert_allclose(np.diff(errors), np.diff(curve), atol=0.006)
+    assert "depends on the range" in doubt.statement
 
 
 def test_a_bias_that_waves_over_the_bearing_is_no_bearing_error() -> None:
     data = data_of(hall_arena())
     wave = 0.02 * np.sin(4 * data.sensor.bearings)
-    found = likeliest(replace(data, ranges=data.ranges + wave, memo={}))
-    assert found.kind == BIAS_BY_BEARING
-    assert 0.012 < found.offset < 0.018
+    doubt, _, _ = shown(replace(data, ranges=data.ranges + wave, memo={}))
+    assert doubt.family == "bias_by_bearing"
+    assert doubt.size is not None and 0.012 < doubt.size.offset < 0.018
 
 
 def test_a_profile_is_told_in_numbers_and_as_a_picture(tmp_path: Path) -> None:
     true = data_of(hall_arena()).sensor.bearings
     data, _ = told(np.radians(1.0) * np.sin(2 * true))
-    (doubt,) = sure(find(checked_of(null_of(data))))
-    assert doubt.profile is not None and len(doubt.profile.at) == len(doubt.profile.error)
+    doubt, knots, errors = shown(data)
+    assert doubt.profile is not None and len(knots) == len(errors)
     assert max(doubt.profile.stderr) < 0.2 * max(doubt.profile.error)
     written = unknown_dict(Unknown(statement=doubt.statement, profile=doubt.profile))["profile"]
     assert (written["of"], written["over"]) == ("bearing", "bearing")
@@ -138,4 +134,4 @@ def test_beside_a_bias_the_mean_of_a_profile_over_bearing_is_nobodys() -> None:
     alone = np.diag(got.information)
     assert (alone > 0).all()
     assert np.abs(got.information.sum(axis=1) / alone).max() < 1e-6
-    assert all(np.isfinite(one.amplitude_z) for one in error_profiles(fitted, least=-np.inf))
+    assert all(np.isfinite(estimated(fitted, one).amplitude_z) for one in profiles(fitted))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +13,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
-from sensorgraph.diagnosis.scan.unnamed.odd_kinds import (
-    LateScans,
-    LateStretches,
-    ScansElsewhere,
-    ScansWithOffsets,
-)
-from sensorgraph.diagnosis.scan.unnamed.odd_scans import find, odd_scans
+from sensorgraph.diagnosis.scan.unnamed.odd_scans import OddScans, find, odd_scans
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import parse_robot
 
@@ -33,6 +28,19 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
     return fit(data, effects, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
 
 
+def kind_of(got: Fitted) -> OddScans:
+    found, _ = odd_scans(got)
+    assert found is not None
+    return found
+
+
+def delay_in(statement: str) -> float:
+    """Return the delay [s] that a statement reports."""
+    found = re.search(r"stamped (\d+) ms too (late|early)", statement)
+    assert found is not None
+    return float(found[1]) / (1000 if found[2] == "late" else -1000)
+
+
 def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
     return sure(find(checked_of(got, null)))
 
@@ -40,9 +48,9 @@ def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
 @pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])
 def test_a_share_of_late_scans_is_found_with_its_size(late: float, share: float) -> None:
     got = fitted(late, share)
-    found = odd_scans(got)
-    assert isinstance(found, LateScans) and not isinstance(found, LateStretches)
-    assert found.delay == pytest.approx(late, rel=0.12)
+    found = kind_of(got)
+    assert found.family == "late_scans" and "changes" not in found.statement
+    assert delay_in(found.statement) == pytest.approx(late, rel=0.12)
     assert found.share == pytest.approx(share, abs=0.06)
     (doubt,) = doubts_of(got)
     assert ("late" if late > 0 else "early") in doubt.statement
@@ -57,10 +65,9 @@ def test_scans_that_are_late_in_one_stretch_are_told_as_a_delay_that_changes() -
         replace(run, stamps=run.stamps + grows), hall, parse_robot("sensor: {n_rays: 61}")
     )
     got = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
-    found = odd_scans(got)
-    assert isinstance(found, LateStretches)
-    assert found.delay == pytest.approx(0.08, rel=0.12)
-    assert "changes during the run" in found.sentence()
+    found = kind_of(got)
+    assert delay_in(found.statement) == pytest.approx(0.08, rel=0.12)
+    assert "the delay of the scans changes during the run" in found.statement
 
 
 def test_one_delay_of_all_scans_is_no_mixture_and_keeps_its_name() -> None:
@@ -93,10 +100,10 @@ def test_scans_of_a_reference_that_jumps_are_elsewhere_and_not_late() -> None:
         replace(run, poses=run.poses + shift[at]), hall, parse_robot("sensor: {n_rays: 61}")
     )
     null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
-    found = odd_scans(null)
-    assert isinstance(found, ScansElsewhere)
+    found = kind_of(null)
+    assert found.family == "scans_elsewhere"
     assert found.share == pytest.approx(jumps.mean(), abs=0.04)
-    assert found.distance == pytest.approx(0.15, rel=0.25)
+    assert float(found.statement.split("by ")[1].split(" cm")[0]) == pytest.approx(15.0, rel=0.25)
     (doubt,) = doubts_of(null)
     assert "away from their reference pose" in doubt.statement and not doubt.failed
 
@@ -112,7 +119,7 @@ def test_rays_that_are_rounded_alike_are_no_offset_of_the_scan(own: float, told:
     got = fit(data, (steps,), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
     assert bool(doubts_of(got)) == told
     if told:
-        assert isinstance(odd_scans(got), ScansWithOffsets)
+        assert kind_of(got).family == "scan_offsets"
 
 
 def test_one_facet_of_four_shows_though_a_long_run_is_thinned_to_one_scan_in_four() -> None:

@@ -38,6 +38,7 @@ from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.robust import rms
 from sensorgraph.types import Floats, Ints
 
 NAME = "change_in_time"
@@ -260,8 +261,7 @@ def _size(solver: Solver, change: NumberChange) -> ScanError:
     jump = np.array(list(change.jump.values()))
     off = np.einsum("k,nkm->nm", jump, solver.stack[:, change.number.columns]) / 2
     valid = solver.jacobian.valid & solver.data.returned
-    some = np.square(off[valid])
-    return ScanError(offset=float(np.sqrt(some.mean())) if some.size else 0.0, affected=float(valid.mean()))
+    return ScanError(offset=rms(off[valid]), affected=float(valid.mean()))
 
 
 CHANGE_IN_TIME = Unnamed(

@@ -26,6 +26,7 @@ from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt
+from sensorgraph.robust import rms
 from sensorgraph.types import Bools, Floats
 
 
@@ -95,24 +96,16 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     columns_of : Returns the differences that a fit can show.
     """
     fitted, null, failed = checked.fitted, checked.null, frozenset[int]()
-    screened = screen(fitted, columns_of(fitted))
+    screened = _screened(fitted, columns_of(fitted))
     found = _sure(fitted, screened)
     if fitted.model and null is not None:
         least = SCAN.profiles.min_first_order_share * (fitted.j - null.j)
-        alone = _sure(null, screen(null, columns_of(null)), least)
+        alone = _sure(null, _screened(null, columns_of(null)), least)
         beside = 0.0 if found is None else found[0].gain - found[0].of.price
         if alone is not None and is_better_alone(alone[0].gain - alone[0].of.price, null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
     unsure = [
-        Doubt(
-            family=one.family,
-            price=one.price,
-            statement="",
-            misfit=gain,
-            statistic=gain,
-            threshold=SCAN.selection.threshold,
-            is_sure=False,
-        )
+        Doubt.unsure(one.family, gain, one.price)
         for one, gain in screened
         if found is None or one.family != found[0].of.family
     ]
@@ -134,24 +127,18 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     return [sure, *unsure]
 
 
-def screen(fitted: Fitted, columns: Sequence[Columns]) -> list[tuple[Columns, float]]:
-    """Return the differences, each with its gain [nats] to first order."""
-    return [(one, _first_order_gain(fitted, one)) for one in columns]
-
-
-def likely(
-    fitted: Fitted, screened: Sequence[tuple[Columns, float]], least: float = 0.0
-) -> list[ColumnEstimate]:
-    """Fit the differences that gain more than `least` [nats], and their complexity penalty; most likely first."""
-    found = [estimated(fitted, one) for one, gain in screened if gain > max(least, one.price)]
-    return sorted(found, key=lambda one: -one.gain)
-
-
 def _sure(
     fitted: Fitted, screened: Sequence[tuple[Columns, float]], least: float = 0.0
 ) -> tuple[ColumnEstimate, Words] | None:
-    """Return the most likely difference if the likelihood and the parts of the run support it; None otherwise."""
-    for one in likely(fitted, screened, least):
+    """Return the most likely difference if the likelihood and the parts of the run support it; None otherwise.
+
+    Parameters
+    ----------
+    screened : Differences, each with its gain [nats] to first order; only those with more than `least`, and than
+        their complexity penalty, are fitted.
+    """
+    found = [estimated(fitted, one) for one, gain in screened if gain > max(least, one.price)]
+    for one in sorted(found, key=lambda one: -one.gain):
         words = one.of.words(one, fitted)
         if words is None:
             continue
@@ -163,6 +150,11 @@ def _sure(
 def used_readings(fitted: Fitted) -> Bools:
     """Return which readings (n_scans, n_rays) contribute to the size."""
     return fitted.solver.jacobian.valid & (fitted.solution.responsibilities.weight > 0)
+
+
+def _screened(fitted: Fitted, columns: Sequence[Columns]) -> list[tuple[Columns, float]]:
+    """Return the differences, each with its gain [nats] to first order."""
+    return [(one, _first_order_gain(fitted, one)) for one in columns]
 
 
 def _first_order_gain(fitted: Fitted, one: Columns) -> float:
@@ -185,13 +177,12 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
         values = values - float(mass @ values) / max(float(mass.sum()), 1.0)
     along = got.information @ values / max(float(values @ got.information @ values), 1e-12)
     scatter = float(np.sqrt(np.square(got.each @ along).sum()))
-    off = np.matmul(values, columns)[used]
     return ColumnEstimate(
         of=one,
         values=values,
         stderr=np.sqrt(np.square(got.each).sum(axis=0)),
         gain=got.gain,
         amplitude_z=1 / max(scatter, 1e-9),
-        offset=float(np.sqrt(np.square(off).mean())),
+        offset=rms(np.matmul(values, columns)[used]),
         affected=float(used.mean()),
     )

@@ -28,8 +28,6 @@ from sensorgraph.diagnosis.scan.unnamed.columns import (
     Columns,
     Words,
     find_columns,
-    likely,
-    screen,
     used_readings,
 )
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
@@ -52,130 +50,83 @@ MOST_RANGES = 0.99
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorProfile:
-    """An error over bearing or range, as estimated from a run."""
+class ProfileColumns(Columns):
+    """A profile, linear in the errors at its knots.
+
+    Its values are errors of the bearing [rad], positive to the left, or of the reading [m]. Their mean over all rays is 0.
+    """
 
     kind: str
     """BEARING_ERROR, BIAS_BY_BEARING or BIAS_BY_RANGE."""
     knots: Floats
     """(k,) [rad or m] bearings or ranges, ascending."""
-    errors: Floats
-    """(k,) [rad] error of the bearing, positive to the left, or [m] error of the reading; the mean over all rays is 0."""
-    stderr: Floats
-    """(k,) standard errors, from the scatter between parts of the run."""
-    gain: float
-    """[nats] gain of the profile."""
-    amplitude_z: float
-    """Amplitude of the whole profile over its standard error, from the scatter between parts of the run."""
-    offset: float
-    """[m] root mean square of its contribution to the readings."""
-    affected: float
-    """Share of the readings."""
-
-    @property
-    def stretch(self) -> float:
-        """Slope of the errors over the knots; for bearing errors, the relative widening of the field of view."""
-        return float(np.polyfit(self.knots, self.errors, 1)[0])
-
-    @property
-    def is_stretched(self) -> bool:
-        """Whether a wider or narrower field of view accounts for nearly all of the profile."""
-        if self.kind != BEARING_ERROR:
-            return False
-        left = self.errors - np.polyval(np.polyfit(self.knots, self.errors, 1), self.knots)
-        return float((left**2).sum()) < SCAN.profiles.max_uneven_share * float((self.errors**2).sum())
-
-    @property
-    def causes(self) -> tuple[str, ...]:
-        """Possible causes, most likely first."""
-        if self.kind == BEARING_ERROR:
-            return STRETCHED if self.is_stretched else UNEVEN
-        return (CAUSES["bearing" if self.kind == BIAS_BY_BEARING else "range", "bias"],)
-
-    @property
-    def profile(self) -> Profile:
-        """The numbers for the report."""
-        return Profile(
-            of="bearing" if self.kind == BEARING_ERROR else "reading",
-            over="range" if self.kind == BIAS_BY_RANGE else "bearing",
-            at=tuple(self.knots.tolist()),
-            error=tuple(self.errors.tolist()),
-            stderr=tuple(self.stderr.tolist()),
-        )
-
-    def sentence(self) -> str:
-        """Return the profile as a statement."""
-        worst = int(np.abs(self.errors).argmax())
-        most, at = abs(float(self.errors[worst])), float(self.knots[worst])
-        if self.is_stretched:
-            width = float(np.degrees(self.knots[-1] - self.knots[0]))
-            wider = "wider" if self.stretch > 0 else "narrower"
-            return (
-                f"the field of view is {100 * abs(self.stretch):.2g} % {wider} than specified, {width * (1 + self.stretch):.1f}° "
-                f"instead of {width:.1f}°"
-            )
-        if self.kind == BEARING_ERROR:
-            return (
-                f"bearings are off by up to {np.degrees(most):.2g}°, most at {np.degrees(at):.0f}°; the error depends on the "
-                "bearing"
-            )
-        if self.kind == BIAS_BY_BEARING:
-            where = f"most at {np.degrees(at):.0f}°; the error depends on the bearing, and no single sector explains it"
-        else:
-            where = f"most at {at:.1f} m; the error depends on the range, and neither a bias nor a scale explains it"
-        return f"readings are off by up to {length(most)}, {where}"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ProfileColumns(Columns):
-    """A profile, linear in the errors at its knots."""
-
-    kind: str
-    knots: Floats
 
     @classmethod
     def of(cls, kind: str, knots: Floats, columns: Floats) -> ProfileColumns:
         """Return a profile without its mean, which the mount or the bias of the whole laser explains."""
         return cls(family=as_name(kind), columns=columns, is_contrast=True, kind=kind, knots=knots)
 
-    def profile(self, estimate: ColumnEstimate) -> ErrorProfile:
-        """Return an estimate as a profile."""
-        return ErrorProfile(
-            kind=self.kind,
-            knots=self.knots,
-            errors=estimate.values,
-            stderr=estimate.stderr,
-            gain=estimate.gain,
-            amplitude_z=estimate.amplitude_z,
-            offset=estimate.offset,
-            affected=estimate.affected,
-        )
-
     def words(self, estimate: ColumnEstimate, fitted: Fitted) -> Words | None:
         """Return the words of a profile; None if walls that are each off by half a pixel of the map explain it."""
-        found, grain = self.profile(estimate), fitted.solver.data.grain
-        if self.kind == BIAS_BY_RANGE and float(np.abs(found.errors).max()) < 2 * grain:
+        errors, grain = estimate.values, fitted.solver.data.grain
+        worst = int(np.abs(errors).argmax())
+        most, at = abs(float(errors[worst])), float(self.knots[worst])
+        if self.kind == BEARING_ERROR:
+            stretch = self._stretch(errors)
+            statement, causes = self._stretched(stretch) if stretch else _uneven(most, at)
+        elif self.kind == BIAS_BY_BEARING:
+            statement = (
+                f"readings are off by up to {length(most)}, most at {np.degrees(at):.0f}°; the error depends on the bearing, "
+                "and no single sector explains it"
+            )
+            causes = (CAUSES["bearing", "bias"],)
+        elif most < 2 * grain:
             return None
-        return Words(statement=found.sentence(), causes=found.causes, profile=found.profile)
+        else:
+            statement = (
+                f"readings are off by up to {length(most)}, most at {at:.1f} m; the error depends on the range, and neither a "
+                "bias nor a scale explains it"
+            )
+            causes = (CAUSES["range", "bias"],)
+        profile = Profile(
+            of="bearing" if self.kind == BEARING_ERROR else "reading",
+            over="range" if self.kind == BIAS_BY_RANGE else "bearing",
+            at=tuple(self.knots.tolist()),
+            error=tuple(errors.tolist()),
+            stderr=tuple(estimate.stderr.tolist()),
+        )
+        return Words(statement=statement, causes=causes, profile=profile)
+
+    def _stretch(self, errors: Floats) -> float:
+        """Return the relative widening of the field of view; 0 unless it accounts for nearly all errors (k,)."""
+        line = np.polyfit(self.knots, errors, 1)
+        left = errors - np.polyval(line, self.knots)
+        is_even = float((left**2).sum()) < SCAN.profiles.max_uneven_share * float((errors**2).sum())
+        return float(line[0]) if is_even else 0.0
+
+    def _stretched(self, stretch: float) -> tuple[str, tuple[str, ...]]:
+        """Return a field of view with another width in words, and its possible causes."""
+        width = float(np.degrees(self.knots[-1] - self.knots[0]))
+        wider = "wider" if stretch > 0 else "narrower"
+        return (
+            f"the field of view is {100 * abs(stretch):.2g} % {wider} than specified, {width * (1 + stretch):.1f}° instead of "
+            f"{width:.1f}°"
+        ), STRETCHED
+
+
+def _uneven(most: float, at: float) -> tuple[str, tuple[str, ...]]:
+    """Return unevenly spaced bearings in words, with their largest error [rad] and its bearing, and their causes."""
+    return (
+        f"bearings are off by up to {np.degrees(most):.2g}°, most at {np.degrees(at):.0f}°; the error depends on the bearing"
+    ), UNEVEN
 
 
 def find(checked: Checked) -> list[Doubt]:
     """Return the error profiles of the laser; at most one is sure."""
-    return find_columns(checked, _profiles)
+    return find_columns(checked, profiles)
 
 
-def error_profiles(fitted: Fitted, *, least: float = 0.0) -> list[ErrorProfile]:
-    """Fit each profile in addition to effects and nuisances if it is likely to first order; most likely first.
-
-    Parameters
-    ----------
-    least : [nats] Minimum first-order gain for a fit; at least the complexity penalty.
-    """
-    found = likely(fitted, screen(fitted, _profiles(fitted)), least)
-    return [one.of.profile(one) for one in found if isinstance(one.of, ProfileColumns)]
-
-
-def _profiles(fitted: Fitted) -> list[ProfileColumns]:
+def profiles(fitted: Fitted) -> list[ProfileColumns]:
     """Return the profiles that can be tested; none if there are too few rays or scans."""
     data, solver = fitted.solver.data, fitted.solver
     settings, bearings = SCAN.profiles, data.sensor.bearings

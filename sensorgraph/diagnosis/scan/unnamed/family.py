@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Tolerances
 
@@ -51,6 +52,19 @@ class Doubt:
     """[nats] Complexity penalty, which the misfit contains."""
     is_sure: bool = True
     """Whether the statistic exceeds its threshold; other doubts are only kept for the ledger."""
+
+    @classmethod
+    def unsure(cls, family: str, gain: float, price: float) -> Doubt:
+        """Return a difference that was considered, for the ledger, with its gain and its complexity penalty [nats]."""
+        return cls(
+            family=family,
+            price=price,
+            statement="",
+            misfit=gain,
+            statistic=gain,
+            threshold=SCAN.selection.threshold,
+            is_sure=False,
+        )
 
 
 def sure(doubts: Sequence[Doubt]) -> list[Doubt]:

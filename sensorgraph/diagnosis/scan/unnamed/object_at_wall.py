@@ -11,6 +11,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects.effect import without
+from sensorgraph.robust import rms
 from sensorgraph.types import Floats
 
 NAME = "object_at_wall"
@@ -68,7 +69,7 @@ def _size_of(view: FitResiduals, index: int) -> ScanError:
         off = np.abs(rest - whole)
     some = view.returned & (off > LEAST_CHANGE)
     return ScanError(
-        offset=float(np.sqrt(np.square(off[some & np.isfinite(off)]).mean())) if some.any() else 0.0,
+        offset=rms(off[some & np.isfinite(off)]),
         affected=float(some.mean()),
     )
 

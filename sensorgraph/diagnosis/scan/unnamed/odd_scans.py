@@ -23,96 +23,82 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.scan.column_fit import fit_columns, is_better_alone
-from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.consequence import ScanError, length
 from sensorgraph.diagnosis.scan.each_scan import EachScan, each_scan
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
-from sensorgraph.diagnosis.scan.unnamed.odd_kinds import (
-    LateScans,
-    LateStretches,
-    OddScans,
-    ScansElsewhere,
-    ScansWithOffsets,
-)
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.robust import rms
 from sensorgraph.types import Bools, Floats
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Kinds:
-    """Gains [nats] of each kind of odd scan over one kind of scan, and what the fits found."""
-
-    each: EachScan
-    late: float
-    is_late: Bools
-    elsewhere: float
-    is_elsewhere: Bools
-    prior: Floats
-    shifted: float
-    spread: float
-    is_rough: bool
-
-    @classmethod
-    def of(cls, fitted: Fitted) -> _Kinds:
-        """Fit each kind of odd scan."""
-        each = each_scan(fitted)
-        late, is_late = _two_delays(each)
-        elsewhere, is_elsewhere, prior = _two_priors(each)
-        shifted, spread, is_rough = _offsets(each)
-        return cls(
-            each=each,
-            late=late,
-            is_late=is_late,
-            elsewhere=elsewhere,
-            is_elsewhere=is_elsewhere,
-            prior=prior,
-            shifted=shifted,
-            spread=spread,
-            is_rough=is_rough,
-        )
-
-    def unsure(self) -> list[Doubt]:
-        """Return each kind with its gain, for the ledger."""
-        gains: dict[type[OddScans], float] = {
-            LateScans: self.late,
-            ScansElsewhere: self.elsewhere,
-            ScansWithOffsets: self.shifted,
-        }
-        return [
-            Doubt(
-                family=kind.family,
-                price=2 * SCAN.selection.price,
-                statement="",
-                misfit=gain,
-                statistic=gain,
-                threshold=SCAN.selection.threshold,
-                is_sure=False,
-            )
-            for kind, gain in gains.items()
-        ]
+LATE, ELSEWHERE, OFFSETS = "late_scans", "scans_elsewhere", "scan_offsets"
+"""Kinds of odd scan."""
 
 
-def odd_scans(fitted: Fitted) -> OddScans | None:
-    """Search for scans that differ from the others, given the effects and nuisances of a fit; None without any."""
-    return _likeliest(fitted, _Kinds.of(fitted))
+LATE_CAUSES = (
+    "scans that sometimes wait in a queue, and are stamped when they leave it",
+    "two clocks that stamp the scans in turn",
+)
+STRETCH_CAUSES = (
+    "two clocks that drift apart and are synchronised at times",
+    "a queue that fills during the run",
+)
+OFFSET_CAUSES = (
+    "mirror facets or receivers that alternate and differ",
+    "a laser that calibrates its zero again in every scan",
+)
+ELSEWHERE_CAUSES = (
+    "a reference that sometimes loses track: hidden or swapped markers, extrapolated or outdated poses",
+    "a laser that sways, or a robot that pitches or is lifted",
+)
 
 
-def _likeliest(fitted: Fitted, kinds: _Kinds) -> OddScans | None:
-    each, late, is_late, shifted, spread = kinds.each, kinds.late, kinds.is_late, kinds.shifted, kinds.spread
-    elsewhere, is_elsewhere, prior = kinds.elsewhere, kinds.is_elsewhere, kinds.prior
+@dataclass(frozen=True, kw_only=True)
+class OddScans:
+    """Scans that differ from the others."""
+
+    family: str
+    """LATE, ELSEWHERE or OFFSETS."""
+    statement: str
+    causes: tuple[str, ...]
+    """Possible causes, most likely first."""
+    share: float
+    """Share of the scans."""
+    gain: float
+    """[nats] Log-likelihood ratio of two kinds of scan to one."""
+    offset: float
+    """[m] RMS change of the readings of these scans."""
+
+
+def odd_scans(fitted: Fitted) -> tuple[OddScans | None, dict[str, float]]:
+    """Search for scans that differ from the others, given the effects and nuisances of a fit.
+
+    Returns
+    -------
+    The most likely kind, None without a likely one; and the gain [nats] of each kind over one kind of scan.
+    """
+    settings, least, each = SCAN.odd_scans, least_gain(), each_scan(fitted)
+    late, is_late = _two_delays(each)
+    elsewhere, is_elsewhere, prior = _two_priors(each)
+    shifted, spread, is_rough = _offsets(each)
+    gains = {LATE: late, ELSEWHERE: elsewhere, OFFSETS: shifted}
     # scans at distant places observe different walls with different map errors
-    is_offset = kinds.is_rough and spread >= fitted.solver.data.grain
-    if is_offset and shifted > max(least_gain(), SCAN.odd_scans.clear_lead * max(late, elsewhere)):
-        return ScansWithOffsets(share=1.0, gain=shifted, offset=spread)
-    if late > least_gain() and is_late.sum() >= SCAN.odd_scans.min_scans:
+    is_offset = is_rough and spread >= fitted.solver.data.grain
+    if is_offset and shifted > max(least, settings.clear_lead * max(late, elsewhere)):
+        statement = f"each scan has a different range offset, {length(spread)} (rms)"
+        found = OddScans(
+            family=OFFSETS, statement=statement, causes=OFFSET_CAUSES, share=1.0, gain=shifted, offset=spread
+        )
+        return found, gains
+    if late > least and is_late.sum() >= settings.min_scans:
         found, left = _late(fitted, is_late)
-        if found.gain > least_gain() and left < SCAN.odd_scans.left_share * max(late, elsewhere):
-            return found
-    if elsewhere < least_gain() or is_elsewhere.sum() < SCAN.odd_scans.min_scans:
-        return None
-    return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere)
+        if found.gain > least and left < settings.left_share * max(late, elsewhere):
+            return found, gains
+    if elsewhere > least and is_elsewhere.sum() >= settings.min_scans:
+        return _elsewhere(fitted, each, is_elsewhere, prior, elsewhere), gains
+    return None, gains
 
 
 def find(checked: Checked) -> list[Doubt]:
@@ -120,47 +106,46 @@ def find(checked: Checked) -> list[Doubt]:
 
     If two kinds of scan alone explain more than all effects, they replace the effects.
     """
-    fitted, null, rng = checked.fitted, checked.null, checked.rng
-    kinds, failed = _Kinds.of(fitted), frozenset[int]()
-    found = _if_sure(_likeliest(fitted, kinds))
-    beside = 0.0 if found is None else found.gain
+    fitted, null, rng, price = checked.fitted, checked.null, checked.rng, 2 * SCAN.selection.price
+    found, gains = odd_scans(fitted)
+    failed, beside = frozenset[int](), 0.0 if found is None else found.gain
     if found is not None and not _is_beyond_replicates(found, fitted, rng):
         found = None
-    if isinstance(found, LateScans):  # a common delay is then the mean of two, and its size is not valid
+    if (
+        found is not None and found.family == LATE
+    ):  # a common delay is then the mean of two, and its size is not valid
         is_delay = [Nuisance.DELAY in a.effect.nuisances for a in fitted.model]
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
-        alone = _if_sure(odd_scans(null))
+        alone, _ = odd_scans(null)
         stands_alone = alone is not None and is_better_alone(alone.gain, null, beside, fitted)
         if alone is not None and stands_alone and _is_beyond_replicates(alone, null, rng):
             found, failed = alone, frozenset(range(len(fitted.model)))
-    unsure = [doubt for doubt in kinds.unsure() if found is None or doubt.family != found.family]
+    unsure = [
+        Doubt.unsure(family, gain, price)
+        for family, gain in gains.items()
+        if found is None or family != found.family
+    ]
     if found is None:
         return unsure
     valid = fitted.solver.jacobian.valid & fitted.solver.data.returned
-    return [
-        Doubt(
-            family=found.family,
-            price=2 * SCAN.selection.price,
-            statement=found.sentence(),
-            misfit=found.gain,
-            statistic=found.gain,
-            threshold=SCAN.selection.threshold,
-            failed=failed,
-            size=ScanError(offset=found.offset, affected=found.share * float(valid.mean())),
-            causes=found.causes,
-        ),
-        *unsure,
-    ]
+    sure = Doubt(
+        family=found.family,
+        price=price,
+        statement=found.statement,
+        misfit=found.gain,
+        statistic=found.gain,
+        threshold=SCAN.selection.threshold,
+        failed=failed,
+        size=ScanError(offset=found.offset, affected=found.share * float(valid.mean())),
+        causes=found.causes,
+    )
+    return [sure, *unsure]
 
 
 def least_gain() -> float:
     """Return the evidence [nats] that a second kind of scan requires, including penalties for its size and its share."""
     return SCAN.selection.threshold + 2 * SCAN.selection.price
-
-
-def _if_sure(found: OddScans | None) -> OddScans | None:
-    return found if found is not None and found.gain > least_gain() else None
 
 
 def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Generator) -> bool:
@@ -170,7 +155,7 @@ def _is_beyond_replicates(found: OddScans, fitted: Fitted, rng: np.random.Genera
     """
     for _ in range(SCAN.odd_scans.n_replicates):
         _, drawn = replicate(fitted.solver.data, fitted, rng)
-        usual = odd_scans(drawn)
+        usual, _ = odd_scans(drawn)
         if usual is not None and found.gain < SCAN.odd_scans.replicate_factor * usual.gain:
             return False
     return True
@@ -234,7 +219,7 @@ def _two_priors(each: EachScan) -> tuple[float, Bools, Floats]:
     return best - float(plain.sum()), is_odd, widest
 
 
-def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
+def _late(fitted: Fitted, is_late: Bools) -> tuple[OddScans, float]:
     """Fit the delay of some scans jointly with all other unknowns; return it, and the remaining gain [nats] of wrong poses."""
     solver, share = fitted.solver, float(is_late.mean())
     column = solver.stack[:, Nuisance.DELAY]
@@ -244,32 +229,44 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[LateScans, float]:
     delay = float(got.values[0])
     then = each_scan(replace(fitted, solution=got.solution, solver=solver.with_columns(columns)))
     changes, by_chance = np.count_nonzero(np.diff(is_late)), 2 * share * (1 - share) * len(is_late)
-    kind = LateStretches if changes < SCAN.odd_scans.max_changes_share * by_chance else LateScans
-    found = kind(
+    stamped = f"stamped {1e3 * abs(delay):.0f} ms too {'late' if delay > 0 else 'early'}"
+    if changes < SCAN.odd_scans.max_changes_share * by_chance:
+        statement, causes = (
+            (
+                f"the delay of the scans changes during the run: in {100 * share:.0f} % of it they are {stamped}, relative to the "
+                "rest"
+            ),
+            STRETCH_CAUSES,
+        )
+    else:
+        statement, causes = (
+            (f"{100 * share:.0f} % of the scans are {stamped}, relative to the others"),
+            LATE_CAUSES,
+        )
+    found = OddScans(
+        family=LATE,
+        statement=statement,
+        causes=causes,
         share=share,
         gain=got.gain - len(is_late) * _entropy(share),
-        offset=abs(delay) * float(np.sqrt(np.square(column[used]).mean())) if used.any() else 0.0,
-        delay=delay,
+        offset=abs(delay) * rms(column[used]),
     )
     return found, _two_priors(then)[0]
 
 
-def _elsewhere(
-    fitted: Fitted, each: EachScan, is_odd: Bools, prior: Floats, gain: float
-) -> ScansElsewhere | None:
-    """Return the distance of some scans from their reference poses; None without usable readings."""
-    solver, delta = fitted.solver, each.poses(prior)
+def _elsewhere(fitted: Fitted, each: EachScan, is_odd: Bools, prior: Floats, gain: float) -> OddScans:
+    """Return how far some scans were taken from their reference poses."""
+    solver, delta, share = fitted.solver, each.poses(prior), float(is_odd.mean())
     used = solver.jacobian.valid & solver.data.returned & is_odd[:, None]
-    if not used.any():
-        return None
-    off = np.matmul(delta[:, None, :], solver.jacobian.pose)[:, 0][used]
     x, y, phi = delta[is_odd].T
-    return ScansElsewhere(
-        share=float(is_odd.mean()),
+    return OddScans(
+        family=ELSEWHERE,
+        statement=f"{100 * share:.0f} % of the scans were taken away from their reference pose, by "
+        f"{length(rms(np.hypot(x, y)))} and {np.degrees(rms(phi)):.2g}° (rms)",
+        causes=ELSEWHERE_CAUSES,
+        share=share,
         gain=gain,
-        offset=float(np.sqrt(np.square(off).mean())),
-        distance=float(np.sqrt((x**2 + y**2).mean())),
-        turn=float(np.sqrt((phi**2).mean())),
+        offset=rms(np.matmul(delta[:, None, :], solver.jacobian.pose)[:, 0][used]),
     )
 
 
@@ -281,9 +278,9 @@ def _entropy(share: float) -> float:
 
 ODD_SCANS = Unnamed(
     titles={
-        LateScans.family: "scans of which some are late",
-        ScansElsewhere.family: "scans taken away from their reference pose",
-        ScansWithOffsets.family: "scans with different range offsets",
+        LATE: "scans of which some are late",
+        ELSEWHERE: "scans taken away from their reference pose",
+        OFFSETS: "scans with different range offsets",
     },
     find=find,
     is_cause=True,
