@@ -45,7 +45,7 @@ from benchmarks.planted_site import (
     windows_in_graph,
 )
 from logs import Run, read
-from sensorgraph.diagnosis.commissioning import commission, commission_all, merged
+from sensorgraph.diagnosis.commissioning import commission_all, learnt, merged, prepared
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
@@ -153,7 +153,7 @@ def known_good(
     @cache
     def alone(number: int) -> SiteBaseline:
         window = parts[number]
-        return commission(measurement(log, window.scans), window.arena, robot, known=())
+        return learnt(prepared(measurement(log, window.scans), window.arena, robot), robot, known=())
 
     def of_others(number: int) -> SiteBaseline:
         others = [k for k in range(len(parts)) if k != number]

@@ -15,7 +15,7 @@ from logs import read
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from planners.types import Floats
-from sensorgraph.diagnosis.commissioning import commission, commission_all
+from sensorgraph.diagnosis.commissioning import commission_all
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
@@ -81,7 +81,7 @@ def ranges_in(arena: Arena, origins: Floats, angle: Floats) -> Floats:
 @pytest.fixture(scope="module")
 def good() -> SiteBaseline:
     shown: list[int] = []
-    baseline = commission(site_run(1), ARENA, ROBOT, progress=lambda done, total: shown.append(done))
+    baseline = commission_all([site_run(1)], ARENA, ROBOT, progress=lambda done, total: shown.append(done))
     assert shown == sorted(shown) and shown[-1] == 100 and len(shown) > 8  # counted, as every stage is
     return baseline
 
@@ -348,7 +348,7 @@ def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) 
     log = read(real_logs / "ple-freiburg-079" / "freiburg-079-corrected.log.gz")
     _, _, other, window = islice(planted_site.windows(log), 4)
     told = planted_site.robot_of(log, 0.01)
-    good = commission(planted_site.measurement(log, other.scans), other.arena, told)
+    good = commission_all([planted_site.measurement(log, other.scans)], other.arena, told)
     run = planted_site.measurement(log, window.scans)
     untouched = diagnose(run, window.arena, told, baseline=good, plan_next=False)
     assert names(untouched) == []

@@ -232,21 +232,18 @@ def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     run, rng = drive_in_room(room), np.random.default_rng(5)
     shaken = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.0034]
     finding = diagnose(replace(run, poses=shaken), room, parse_robot(ROOM_ROBOT), plan_next=False)
-    assert (
-        finding.effects == ()
-        and finding.pose_tolerance_factor is not None
-        and finding.pose_tolerance_factor > 1.6
-    )
+    factor = finding.tolerance_factors["pose"]
+    assert finding.effects == () and factor > 1.6
     said = " ".join(summarise(finding).details)
-    assert f"only if the reference pose is {finding.pose_tolerance_factor:.1f} times worse" in said
+    assert f"only if the reference pose is {factor:.1f} times worse" in said
     assert "within the accuracy of a careful setup" not in said
     save_report(finding, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["pose_scale"] == pytest.approx(finding.pose_tolerance_factor) and report["map_scale"] < 1.3
+    assert report["pose_scale"] == pytest.approx(factor) and report["map_scale"] < 1.3
     floors = [report["gap"][key]["rmse_m"] for key in ("stated_floor", "noise_floor")]
     assert 0.9 * floors[1] < floors[0] <= floors[1]  # poses are fitted to each scan before it is judged
     page = (tmp_path / "report.html").read_text()
-    assert f"the reference poses: {finding.pose_tolerance_factor:.2f} times the specified value" in page
+    assert f"the reference poses: {factor:.2f} times the specified value" in page
     assert all(f"{100 * floor:.2f} cm" in said for floor in floors)
     assert "careful setup" in " ".join(summarise(silent).details)
 
@@ -392,6 +389,8 @@ def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Pa
         "questions": ["range_bias or range_scale?"],
         "expected_nats": 340.0,
         "median_random_run_nats": 80.0,
+        "duration_s": 120.0,
+        "path_m": 9.0,
         "steps": [{"kind": "spin", "place": [0.5, 0.5], "heading": -0.25, "way_m": 0.0}],
     }
     planned = SimpleNamespace(trajectory=SimpleNamespace(poses=way), to_dict=lambda: plan)

@@ -65,8 +65,8 @@ def driven(
 )  # fmt: skip
 def test_stamps_that_jitter_more_than_stated_are_told(jitter: float, shaken: float, is_told: bool) -> None:
     finding = diagnose(driven(jitter=jitter, shaken=shaken), hall_arena(), ROBOT, plan_next=False)
-    factor = finding.stamp_tolerance_factor
-    assert factor is not None and finding.effects == ()
+    factor = finding.tolerance_factors["stamp"]
+    assert finding.effects == ()
     said = " ".join(summarise(replace(finding)).details)
     assert (factor >= 1.3) == is_told == (f"the stamps are {factor:.1f} times worse" in said)
     assert not is_told or factor == pytest.approx(jitter, rel=0.35)
@@ -76,8 +76,8 @@ def test_stamps_that_jitter_more_than_stated_are_told(jitter: float, shaken: flo
 def test_a_heading_that_is_worse_than_stated_is_told(turned: float, is_told: bool) -> None:
     """Beside places that are as stated, of which the one scale of both hardly grows."""
     finding = diagnose(driven(jitter=0.0, shaken=0.5, turned=turned), hall_arena(), ROBOT, plan_next=False)
-    factor = finding.heading_tolerance_factor
-    assert factor is not None and finding.effects == () and finding.unknown is None
+    factor = finding.tolerance_factors["heading"]
+    assert finding.effects == () and finding.unknown is None
     said = " ".join(summarise(finding).details)
     assert (factor >= 1.3) == is_told == (f"the reference's heading is {factor:.1f} times worse" in said)
     assert not is_told or factor == pytest.approx(turned, rel=0.35)

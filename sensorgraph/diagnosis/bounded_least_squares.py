@@ -43,9 +43,9 @@ def solve_bounded(
     """Minimise x'Hx / 2 - c'x within bounds.
 
     Solve without bounds, clamp all unknowns beyond a bound, release all with a multiplier of the wrong sign,
-    and repeat until none remains. This takes a few solutions. If the exchange cycles, clamp first, and then
-    release one bound at a time. Each step then descends, so that the method ends at the optimum after
-    finitely many steps.
+    and repeat until none remains. This takes a few solutions. If the exchange cycles, clamp, and then release
+    one bound at a time. Each step then descends, so that the method ends at the optimum after finitely many
+    steps.
 
     Parameters
     ----------
@@ -63,15 +63,8 @@ def solve_bounded(
     free = can_move.copy() if start is None else can_move & start.is_free
     if _exchange_blocks(H, c, x, free, low, high, can_move):
         return BoundedOptimum(x=x, is_free=free)
-    while free.any():
-        x[free] = _solve(H, c, x, free)
-        beyond = free & ((x < low) | (x > high))
-        if not beyond.any():
-            break
-        x[beyond] = np.clip(x[beyond], low[beyond], high[beyond])
-        free &= ~beyond
-    if (free == can_move).all():
-        return BoundedOptimum(x=x, is_free=free)
+    x = np.clip(x, low, high)
+    _descend(H, c, x, free, low, high)
     stuck = np.zeros_like(free)  # released, but returned by round-off: skipped until another one moves
     for _ in range(10 * len(c)):  # exact arithmetic needs no limit: no set of bounds occurs twice
         worst = _wrongly_held(H, c, x, low, can_move & ~free & ~stuck)

@@ -39,12 +39,16 @@ from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
+from sensorgraph.robust import rms
 from sensorgraph.types import Progress
 from sensorgraph.work_counter import WorkCounter
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
+
+NOISES = ("core", "tail", "loss", "stray")
+"""Parts of the noise whose bounds known-good runs show."""
 
 
 def commission_all(
@@ -62,7 +66,7 @@ def commission_all(
         A run is too short, has no returns or no poses, or has another sensor than the robot.
     """
     if len(runs) == 1:
-        return commission(runs[0], arena, robot, seed=seed, progress=progress)
+        return learnt(prepared(runs[0], arena, robot), robot, seed=seed, progress=progress)
     work = WorkCounter(progress, 2 * len(runs))
     several, shown = [], []
     for run in runs:
@@ -77,40 +81,22 @@ def commission_all(
     return merged(baselines)
 
 
-def commission(
-    run: Run,
-    arena: Arena,
+def learnt(
+    data: ScanData,
     robot: Robot,
     *,
     seed: int = 0,
     known: Sequence[Amendment] | None = None,
     progress: Progress | None = None,
 ) -> SiteBaseline:
-    """Learn the baseline of a site from a known-good run.
+    """Learn the baseline from scans of `prepared`.
 
     Parameters
     ----------
     seed : Of the simulated replicates.
     known : Effects that several runs share, as part of the simulator. None: there is only this run. Its own
         effects become part of the simulator, and its halves determine the tolerances.
-
-    Raises
-    ------
-    SensorgraphError
-        The run is too short, has no returns or no poses, or has another sensor than the robot.
     """
-    return learnt(prepared(run, arena, robot), robot, seed=seed, known=known, progress=progress)
-
-
-def learnt(
-    data: ScanData,
-    robot: Robot,
-    *,
-    seed: int,
-    known: Sequence[Amendment] | None,
-    progress: Progress | None,
-) -> SiteBaseline:
-    """Learn the baseline from scans of `prepared`."""
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
     cuts = SCAN.site.windows[:2] if known is None else SCAN.site.windows[:1]
     n_windows = sum(
@@ -176,20 +162,14 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
     tolerances = [b.robot.tolerances for b in several]
     merged_tolerances = replace(
         tolerances[0],
-        mount_xy=_rms([t.mount_xy for t in tolerances]),
-        mount_yaw=_rms([t.mount_yaw for t in tolerances]),
-        stamp=_rms([t.stamp for t in tolerances]),
+        mount_xy=rms(np.array([t.mount_xy for t in tolerances])),
+        mount_yaw=rms(np.array([t.mount_yaw for t in tolerances])),
+        stamp=rms(np.array([t.stamp for t in tolerances])),
         pose_xy=float(np.median([t.pose_xy for t in tolerances])),
         pose_yaw=float(np.median([t.pose_yaw for t in tolerances])),
     )
     bounds = [b.noise_bounds for b in several]
-    noise = replace(
-        bounds[0],
-        core=_hull([b.core for b in bounds]),
-        tail=_hull([b.tail for b in bounds]),
-        loss=_hull([b.loss for b in bounds]),
-        stray=_hull([b.stray for b in bounds]),
-    )
+    noise = replace(bounds[0], **{name: _hull([getattr(b, name) for b in bounds]) for name in NOISES})
     return SiteBaseline(
         robot=replace(first.robot, tolerances=merged_tolerances),
         known=first.known,
@@ -197,10 +177,6 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
         not_looked_for=tuple(dict.fromkeys(name for b in several for name in b.not_looked_for)),
         runs=tuple(cuts for b in several for cuts in b.runs),
     )
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _hull(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -292,9 +268,7 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
         values = [float(getattr(noise, name)) for noise in noises]
         return max(min(values) / site.noise_fall, site.min_noise[name]), max(values) * site.noise_rise
 
-    return NoiseBounds(
-        core=span("core"), tail=span("tail"), loss=span("loss"), stray=span("stray"), max_scale=1.0
-    )
+    return NoiseBounds(**{name: span(name) for name in NOISES}, max_scale=1.0)
 
 
 def clutter_gains(

@@ -106,7 +106,7 @@ def diagnose(
         held = held_out(laid.data)
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
         train, unseen = fitted_and_held_out(laid.data, held, noise_bounds)
-        run, second = _without_scans(run), None  # the scans of a long log are no longer needed
+        run, second = run.take_scans(slice(0)), None  # the scans of a long log are no longer needed
     motion = partial(diagnose_motion, run, laid.robot, known, seed, progress)
     with clock.stage("odometry and drive"):  # before the scans, since both need much memory in a long run
         odometry, drive = motion()
@@ -166,11 +166,6 @@ def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:
     for one in [run] if second is None else [run, second]:
         check_jumps(one, pair(one), force=force)
         check_moves(one)
-
-
-def _without_scans(run: Run) -> Run:
-    """Return a run without its scans."""
-    return run.take_scans(slice(0))
 
 
 def _max_effects(alignment: Alignment) -> int:

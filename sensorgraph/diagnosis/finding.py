@@ -59,27 +59,24 @@ class Finding:
         """Effects of all channels with an equally likely rival."""
         return tuple(a for channel in self.channels.values() for a in channel.undecided)
 
-    @property
-    def pose_tolerance_factor(self) -> float | None:
-        """Ratio of the fitted to the specified tolerance of the reference poses."""
-        return None if self.explained is None else self.explained.final.state.pose_scale
-
-    @property
-    def map_tolerance_factor(self) -> float | None:
-        """The same ratio for the map."""
-        return None if self.explained is None else self.explained.final.state.map_scale
-
     @cached_property
-    def stamp_tolerance_factor(self) -> float | None:
-        """The same ratio for the stamps of the scans; 1 also if the run does not determine it."""
-        return None if self.explained is None else tolerance_scale(self.explained.final, "stamp")
+    def tolerance_factors(self) -> dict[str, float]:
+        """Ratios of the fitted to the specified tolerances of `map`, `pose`, `stamp` and `heading`.
 
-    @cached_property
-    def heading_tolerance_factor(self) -> float | None:
-        """The same ratio for the heading of the reference; 1 if the stamps are worse than specified."""
-        if self.explained is None or self.data.from_scans or (self.stamp_tolerance_factor or 1.0) > 1.0:
-            return None if self.explained is None else 1.0
-        return tolerance_scale(self.explained.final, "pose_yaw")
+        A ratio is 1 if the run does not determine it: that of the heading if the stamps are worse than specified. Empty
+        if nothing was fitted.
+        """
+        if self.explained is None:
+            return {}
+        final = self.explained.final
+        stamp = tolerance_scale(final, "stamp")
+        is_hidden = self.data.from_scans or stamp > 1.0
+        return {
+            "map": final.state.map_scale,
+            "pose": final.state.pose_scale,
+            "stamp": stamp,
+            "heading": 1.0 if is_hidden else tolerance_scale(final, "pose_yaw"),
+        }
 
     @property
     def unknown(self) -> Unknown | None:

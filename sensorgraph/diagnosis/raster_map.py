@@ -141,7 +141,7 @@ class RasterMap:
         at_gap = self._at_gap(data)
         if at_gap.any():  # otherwise the cached cast stays valid
             data = replace(data, ranges=np.where(at_gap, np.nan, data.ranges), memo={})
-        data, said = known_and_unchanged(data, self.borders, few=SCAN.selection.max_effects, left_in="named")
+        data, said = known_and_unchanged(data, self.borders, left_in="named")
         data = replace(data, corners=_most_met(data.arena.walls, wall), grain=self.pixel / 2, memo={})
         return data, {**self._notes(), **said}
 
@@ -188,7 +188,7 @@ def _most_met(walls: Floats, wall: Ints) -> Corners:
 
 
 def known_and_unchanged(
-    data: ScanData, borders: Floats, *, few: int, left_in: Literal["all", "named"] = "all"
+    data: ScanData, borders: Floats, *, left_in: Literal["all", "named"] = "all"
 ) -> tuple[ScanData, dict[str, Any]]:
     """Exclude rays into unknown space, beyond borders (n, 2, 2) [m], and rays that show a change; return notes.
 
@@ -196,12 +196,12 @@ def known_and_unchanged(
 
     Parameters
     ----------
-    few : If there are no more changes than this, they stay in the scans, to be found and sized as effects.
-    left_in : Which of them stay: all, or only those that an effect of the library describes.
+    left_in : Which changes stay in the scans, to be found and sized as effects, if there are no more of them than a model
+        may have effects: all, or only those that an effect of the library describes.
     """
     border, unknown = looks_into_unknown(data, borders)
     found = changes(data, border)
-    if len(found) <= few:
+    if len(found) <= SCAN.selection.max_effects:
         found = [(thing, rays) for thing, rays in found if left_in == "named" and not thing.is_named]
     rays = np.zeros(data.ranges.shape, dtype=np.bool_)
     for _, own in found:
@@ -267,10 +267,6 @@ class _Sight:
             past = (self.got - self.expected) * head_on
             self.is_open = (self.expected < border) & np.isfinite(self.expected) & (past > MIN_OFF)
 
-    def points(self, scan: Ints, ray: Ints, r: Floats) -> Floats:
-        """Return the points (n, 2) [m] of some rays at ranges r."""
-        return _ends(self.lasers, self.data.sensor.bearings, scan, ray, r)
-
     def is_mirror(self, own: Bools) -> bool:
         """Tell whether rays (n_scans, n_rays) that pass a wall read the room mirrored in it."""
         ways = self.expected[own] + reflected(self.data.arena.walls, self.data.scene().shoot(), own)
@@ -302,7 +298,7 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     some, r = (seen.is_new, seen.z) if kind == "new" else (seen.is_open, seen.expected)
     n_readings = some.size
     scan, ray = np.nonzero(some)
-    points = seen.points(scan, ray, r[scan, ray])
+    points = _ends(seen.lasers, seen.data.sensor.bearings, scan, ray, r[scan, ray])
     if kind == "new":  # free-standing objects; near a mapped wall, the wall is the cause
         clear = Barriers(seen.data.arena).distances(points) > NEAR_WALL
         scan, ray, points = scan[clear], ray[clear], points[clear]

@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.raster_map import known_and_unchanged, looks_into_unk
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import IntoUnknown, ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.effects import EFFECTS
 from sensorgraph.models.cones.settings import measures_cones
@@ -35,7 +35,7 @@ def without_unknown_space(data: ScanData, *, with_changes: bool = True) -> tuple
         return data, {"into_unknown_share": 0.0}
     borders = open_borders(data.arena)
     if not with_changes:
-        return known_and_unchanged(data, borders, few=SCAN.selection.max_effects)
+        return known_and_unchanged(data, borders)
     if not len(borders):
         return data, {"into_unknown_share": 0.0}
     border, unknown = looks_into_unknown(data, borders)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -134,26 +134,22 @@ def _without_wheels(finding: Finding, why: str) -> Finding:
     return replace(finding, channels={**finding.channels, "odometry": skipped})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Untold:
-    """Reason why a located run is not calibrated from driving alone."""
-
-    why: str
-
-
 def driving_of(
     run: Run, robot: Robot, *, name: str = "the run", progress: ProgressBars = no_progress
-) -> DrivingFinding | Untold | None:
-    """Calibrate wheels and mount of a located run; return None for a run with reference poses."""
+) -> DrivingFinding | str | None:
+    """Calibrate wheels and mount of a located run; return None for a run with reference poses.
+
+    Return the reason if driving alone does not determine them.
+    """
     if not is_located(run):
         return None
     try:
         return diagnose_driving({name: (run, run)}, base=robot.stated_base, progress=progress)
     except SensorgraphError as exc:
-        return Untold(why=str(exc))
+        return str(exc)
 
 
-def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robot: Robot) -> Finding:
+def with_driving(finding: Finding, driving: DrivingFinding | str | None, robot: Robot) -> Finding:
     """Replace the odometry channel, which compares wheels with poses that depend on them, by the calibration.
 
     If driving alone does not determine the wheels, they are not evaluated: located poses are no reference for
@@ -165,8 +161,8 @@ def with_driving(finding: Finding, driving: DrivingFinding | Untold | None, robo
     """
     if finding.explained is None:
         return finding
-    if isinstance(driving, Untold):
-        finding, driving = _without_wheels(finding, driving.why), None
+    if isinstance(driving, str):
+        finding, driving = _without_wheels(finding, driving), None
     stretch = next((a for a in finding.effects if a.effect in STRETCHES and not a.place), None)
     if stretch is not None and finding.data.from_scans:
         driving, wrong = _wrong_metre(driving, stretch, robot)

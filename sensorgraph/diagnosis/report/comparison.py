@@ -16,20 +16,16 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.beams import Beams
 
-MAX_P_ALTERNATIVE = 0.002
-"""Probability of reading the other side of a depth edge, above which a ray is not compared."""
 CLIP_SIGMAS = 10.0
 """Standard deviations at which residuals are clipped before averaging."""
 MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
 """Magnifications of residuals in pictures."""
 MIN_RAYS = 40
 """Minimum number of rays for a mean."""
-SMALL_PART = 0.6
-"""Share of the arena's longer side; for a run that saw less, only the observed part is drawn."""
 BLOCK_DURATION = 1.0
 """[s] block of scans whose errors are assumed to be correlated."""
 
@@ -65,7 +61,7 @@ class SimulatedScans:
         returned, lost = np.isfinite(z), np.isinf(z)
         aimed = np.isfinite(mu)
         likely = aimed & (expected.p_return > 0.5)
-        clear = expected.p_alternative < MAX_P_ALTERNATIVE
+        clear = expected.p_alternative < SCAN.likelihood.min_edge_chance
         missing = lost & likely & (mu < range_max - 3 * expected.sigma) & (mu > data.sensor.range_min) & clear
         compared = returned & likely
         residual = np.full(z.shape, np.nan)
@@ -85,18 +81,15 @@ class SimulatedScans:
 
     def rms(self, sigma: float) -> Floats:
         """Return the RMS [m] of each scan (n_scans,), with residuals clipped at CLIP_SIGMAS sigmas."""
-        return _rms(self.clipped(sigma))
+        clipped = self.clipped(sigma)
+        seen = np.isfinite(clipped)
+        total = (np.where(seen, clipped, 0.0) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(total / np.maximum(seen.sum(axis=1), 1)))
 
     def clipped(self, sigma: float) -> Floats:
         """Return residuals away from depth edges, clipped at CLIP_SIGMAS sigmas; nan elsewhere."""
         cut = np.where(self.clear, np.clip(self.residual, -CLIP_SIGMAS * sigma, CLIP_SIGMAS * sigma), np.nan)
         return np.asarray(cut)
-
-
-def _rms(values: Floats) -> Floats:
-    seen = np.isfinite(values)
-    total = np.where(seen, values, 0.0) ** 2
-    return np.asarray(np.sqrt(total.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,10 +102,8 @@ class ComparedScans:
     """(n_scans,) [s] since the start of the run."""
     poses: Floats
     """(n_scans, 3)"""
-    rays: Floats | None
-    """(n_scans, n_rays, 4) [m, m, 1, 1] start and direction of each ray of several sensors, or of cones; None: of one laser."""
-    lasers: Floats
-    """(n_scans, 3) laser in map."""
+    rays: Floats
+    """(n_scans, n_rays, 4) [m, m, 1, 1] start and direction of each ray; in a cone, towards the nearest surface."""
     omega: Floats
     speed: Floats
     """(n_scans,)"""
@@ -151,24 +142,19 @@ class ComparedScans:
 
     @cached_property
     def limits(self) -> tuple[float, float, float, float]:
-        """x0, y0, x1, y1 [m] of the drawing: the arena with a margin, or the observed part of a large arena.
+        """x0, y0, x1, y1 [m] of the drawing: the part of the arena that the run saw, with a margin.
 
         The limits extend to rays that end behind the walls.
         """
         low, high = np.reshape(self.arena.bounds, (2, 2))
-        side = float((high - low).max())
+        beyond = 0.45 * float((high - low).max())
         flat = np.flatnonzero(np.isfinite(self.measured))[::37]
-        if len(flat) <= 50:
-            return _box(low - 0.05 * side, high + 0.05 * side)
         ends = np.concatenate([self.ends(flat, self.measured.ravel()[flat]), self.poses[:, :2]])
         first, last = np.quantile(ends, 0.004, axis=0), np.quantile(ends, 0.996, axis=0)
-        if (last - first).max() < SMALL_PART * side:
-            margin = 0.1 * float((last - first).max())
-            return _box(first - margin, last + margin)
-        return _box(
-            np.clip(first - 0.03 * side, low - 0.45 * side, low - 0.05 * side),
-            np.clip(last + 0.03 * side, high + 0.05 * side, high + 0.45 * side),
-        )
+        margin = 0.05 * float((last - first).max())
+        x0, y0 = np.maximum(first - margin, low - beyond).tolist()
+        x1, y1 = np.minimum(last + margin, high + beyond).tolist()
+        return x0, y0, x1, y1
 
     def enlarged_ranges(self, side: SimulatedScans) -> Floats:
         """Return ranges (n_scans, n_rays) [m] with magnified residuals; large residuals stay as measured."""
@@ -180,14 +166,8 @@ class ComparedScans:
 
     def ends(self, flat: Ints, ranges: Floats) -> Floats:
         """Return the end points (k, 2) [m, map] of rays, given by flat index, with ranges (k,)."""
-        scan, ray = np.unravel_index(flat, self.measured.shape)
-        if self.rays is not None:
-            rays = self.rays[scan, ray]
-            return np.asarray(rays[:, :2] + ranges[:, None] * rays[:, 2:])
-        lasers = self.lasers[scan]
-        angle = lasers[:, 2] + self.sensor.bearings[ray]
-        direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return np.asarray(lasers[:, :2] + ranges[:, None] * direction)
+        rays = self.rays.reshape(-1, 4)[flat]
+        return np.asarray(rays[:, :2] + ranges[:, None] * rays[:, 2:])
 
     def covariates(self) -> dict[str, tuple[Floats, Floats]]:
         """Return the covariates of residuals: label -> (values (n_scans, n_rays), bin edges)."""
@@ -228,11 +208,6 @@ class ComparedScans:
         return mean, scatter / np.maximum(rays, 1)
 
 
-def _named(finding: Finding) -> tuple[Amendment, ...]:
-    """Return the named effects of the scan channel; a mount calibrated from driving alone is already in the poses."""
-    return finding.channels["scan"].effects if "scan" in finding.channels else ()
-
-
 def compare(finding: Finding) -> ComparedScans | None:
     """Collect the data for pictures; None if nothing was fitted."""
     if finding.explained is None:
@@ -240,21 +215,16 @@ def compare(finding: Finding) -> ComparedScans | None:
     null, final = finding.explained.null, finding.explained.final
     data = null.solver.data
     beams = null.cast.beams
-    lasers = np.column_stack(
-        [
-            np.broadcast_to(beams.ox, data.ranges.shape)[:, 0],
-            np.broadcast_to(beams.oy, data.ranges.shape)[:, 0],
-            data.poses[:, 2] + (0.0 if data.laser_frame else data.sensor.mount[2]),
-        ]
-    )
-    named = _named(finding)
+    starts = (np.broadcast_to(start, beams.ux.shape) for start in (beams.ox, beams.oy))
+    # a mount that was calibrated from driving alone is already in the poses
+    named = finding.channels["scan"].effects if "scan" in finding.channels else ()
     before = SimulatedScans.of(null, ())
     return ComparedScans(
         arena=data.arena,
         sensor=data.sensor,
         stamps=data.stamps - data.begin,
         poses=data.poses,
-        lasers=lasers,
+        rays=np.stack([*starts, beams.ux, beams.uy], axis=-1),
         omega=data.twists[:, 2],
         speed=data.speed,
         measured=data.ranges,
@@ -262,16 +232,4 @@ def compare(finding: Finding) -> ComparedScans | None:
         before=before,
         after=SimulatedScans.of(final, named) if named else before,
         is_amended=bool(named),
-        rays=_rays_of(beams) if data.sensor.is_composite or data.sensor.cones.any() else None,
     )
-
-
-def _rays_of(beams: Beams) -> Floats:
-    """Return start and direction of the rays, (n_scans, n_rays, 4); in a cone, towards the nearest surface."""
-    ox, oy = (np.broadcast_to(o, beams.ux.shape) for o in (beams.ox, beams.oy))
-    return np.stack([ox, oy, beams.ux, beams.uy], axis=-1)
-
-
-def _box(low: Floats, high: Floats) -> tuple[float, float, float, float]:
-    """Return x0, y0, x1, y1 of two corners (2,)."""
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

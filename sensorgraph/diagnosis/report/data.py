@@ -32,10 +32,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "simulation": None if finding.simulation is None else simulation_dict(finding.simulation),
         "calibration": [] if finding.driving is None else calibrations(finding.driving),
-        "pose_scale": finding.pose_tolerance_factor,
-        "stamp_scale": finding.stamp_tolerance_factor,
-        "heading_scale": finding.heading_tolerance_factor,
-        "map_scale": finding.map_tolerance_factor,
+        **{f"{of}_scale": finding.tolerance_factors.get(of) for of in ("pose", "stamp", "heading", "map")},
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
         "not_observable": [
             {"name": name, "why": why}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -112,16 +112,19 @@ def _scales_text(finding: Finding) -> str:
     """Report the tolerances of map, reference poses and stamps in the fit, as multiples of the specified ones."""
     if finding.explained is None:
         return ""
-    found = {
-        "the map": finding.map_tolerance_factor,
-        "the reference poses": finding.pose_tolerance_factor,
-        "the stamps": finding.stamp_tolerance_factor,
-        "the reference's heading": finding.heading_tolerance_factor,
+    names = {
+        "map": "the map",
+        "pose": "the reference poses",
+        "stamp": "the stamps",
+        "heading": "the reference's heading",
     }
-    wider = {what: factor for what, factor in found.items() if factor is not None and factor >= 1.01}
-    if not wider:
+    listed = "; ".join(
+        f"{names[of]}: {factor:.2f} times the specified value"
+        for of, factor in finding.tolerance_factors.items()
+        if factor >= 1.01
+    )
+    if not listed:
         return "<p>The specified tolerances of map, reference poses and stamps suffice.</p>"
-    listed = "; ".join(f"{what}: {factor:.2f} times the specified value" for what, factor in wider.items())
     return f"<p>Tolerances that the fit needs: {listed}. Above {SCAN.nuisance.stretched_scale:g} times, a tolerance counts as wrong.</p>"
 
 
@@ -153,14 +156,18 @@ def _effect(a: Amendment) -> str:
         "place": place_text(a),
         "channel": CHANNELS[a.effect.channel],
     }
-    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
     return (
         f'<section class="effect"><h3>{escape(a.effect.title)}<code>{escape(a.name)}</code></h3>'
         f"<p>{escape(a.effect.physics)}</p>"
         + (f'<p class="equation">{joined}</p>' if joined else "")
-        + f'<div class="facts">{cells}</div>'
-        f'<p class="note">Its residual varies with {escape(a.effect.varies)}. Source: {escape(a.effect.source)}.</p></section>'
+        + f'{_grid(facts)}<p class="note">Its residual varies with {escape(a.effect.varies)}. Source: {escape(a.effect.source)}.</p></section>'
     )
+
+
+def _grid(facts: Mapping[str, str]) -> str:
+    """Return labels with their values, without empty ones."""
+    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
+    return f'<div class="facts">{cells}</div>' if cells else ""
 
 
 def _with_subscripts(text: str) -> str:
@@ -223,7 +230,7 @@ def _channels_section(finding: Finding) -> str:
         for name, result in finding.channels.items()
     )
     notes = "".join(
-        f"<li>{escape(_motion_deviation(w))}</li>"
+        f"<li>{escape(f'{w.family} at {w.partition} {w.label}'.rstrip())}: {w.strength()}</li>"
         for name, result in finding.channels.items()
         if name != "scan"
         for w in result.deviations[:4]
@@ -237,11 +244,6 @@ def _driving_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         return ""
     heading = "Wheels and mount from driving alone"
     return driving_section(finding.driving, pictures.get("calibration"), heading=heading)
-
-
-def _motion_deviation(where: Any) -> str:
-    label = f"{where.partition} {where.label}".strip()
-    return f"{where.family} at {label}: {abs(where.z):.1f} standard errors"
 
 
 def _channel_text(result: ChannelResult) -> str:
@@ -265,40 +267,29 @@ def _channel_text(result: ChannelResult) -> str:
 def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:
     if not plan:
         return ""
-    why = str(plan.get("why") or "")
-    questions = [str(q) for q in plan.get("questions") or []]
-    nats, median = plan.get("expected_nats"), plan.get("median_random_run_nats")
     facts = {
-        "expected log Bayes factor": "" if nats is None else f"{nats:,.0f}",
-        "of a median random run": "" if median is None else f"{median:,.0f}",
-        "duration": f"{plan['duration_s']:.0f} s" if plan.get("duration_s") else "",
-        "path": f"{plan['path_m']:.1f} m" if plan.get("path_m") else "",
+        "expected log Bayes factor": f"{plan['expected_nats']:,.0f}",
+        "of a median random run": f"{plan['median_random_run_nats']:,.0f}",
+        "duration": f"{plan['duration_s']:.0f} s",
+        "path": f"{plan['path_m']:.1f} m",
     }
-    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
-    asked = "".join(f"<li>{escape(q)}</li>" for q in questions)
-    points = plan.get("steps") or plan.get("waypoints") or []
+    asked = "".join(f"<li>{escape(question)}</li>" for question in plan["questions"])
     rows = "".join(
-        "<tr>" + "".join(f"<td>{_value(v)}</td>" for v in _row(point)) + "</tr>" for point in points
+        "<tr>"
+        + "".join(f"<td>{_value(v) if k == 'kind' else f'{k} {_value(v)}'}</td>" for k, v in step.items())
+        + "</tr>"
+        for step in plan["steps"]
     )
-    listed = f"<details><summary>{len(points)} steps</summary><table>{rows}</table></details>" if rows else ""
     return (
-        "<h2>The next run</h2>"
-        + (f"<p>{escape(why)}</p>" if why else "")
-        + (f"<ul>{asked}</ul>" if asked else "")
-        + (f"<div class='facts'>{cells}</div>" if cells else "")
+        f"<h2>The next run</h2><p>{escape(plan['why'])}</p><ul>{asked}</ul>"
+        + _grid(facts)
         + picture(pictures.get("next_run"), "Path of the next run", "")
-        + listed
+        + f"<details><summary>{len(plan['steps'])} steps</summary><table>{rows}</table></details>"
     )
-
-
-def _row(point: Any) -> Iterable[Any]:
-    if isinstance(point, Mapping):
-        return [f"{k} {_value(v)}" if k != "kind" else v for k, v in point.items()]
-    return list(point)
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
+    if isinstance(value, list):
         return ", ".join(_value(v) for v in value)
     return minus(escape(f"{value:.3g}" if isinstance(value, float) else str(value)))
 
@@ -321,15 +312,14 @@ def _lines_of(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
             out += _lines_of({k: v for k, v in value.items() if v}, f"{label}: ")
         elif isinstance(value, float) and lead.startswith("tolerances"):
             out.append((label, tolerance_text(key, value)))
-        elif isinstance(value, float):
-            out.append((label, f"{value:.4g}"))
         elif isinstance(value, list | tuple):
-            out.append((label, ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)))
+            out.append((label, ", ".join(map(_setting, value))))
+        elif isinstance(value, int) and not isinstance(value, bool):
+            out.append((label, f"{value:,}"))
         else:
-            out.append(
-                (
-                    label,
-                    f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value),
-                )
-            )
+            out.append((label, _setting(value)))
     return out
+
+
+def _setting(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

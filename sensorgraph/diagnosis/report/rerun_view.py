@@ -106,39 +106,26 @@ def _send_scans(
 ) -> None:
     """Send the scans, and the gap over time, as columns."""
     time = [rr.TimeColumn("time", duration=compared.stamps[shown]), rr.TimeColumn("scan", sequence=shown)]
-    lasers = compared.lasers[shown]
+    poses = compared.poses[shown]
     x0, y0, x1, y1 = compared.arena.bounds
     size = max(0.3, 0.03 * max(x1 - x0, y1 - y0))
-    arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
-    recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
+    arrows = size * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=poses[:, :2], vectors=arrows))
     clouds = {"plan/measured": compared.measured}
     for name, model, _ in models:
         clouds[f"plan/{name}"] = model.simulated
         clouds[f"plan/enlarged/{name}"] = compared.enlarged_ranges(model)
     for entity, ranges in clouds.items():
-        points = _points(compared, ranges[shown], shown)
-        columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
+        scan, column = np.nonzero(np.isfinite(ranges[shown]))
+        hit = shown[scan], column
+        points = compared.ends(np.ravel_multi_index(hit, ranges.shape), ranges[hit])
+        columns = rr.Points2D.columns(positions=points).partition(np.bincount(scan, minlength=len(shown)))
         recording.send_columns(entity, time, columns)
     for name, model, _ in models:
         gap = 100 * model.rms(compared.sigma)[shown]
         recording.send_columns(f"gap/{name}", time, rr.Scalars.columns(scalars=gap))
         residual = 100 * model.clipped(compared.sigma)[shown, ray]
         recording.send_columns(f"residual/{name}", time, rr.Scalars.columns(scalars=residual))
-
-
-def _points(
-    compared: ComparedScans, ranges: Floats, shown: np.ndarray[tuple[int], np.dtype[np.intp]]
-) -> list[Floats]:
-    seen = np.isfinite(ranges)
-    far = np.where(seen, ranges, 0.0)
-    if compared.rays is not None:
-        rays = compared.rays[shown]
-        ends = rays[..., :2] + far[..., None] * rays[..., 2:]
-    else:
-        lasers = compared.lasers[shown]
-        angle = lasers[:, 2:] + compared.sensor.bearings
-        ends = lasers[:, None, :2] + far[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return [scan[hit] for scan, hit in zip(ends, seen, strict=True)]
 
 
 def _layout(compared: ComparedScans, ray: int) -> rrb.Blueprint:

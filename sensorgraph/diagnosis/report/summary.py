@@ -181,17 +181,16 @@ def _but_for_poses(finding: Finding) -> str:
 
 def _worse_than_stated(finding: Finding) -> str:
     """Return the tolerances that the fit widened, with the factor; empty where none is."""
-    scales = (
-        ("map is", finding.map_tolerance_factor),
-        ("reference pose is", finding.pose_tolerance_factor),
-        ("stamps are", finding.stamp_tolerance_factor),
-        ("reference's heading is", finding.heading_tolerance_factor),
-    )
-    least = SCAN.nuisance.stretched_scale
+    names = {
+        "map": "map is",
+        "pose": "reference pose is",
+        "stamp": "stamps are",
+        "heading": "reference's heading is",
+    }
     return " and ".join(
-        f"the {name} {scale:.1f} times worse"
-        for name, scale in scales
-        if scale is not None and scale >= least
+        f"the {names[of]} {factor:.1f} times worse"
+        for of, factor in finding.tolerance_factors.items()
+        if factor >= SCAN.nuisance.stretched_scale
     )
 
 
