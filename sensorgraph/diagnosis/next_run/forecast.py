@@ -219,7 +219,7 @@ def _weights(
     off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
     p, q = _return_probability(truth, data), _return_probability(expected, data)
     counts = np.maximum(expected.p_alternative, truth.p_alternative) <= SCAN.likelihood.min_edge_chance
-    near = same_wall | (np.abs(off) <= np.sqrt(2 * settings.max_nats_per_ray) * sigma)
+    near = same_wall | (np.abs(off) <= settings.linear_sigmas * sigma)
     small: Bools = solver.jacobian.valid & near & data.returned
     weight = np.where(small & counts, p / sigma**2, 0.0)
     of_variance = 0.5 * (variance_ratio - 1 - np.log(variance_ratio))

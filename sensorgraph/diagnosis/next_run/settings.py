@@ -82,8 +82,9 @@ class ForecastSettings:
     max_rays: int = 46
     """Maximum number of rays of a scan that are cast; each represents an equal number of rays."""
     max_nats_per_ray: float = 5.0
-    """[nats] maximum evidence of a single ray. Up to the difference that gives as much, a ray counts by its linearised
-    residual on any wall."""
+    """[nats] maximum evidence of a single ray."""
+    linear_sigmas: float = 4.0
+    """Difference in standard deviations, up to which a ray counts by its linearised residual on any wall."""
     p_lost: float = 2e-3
     """Probability of a missing return or an outlier under any hypothesis."""
     half_weight_nats: float = 10.0
