@@ -135,14 +135,13 @@ def _effects_section(finding: Finding) -> str:
 
 
 def _profile_section(pictures: Mapping[str, Path]) -> str:
-    if "profile" not in pictures:
-        return ""
     caption = (
         "Fitted together with poses, map, mount and noise. The mean over all rays is removed, because it equals a mounting "
         "yaw or a bias. Band: two standard errors, from the differences between parts of the run. Numbers: unknown.profile in "
         "report.json."
     )
-    return f"<h2>Unexplained error</h2>{picture(pictures['profile'], 'Error over bearing or range', caption)}"
+    shown = picture(pictures.get("profile"), "Error over bearing or range", caption)
+    return f"<h2>Unexplained error</h2>{shown}" if shown else ""
 
 
 def _effect(a: Amendment) -> str:
@@ -187,13 +186,11 @@ def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
             f"<tr><td>{escape(title_of(rival.instead_of))}</td><td>{escape(title_of(rival.name))}</td>"
             f'<td class="n">{minus(f"{behind:,.0f}")}</td><td>{escape(rival.separates)}</td></tr>'
         )
-    table = (
-        "<table><tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them</th><th>what would distinguish them</th></tr>"
-        + "".join(rows)
-        + "</table>"
-        if rows
-        else ""
+    head = (
+        "<tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them</th>"
+        "<th>what would distinguish them</th></tr>"
     )
+    table = f"<table>{head}{''.join(rows)}</table>" if rows else ""
     caption = (
         "Log Bayes factor of each candidate, by selection round: ln p(data with the effect) − ln p(data without it), less a "
         "complexity penalty. A value of 3 means odds of 20 to 1. The baseline already adjusts map, mount, poses, clock "

@@ -22,9 +22,9 @@ def symbol(name: str) -> str:
     return SYMBOLS.get(name, name)
 
 
-def scaled(parameter: Parameter, value: float, size: float | None = None) -> tuple[float, str]:
+def scaled(parameter: Parameter, value: float) -> tuple[float, str]:
     """Return factor and unit for printing a value of this parameter."""
-    size = abs(value) if size is None else size
+    size = abs(value)
     if parameter.unit == "m":
         if parameter.materiality is not None:
             return (100.0, "cm") if size < 1 else (1.0, "m")

@@ -24,7 +24,7 @@ from sensorgraph.show.figures.style import (
     new_figure,
     save_figure,
 )
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 MAX_POINTS, MAX_LOST_POINTS = 6000, 1500
 """Maximum numbers of end points and of missing returns in the picture."""
@@ -113,9 +113,7 @@ def _diverging() -> Any:
 def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: float, colours: Any) -> Any:
     """Draw a random sample of end points, coloured by residual, and the expected end points of missing returns."""
     rng = np.random.default_rng(0)
-    shown = np.isfinite(model.residual) & model.clear
-    flat = np.flatnonzero(shown)
-    flat = np.sort(rng.choice(flat, MAX_POINTS, replace=False)) if len(flat) > MAX_POINTS else flat
+    flat = _sampled(rng, np.isfinite(model.residual) & model.clear, MAX_POINTS)
     residual = model.residual.ravel()[flat]
     ends = compared.ends(flat, compared.enlarged_ranges(model).ravel()[flat])
     dots = axes.scatter(
@@ -130,16 +128,10 @@ def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: floa
         zorder=5,
         rasterized=True,
     )
-    missing = np.flatnonzero(model.missing)
-    share = len(missing) / max(model.missing.size, 1)
-    missing = (
-        np.sort(rng.choice(missing, MAX_LOST_POINTS, replace=False))
-        if len(missing) > MAX_LOST_POINTS
-        else missing
-    )
+    missing = _sampled(rng, model.missing, MAX_LOST_POINTS)
     if len(missing) and _loses_rays(compared):
         ends = compared.ends(missing, model.aimed.ravel()[missing])
-        label = f"no return where one is expected ({100 * share:.1f} % of all rays)"
+        label = f"no return where one is expected ({100 * model.missing.mean():.1f} % of all rays)"
         axes.scatter(
             ends[:, 0],
             ends[:, 1],
@@ -151,6 +143,12 @@ def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: floa
             label=label,
         )
     return dots
+
+
+def _sampled(rng: np.random.Generator, some: Bools, most: int) -> Ints:
+    """Return the flat indices of at most `most` random rays of some, in order."""
+    flat = np.flatnonzero(some)
+    return np.sort(rng.choice(flat, most, replace=False)) if len(flat) > most else flat
 
 
 def _marks(axes: Any, compared: ComparedScans, effects: Sequence[Amendment], unknown: Unknown | None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from sensorgraph.diagnosis.finding import Finding
@@ -18,30 +20,27 @@ from sensorgraph.diagnosis.result import Gap
 
 def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> dict[str, Path]:
     """Draw every picture for which the finding has data; return name -> file."""
-    out: dict[str, Path] = {}
-    if compared is not None:
-        out["arena"] = folder / "arena.png"
-        arena_picture(finding, compared, out["arena"])
-        out["residuals"] = folder / "residuals.png"
-        residuals_picture(finding, compared, out["residuals"])
     scan = finding.channels.get("scan")
-    if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
-        out["profile"] = folder / "profile.png"
-        profile_picture(scan.unknown.profile, out["profile"])
     gaps = _gaps(finding)
+    pictures: dict[str, Callable[[Path], None]] = {}
+    if compared is not None:
+        pictures["arena"] = partial(arena_picture, finding, compared)
+        pictures["residuals"] = partial(residuals_picture, finding, compared)
+    if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
+        pictures["profile"] = partial(profile_picture, scan.unknown.profile)
     if gaps:
-        out["gap"] = folder / "gap.png"
-        gap_picture(gaps, finding.second_gap, out["gap"])
+        pictures["gap"] = partial(gap_picture, gaps, finding.second_gap)
     if finding.explained is not None and any(step.tried for step in finding.explained.steps):
-        out["ranking"] = folder / "ranking.png"
-        ranking_picture(finding, out["ranking"])
+        pictures["ranking"] = partial(ranking_picture, finding)
     if finding.driving is not None:
-        out["calibration"] = folder / "calibration.png"
-        calibration_picture(finding.driving.runs, out["calibration"])
+        pictures["calibration"] = partial(calibration_picture, finding.driving.runs)
     if finding.next_run is not None:
-        out["next_run"] = folder / "next_run.png"
-        next_run_picture(finding.next_run.trajectory.poses, finding.data.arena, out["next_run"])
-    return out
+        poses = finding.next_run.trajectory.poses
+        pictures["next_run"] = partial(next_run_picture, poses, finding.data.arena)
+    files = {name: folder / f"{name}.png" for name in pictures}
+    for name, draw in pictures.items():
+        draw(files[name])
+    return files
 
 
 def _gaps(finding: Finding) -> dict[str, Gap]:

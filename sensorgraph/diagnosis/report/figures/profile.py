@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sensorgraph.diagnosis.report.figures.residuals import BAND_STDERRS
 from sensorgraph.diagnosis.result import Profile
 from sensorgraph.show.figures.style import ALARM, INK, SOFT, new_figure, reduce_frame, save_figure
-
-BAND_STDERRS = 2.0
-"""Half-width of the band in standard errors."""
 
 
 def profile_picture(profile: Profile, path: Path) -> None:
