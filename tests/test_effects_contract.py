@@ -43,7 +43,6 @@ def test_no_name_of_an_effect_is_quoted_outside_the_library() -> None:
     suspects = [p for p in outside if quotes.search(p.read_text())]
     found = {p.relative_to(ROOT).as_posix(): names for p in suspects if (names := quoted(p))}
     assert found == {
-        "diagnosis/report/data.py": ["map_scale"],  # a key of the report: fitted over stated tolerance
         "amending/gazebo.py": ["wheel_radius"],  # an element of the DiffDrive plugin
     }
 
