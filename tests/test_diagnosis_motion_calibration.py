@@ -259,7 +259,7 @@ def test_wheels_of_a_located_run_that_driving_alone_cannot_tell_are_not_looked_a
     located = replace(shown, meta={"pose_source": "locate"})
     untold = driving_of(located, robot)
     assert isinstance(untold, str)
-    assert "no odometry" in untold.why
+    assert "no odometry" in untold
     some = replace(shown, stamps=shown.stamps[::2], ranges=shown.ranges[::2])
     finding = diagnose(some, room, robot, plan_next=False)
     assert with_driving(finding, untold, robot).channels["odometry"] is finding.channels["odometry"]
