@@ -47,9 +47,6 @@ from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
-NOISES = ("core", "tail", "loss", "stray")
-"""Parts of the noise whose bounds known-good runs show."""
-
 
 def commission_all(
     runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0, progress: Progress | None = None
@@ -169,7 +166,13 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
         pose_yaw=float(np.median([t.pose_yaw for t in tolerances])),
     )
     bounds = [b.noise_bounds for b in several]
-    noise = replace(bounds[0], **{name: _hull([getattr(b, name) for b in bounds]) for name in NOISES})
+    noise = replace(
+        bounds[0],
+        core=_hull([b.core for b in bounds]),
+        tail=_hull([b.tail for b in bounds]),
+        loss=_hull([b.loss for b in bounds]),
+        stray=_hull([b.stray for b in bounds]),
+    )
     return SiteBaseline(
         robot=replace(first.robot, tolerances=merged_tolerances),
         known=first.known,
@@ -268,7 +271,9 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
         values = [float(getattr(noise, name)) for noise in noises]
         return max(min(values) / site.noise_fall, site.min_noise[name]), max(values) * site.noise_rise
 
-    return NoiseBounds(**{name: span(name) for name in NOISES}, max_scale=1.0)
+    return NoiseBounds(
+        core=span("core"), tail=span("tail"), loss=span("loss"), stray=span("stray"), max_scale=1.0
+    )
 
 
 def clutter_gains(

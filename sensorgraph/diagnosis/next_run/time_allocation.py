@@ -30,7 +30,7 @@ def allocate_time(forecasts: Sequence[EvidenceForecast], duration: float, allowe
     forecasts : Expected evidence of all motions, for each question.
     duration : [s] Of the run.
     """
-    time = duration * allowed / allowed.sum()
+    time: Floats = np.where(allowed, duration / allowed.sum(), 0.0)
     for step in range(NEXT_RUN.forecast.n_allocation_steps):
         slope = np.where(allowed, 0.0, -np.inf)
         for forecast in forecasts:
