@@ -175,8 +175,6 @@ class OdometryStructureSettings:
     """[1] prior standard deviation of each power of a distorted position."""
     threshold: float = 20.0
     """[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
-    scatter_span: float = 0.3
-    """[s] correlation time of the noise from encoder ticks."""
     min_gain_per_row: float = 1e-3
     """[nats] minimum evidence per row; less is 0.2 % of the noise variance, and does not matter."""
     wheel_share: float = 0.02
@@ -230,23 +228,12 @@ class PatchSettings:
     crossed the disc."""
     max_slip: float = 0.95
     """Maximum share of the motion that a patch loses."""
-    min_gain: float = 4.0
-    """[nats] gain above which a patch is tested again with a separate noise fit."""
-    clear_gain: float = 50.0
-    """[nats] gain above which this is not needed."""
-    noise_price: float = 8.0
-    """[nats] penalty for the separate noise fit."""
-    further_share: float = 0.005
-    """Minimum evidence of a further patch, as a share of that of all effects; with less, it only corrects the
-    rims of the others."""
     credible_fall: float = 6.0
     """[nats] maximum difference from the best disc, for discs that count for the spread of the place."""
     place_doubt: float = 2.0
     """Factor of the spread of a patch's place, which the search underestimates."""
     min_place_error: float = 0.02
     """[m] minimum standard error of a patch's place."""
-    rim_shift: float = 0.06
-    """[m] error of a patch, below which it does not count as structure."""
 
 
 @dataclass(frozen=True, kw_only=True)

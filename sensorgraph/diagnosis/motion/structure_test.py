@@ -189,27 +189,6 @@ class StructureTest:
             squares += float(np.square(limited).sum())
         return max(1.0, sums / max(squares, 1e-12))
 
-    def dispersion_along(self, own: Floats, family: StructureFamily, span: float, period: float) -> float:
-        """Return the dispersion in the direction of a family's columns over blocks of `span` [s]; at least 1.
-
-        This is the mean ratio of the variance of their scores, summed over blocks, to that of white rows
-        (White 1980, by clusters as in Liang and Zeger 1986). It increases only for noise that is larger where
-        the columns are.
-        """
-        self.evidence(own, family)
-        A, Z = (
-            self.whitener(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12))
-            for columns in (np.concatenate([own, self.nuisances], axis=1), family.columns)
-        )
-        q, _ = np.linalg.qr(A)
-        Z = Z - q @ (q.T @ Z)
-        residual = np.clip(self.whitener(self.residual), -EVIDENCE.huber_limit, EVIDENCE.huber_limit)
-        block = np.tile(np.arange(self.n) // max(round(span / period), 1), len(residual) // self.n)
-        sums = np.stack([np.bincount(block, z * residual) for z in Z.T])
-        told = np.linalg.pinv(Z.T @ Z, rcond=1e-6, hermitian=True)
-        freedom = float(np.trace(told @ Z.T @ Z))
-        return max(1.0, float(np.trace(told @ (sums @ sums.T))) / max(freedom, 1e-12))
-
     def gain(self, own: Floats, family: StructureFamily) -> float:
         """Return the evidence of one family in addition to columns (n_kinds n, k) [nats]."""
         return self.evidence(own, family) - self.evidence(own)

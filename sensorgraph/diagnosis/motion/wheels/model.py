@@ -153,13 +153,6 @@ class WheelModel:
             whitener = Whitener.robust((first, second), valid, residual, settings.huber_limit)
         return whitener, residual
 
-    def profile_gain(self, column: Floats) -> float:
-        """Return the gain [nats] of a further column (2 n, 1) if both models have separate noise fits."""
-        own = self.columns
-        with_it, _ = self._fitted_noise(np.concatenate([own, column], axis=1))
-        without, _ = self._fitted_noise(own)
-        return with_it.log_likelihood - without.log_likelihood
-
     # evidence
 
     def patch_term(self, i: int) -> WheelTerm:

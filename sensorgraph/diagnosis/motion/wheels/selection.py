@@ -71,11 +71,11 @@ class WheelChannel:
         gains = {term: wheels.evidence(model, term) for term in wheels.layout.terms if term not in model}
         best = max(gains, key=lambda term: gains[term], default=None)
         top = -np.inf if best is None else gains[best]
-        patch, patch_gain = _patch(wheels, model, max(top, 0.0), self.rng)
-        wheels.last_patch = None if patch is None else (patch, patch_gain)
-        if patch is not None and patch_gain >= max(top, EVIDENCE.threshold):
-            wheels.patches.append(patch)
-            return wheels.patch_term(len(wheels.patches) - 1), patch_gain
+        can_slip = len(wheels.patches) < ODOMETRY.patch.max_patches
+        found = wheels.last_patch = best_patch(wheels, model, self.rng) if can_slip else None
+        if found is not None and found[1] >= max(top, EVIDENCE.threshold):
+            wheels.patches.append(found[0])
+            return wheels.patch_term(len(wheels.patches) - 1), found[1]
         return None if best is None else (best, top)
 
     def added(self, model: Sequence[WheelTerm]) -> None:
@@ -93,27 +93,8 @@ class WheelChannel:
         return self.model.evidence(model, hypothesis)
 
     def needed(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
-        """Return the evidence [nats] that an effect needs; a further patch a share of that of all effects."""
-        others = [term for term in model if term.effect is WHEEL_SLIP and term != hypothesis]
-        if hypothesis.effect is not WHEEL_SLIP or not others:
-            return EVIDENCE.threshold
-        total = self.model.log_posterior(model) - self.model.log_posterior([])
-        return max(EVIDENCE.threshold, ODOMETRY.patch.further_share * total)
-
-
-def _patch(
-    model: WheelModel, terms: Sequence[WheelTerm], rival_gain: float, rng: np.random.Generator
-) -> tuple[SlipPatch | None, float]:
-    """Return the best further patch and its evidence [nats]; None and -inf without one."""
-    found = best_patch(model, terms, rng) if len(model.patches) < ODOMETRY.patch.max_patches else None
-    if found is None:
-        return None, -np.inf
-    patch, gain = found
-    if gain + PATCH_PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
-        # a patch outside the model looks like noise to the filter: compare it with separate noise fits
-        alone = model.profile_gain(model.slip_columns(patch.disc[None], patch.track))
-        gain = max(gain, alone - PATCH_PRICE - ODOMETRY.patch.noise_price)
-    return patch, gain
+        """Return the evidence [nats] that an effect needs."""
+        return EVIDENCE.threshold
 
 
 def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator) -> None:
@@ -175,7 +156,7 @@ def _admit_structure(
     jumps = reference_jumps(model.rows, model.y - model.columns @ fit.theta)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
-    own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
+    own = model.columns
     # a patch at the place of jumps absorbs a part of them, so that jumps are tested without patches
     family, gain = _best_structure(model, test, own, families if model.patches else [*families, *jumps])
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
@@ -183,9 +164,7 @@ def _admit_structure(
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
     beside = model.A if candidate.replaces_patches else own
-    span = ODOMETRY.structure.scatter_span
-    along = test.dispersion_along(beside, candidate.family, span, limits[0].period)
-    needed = evidence_needed(max(dispersion, along), model.rows)
+    needed = evidence_needed(dispersion, model.rows)
     if not candidate.replaces_patches:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:
@@ -285,16 +264,3 @@ def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
         patch = 0.0
     gain = model.log_posterior(wheels) - model.log_posterior([])
     return ODOMETRY.structure.wheel_share * gain + ODOMETRY.structure.patch_share * patch
-
-
-def _rim_columns(model: WheelModel, terms: Sequence[WheelTerm]) -> Floats:
-    """Return columns (2 n, 3 per patch) for small changes of place and radius, which do not count as structure."""
-    parts = [np.zeros((len(model.y), 0))]
-    shift = ODOMETRY.patch.rim_shift * np.eye(3)
-    for i, patch in enumerate(model.patches):
-        if model.patch_term(i) not in terms:
-            continue
-        moved = np.concatenate([patch.disc + shift, patch.disc - shift])
-        columns = model.slip_columns(moved, patch.track)
-        parts.append(columns[:, :3] - columns[:, 3:])
-    return np.concatenate(parts, axis=1)

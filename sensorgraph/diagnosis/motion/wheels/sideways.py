@@ -125,7 +125,7 @@ def _sliding(
     # the size of all sliding; with the nuisance, the clock would absorb a part
     missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
     size = _size(model, aside, missing)
-    is_material = size.is_material(model.robot.limits.v, gain) or _is_late(model, family, missing, gain)
+    is_material = size.is_material(model.robot.limits.v, gain)
     rivals = (
         [one.statement for one in test.ranking(own, families) if one is not family] if is_material else []
     )
@@ -176,19 +176,6 @@ def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[Structure
         )
         for kind, statement, columns in kinds
     ]
-
-
-def _is_late(model: WheelModel, family: StructureFamily, missing: Floats, evidence: float) -> bool:
-    """Tell whether sliding in curves is equivalent to positions that are late by a material amount.
-
-    Sliding outward by k v omega is equivalent to positions that are k older than the headings. However long
-    the robot drives, their error is at most k v.
-    """
-    if family.kind != CURVE:
-        return False
-    column = family.columns[:, 0]
-    late = abs(float(column @ missing)) / max(float(column @ column), 1e-12)
-    return sure_share(evidence) * late * model.robot.limits.v > EVIDENCE.min_place_error
 
 
 def _size(model: WheelModel, aside: SidewaysRows, missing: Floats) -> SimulationError:
