@@ -220,7 +220,8 @@ class Solver:
     def factor(self, system: System, state: State) -> Floats:
         """Return the lower Cholesky factor of M + 1/tau² for the nuisances that are not held at 0."""
         free, n = ~self.locked, self.n_g
-        return np.linalg.cholesky(with_prior(system.matrix[:n, :n], self.scaled(state))[np.ix_(free, free)])
+        a = with_prior(system.matrix[:n, :n], self.scaled(state))
+        return np.asarray(np.linalg.cholesky(a[np.ix_(free, free)]))
 
     def objective(
         self,
