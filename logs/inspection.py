@@ -17,7 +17,6 @@ from logs.no_return import check_no_return
 from logs.ros import cdr
 from logs.ros.interpret import to_run
 from logs.ros.recording import (
-    ENCODINGS,
     KEPT_TYPES,
     TF_TYPE,
     Recording,
@@ -224,7 +223,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
     span = len(logged) > 0
     return TopicInfo(
         name=topic.name,
-        type=topic.type if topic.encoding in ENCODINGS else f"{topic.type} ({topic.encoding})",
+        type=topic.title,
         n_messages=topic.n_messages,
         rate=_rate(stamps / 1e9),
         frame=frame,

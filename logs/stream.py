@@ -26,7 +26,7 @@ from logs.no_return import check_no_return
 from logs.notes import notes_of
 from logs.ros import interpret, own_record
 from logs.ros.cdr import Messages
-from logs.ros.laser_scan import ShapeCensus, shape_of
+from logs.ros.laser_scan import ShapeCensus, count_shape
 from logs.ros.ray_stream import begin_elsewhere
 from logs.ros.recording import (
     ENCODINGS,
@@ -161,7 +161,7 @@ class McapStream:
     ) -> McapStream | None:
         """Validate every record, count the scans, and assign roles to topics from the first messages.
 
-        None: the scans are not LaserScan messages, or do not all begin at one bearing, so that the log is read as a whole.
+        None: the scans are not LaserScan messages of regular bearings, so that the log is read as a whole.
         """
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
@@ -185,8 +185,8 @@ class McapStream:
             if channel in times:
                 times[channel].add(log_time, payload)
             encoding = contents.channels[channel].encoding if channel in shapes else ""
-            if channel in shapes and (shape := shape_of(payload, encoding)) is not None:
-                shapes[channel].add(shape)
+            if channel in shapes:
+                count_shape(shapes[channel], payload, encoding)
             is_sample = counts[channel] % SETTINGS.sample == 0 and _is_moving_transform(contents, channel)
             if counts[channel] <= SETTINGS.first_messages or is_sample:
                 kept = look.setdefault(channel, Topic("", ""))
@@ -211,7 +211,7 @@ class McapStream:
         is_own = own_record.is_own(recording, topics)
         recording.again = partial(messages, path)
         names = [] if is_own else [each.topic for each in choose_scans(recording, path.name, topics)]
-        if any(recording.topics[name].type != SCAN_TYPE or begin_elsewhere(census[name]) for name in names):
+        if not all(_is_regular(recording.topics[name], census) for name in names):
             return None
         head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):
@@ -315,6 +315,13 @@ class _Window:
         for topic in recording.topics.values():
             topic.n_messages = len(topic.log_times)
         return recording
+
+
+def _is_regular(topic: Topic, census: Mapping[str, ShapeCensus]) -> bool:
+    """Return whether the scans of a topic are LaserScan messages that begin at one bearing and state sound angles."""
+    if topic.type != SCAN_TYPE:
+        return False
+    return not (census[topic.name].is_doubtful or begin_elsewhere(census[topic.name]))
 
 
 def _stamp_census(contents: Contents, channel: int) -> StampCensus | None:

@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from logs.types import Floats
 
 Stamps = NDArray[np.int64]
+NORM_ERROR = 0.1
+"""Largest relative error of the norm of a quaternion that is rounding, as of two decimals."""
+MAX_WRONG_NORMS = 0.1
+"""Share of quaternions with a wrong norm above which no quaternion of a signal is an orientation."""
 
 
 def wrap(angle: Floats) -> Floats:
@@ -62,6 +66,22 @@ def to_translation_quaternion(poses: Floats, z: float = 0.0) -> Floats:
     out[:, 2] = z
     out[:, 5], out[:, 6] = np.sin(poses[:, 2] / 2), np.cos(poses[:, 2] / 2)
     return out
+
+
+def are_oriented(quaternions: Floats) -> NDArray[np.bool_]:
+    """Return whether each quaternion (n, 4) is an orientation; one that is not finite counts, as it is dropped later.
+
+    0 0 0 0 is none. Quaternions of one norm are only scaled; of others, those with a norm far from 1 are none. If many
+    are, none is: so writes a driver that puts the yaw into z.
+    """
+    norms = np.linalg.norm(quaternions, axis=1)
+    absent = norms == 0
+    there = norms[(norms > 0) & np.isfinite(norms)]
+    is_scaled = len(there) > 0 and bool((np.abs(there / np.median(there) - 1) < NORM_ERROR).all())
+    wrong = (np.abs(norms - 1) > NORM_ERROR) & ~absent & (not is_scaled)
+    if wrong.mean() > MAX_WRONG_NORMS:
+        wrong[:] = True
+    return np.asarray(~(absent | wrong))
 
 
 def to_planar(transforms: Floats) -> Floats:

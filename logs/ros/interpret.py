@@ -10,6 +10,7 @@ import numpy as np
 from logs.clocks import CLOCK_LIMITS
 from logs.errors import LogError
 from logs.notes import ODOMETRY_LEFT_OUT
+from logs.repeated_scans import blank_repeated
 from logs.ros import own_record
 from logs.ros.composite import combine, join_restarted
 from logs.ros.laser_messages import as_laser_scans
@@ -111,9 +112,8 @@ def to_run(
         notes += part.notes if part else []
     if cmd_name is None and choices(recording, "cmd"):
         notes.append(f"several topics could be cmd, none was used: {choices(recording, 'cmd')}")
-    if tree.conflicts:
-        notes.append(f"frames with two parents: {', '.join(tree.conflicts)}")
-    return _assemble(
+    notes += tree.faults
+    return blank_repeated(_assemble(
         reading, motion, command,
         meta={
             "source": source,
@@ -128,7 +128,7 @@ def to_run(
             **({"notes": "; ".join(dict.fromkeys(notes))} if notes else {}),
         },
         attachments=recording.attachments,
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -24,13 +24,12 @@ from logs.no_return import (
 )
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
+from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, stated_bearings
 from logs.ros.recording import Topic, logged_times, sort_stamps
 from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
 from logs.types import Floats
 
-MAX_TURNS = 2
-"""Turns of a laser that one scan holds at most."""
 _U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
 
 
@@ -56,6 +55,8 @@ class ShapeCensus:
     """Rounded shape -> number of scans."""
     first: dict[ScanShape, ScanShape] = field(default_factory=dict)
     """Rounded shape -> first exact shape."""
+    is_doubtful: bool = False
+    """Whether the angles of a scan are not finite or contradict each other, so that the whole log is needed."""
 
     def add(self, shape: ScanShape, count: int = 1) -> None:
         """Count scans of a shape."""
@@ -98,37 +99,25 @@ class _Group:
 
     def bearings(self) -> Floats:
         """Return the bearings (n_rays,) [rad]."""
-        angle_min, angle_max, increment = self.limits[:3].tolist()
-        n = self.ranges[0].shape[1]
-        if increment == 0 and n > 1:
-            increment = (angle_max - angle_min) / (n - 1)
-        if n > 1 and not abs(increment) > 1e-9:
-            raise LogError(
-                f"scans have {n} rays and angle_increment {increment}; expected an increment other than 0"
-            )
-        return _bearings(n, angle_min, increment)
+        return self.bearings_and_notes()[0]
+
+    def bearings_and_notes(self) -> tuple[Floats, list[str]]:
+        """Return the bearings (n_rays,) [rad], and notes on angles that contradict each other."""
+        return bearings_of(self.limits, np.concatenate(self.ranges))
 
 
-def _bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
-    """Return the bearings (n_rays,) [rad]; those of a driver that states degrees are converted."""
-    stated = angle_min + increment * np.arange(n_rays, dtype=np.float64)
-    return np.radians(stated) if _are_degrees(n_rays, increment) else stated
-
-
-def _are_degrees(n_rays: int, increment: float) -> bool:
-    """Return whether rays would go around more than MAX_TURNS times if their increment were in radians."""
-    return (n_rays - 1) * abs(increment) > 2 * np.pi * MAX_TURNS
-
-
-def shape_of(payload: bytes, encoding: str = "cdr") -> ScanShape | None:
-    """Return the shape of one LaserScan; None if the message is too short."""
+def count_shape(census: ShapeCensus, payload: bytes, encoding: str = "cdr") -> None:
+    """Count the shape of one LaserScan; a message that is too short is ignored, as it is refused later."""
     try:
         (length,) = _U4.unpack_from(payload, 12)  # in both encodings
         at = 16 + length
         *limits, n = _LIMITS.unpack_from(payload, at if encoding == "ros1" else at + -(at - 4) % 4)
     except struct.error:
-        return None
-    return ScanShape(n, limits[0], limits[2])
+        return
+    if not np.isfinite([limits[0], limits[2]]).all() or are_contradictory(n, *limits[:3]):
+        census.is_doubtful = True
+        return
+    census.add(ScanShape(n, limits[0], limits[2]))
 
 
 def read_scans(
@@ -149,23 +138,36 @@ def read_scans(
     """
     stamps = logged_times(topic)
     frames: dict[str, dict[ScanShape, _Group]] = {}
+    n_lost = 0
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index] = block.stamps_ns
         frame, n_rays = block.strings["frame_id"].strip("/"), block.places["ranges"].count
         limits = block["limits"].astype(np.float64)
+        limits[~np.isfinite(limits[:, 2]), 2] = 0.0  # as if not stated
+        pointed = np.isfinite(limits[:, 0])
+        n_lost += int((~pointed).sum())
         _, first, which = np.unique(
             np.round(limits[:, [0, 2]], 5), axis=0, return_index=True, return_inverse=True
         )
         for k, i in enumerate(first.tolist()):
-            mine = np.flatnonzero(which.ravel() == k)
+            mine = np.flatnonzero((which.ravel() == k) & pointed)
+            if not len(mine):
+                continue
             shape = ScanShape(n_rays, float(limits[i, 0]), float(limits[i, 2])).rounded()
             groups = frames.setdefault(frame, {})
             group = groups.setdefault(shape, _Group([], [], [], limits[i], frame))
             group.index.append(block.index[mine])
             group.ranges.append(block["ranges"][mine].astype(np.float64))
             group.intensities.append(_intensities(block, mine))
+    if n_lost and not frames:
+        raise LogError(
+            f"{topic.name}: no scan has a finite angle_min; correct the driver, or state the angles in the log"
+        )
     stamps = stamps if topic.stamps is None else topic.stamps
-    return [_sensor_scans(topic, groups, stamps, no_return, census) for groups in frames.values()]
+    scans = [_sensor_scans(topic, groups, stamps, no_return, census) for groups in frames.values()]
+    for sensor in scans if n_lost else ():
+        sensor.notes.append(f"{topic.name}: {n_lost} scans whose angle_min is not finite were left out")
+    return scans
 
 
 def _sensor_scans(
@@ -192,9 +194,10 @@ def _sensor_scans(
     parts = [part for group in groups.values() for part in group.ranges]
     notes += blank_error_codes(parts, limits[5], limits[6])
     range_min, range_max, no_return = clean_ranges(parts, (limits[5], limits[6]), no_return, notes)
-    bearings = (
-        _bearings(*census.first[most]) if census is not None and most not in groups else main.bearings()
-    )
+    if census is not None and most not in groups:
+        bearings, angle_notes = stated_bearings(*census.first[most]), list[str]()
+    else:
+        bearings, angle_notes = main.bearings_and_notes()
     index = np.concatenate([part for group in groups.values() for part in group.index])
     ranges = np.concatenate([
         np.concatenate(group.ranges)
@@ -213,7 +216,7 @@ def _sensor_scans(
     at, order, stamp_notes = sort_stamps(
         topic.name, stamps[index], stamps[index] if topic.stamps is not None else logged_times(topic)[index]
     )
-    if _are_degrees(most.n_rays, most.increment):
+    if are_degrees(most.n_rays, most.increment):
         stamp_notes.append(
             f"{topic.name}: the bearings are in degrees, from {limits[0]:.6g} to {limits[1]:.6g}: converted"
         )
@@ -230,7 +233,7 @@ def _sensor_scans(
     time_increment, scan_time = limits[3:5].tolist()
     return LaserScans(
         at, ranges[in_file[order]], bearings, time_increment, scan_time, range_min, range_max, main.frame,
-        stamp_notes + notes, no_return,
+        stamp_notes + angle_notes + notes, no_return,
         intensities=intensities[in_file[order]] if is_varied(intensities) else None,
     )  # fmt: skip
 

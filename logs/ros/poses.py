@@ -25,8 +25,8 @@ from logs.ros.recording import (
 )
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame
-from logs.transforms import to_planar, twists_of
-from logs.types import Bools
+from logs.transforms import are_oriented, to_planar, twists_of
+from logs.types import Bools, Floats
 
 FLOOR_FRAME = "base_footprint"
 """Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
@@ -73,9 +73,10 @@ def odometry_of_topic(recording: Recording, name: str | None) -> Track | None:
         return None
     topic = recording.topics[name]
     pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
-    unoriented = (pose.values[:, 3:] == 0).all(axis=1)
+    unoriented = ~are_oriented(pose.values[:, 3:])
     if unoriented.any():
-        pose.notes.append(f"{_unoriented_text(name, unoriented)}: their heading was set to 0")
+        pose.notes.append(f"{_unoriented_text(name, unoriented, pose.values)}: their heading was set to 0")
+        pose.values[unoriented, 3:] = [0.0, 0.0, 0.0, 1.0]
     pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
     return pose
 
@@ -277,9 +278,9 @@ def _pose_topic(recording: Recording, name: str, odom_name: str | None) -> tuple
         found.covariances = planar_covariances(track(topic, "covariance", 36).values)
     if found.frame and not any(word in found.frame.rpartition("/")[2] for word in FIXED_FRAMES):
         found.notes.append(f"{name} is in the unknown frame {found.frame}, which is assumed to be the map")
-    unoriented = (found.values[:, 3:] == 0).all(axis=1)
+    unoriented = ~are_oriented(found.values[:, 3:])
     if unoriented.any():
-        found.notes.append(f"{_unoriented_text(name, unoriented)}: left out")
+        found.notes.append(f"{_unoriented_text(name, unoriented, found.values)}: left out")
         found.stamps, found.values = found.stamps[~unoriented], found.values[~unoriented]
         found.covariances = found.covariances[~unoriented] if len(found.covariances) else found.covariances
     found.values = to_planar(found.values)
@@ -288,5 +289,6 @@ def _pose_topic(recording: Recording, name: str, odom_name: str | None) -> tuple
     return found, "base_link", source if len(found.stamps) else "none"
 
 
-def _unoriented_text(name: str, unoriented: Bools) -> str:
-    return f"{name}: {unoriented.sum()} of {len(unoriented)} poses have no orientation (quaternion 0 0 0 0)"
+def _unoriented_text(name: str, unoriented: Bools, poses: Floats) -> str:
+    why = "quaternions of changing norm" if poses[unoriented, 3:].any() else "quaternion 0 0 0 0"
+    return f"{name}: {unoriented.sum()} of {len(unoriented)} poses have no orientation ({why})"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from logs.errors import LogError
 from logs.ros import cdr
 from logs.ros.transform_tree import TransformTree
-from logs.transforms import Stamps
+from logs.transforms import Stamps, are_oriented
 from logs.types import Floats
 
 SCAN_TYPE, RANGE_TYPE, TF_TYPE = (
@@ -77,6 +77,11 @@ class Topic:
     """The messages, if their type is in `KEPT_TYPES`."""
     stamps: Stamps | None = None
     """(n,) [ns] the times of the messages on the common clock of the log (`settle_clocks`); None: as in the headers."""
+
+    @property
+    def title(self) -> str:
+        """The type, and the encoding of the messages if they are not those of ROS."""
+        return self.type if self.encoding in ENCODINGS else f"{self.type} ({self.encoding})"
 
 
 @dataclass
@@ -239,8 +244,16 @@ def choices(recording: Recording, role: str) -> str:
 
 
 def listing(recording: Recording) -> str:
-    """Return all topics with their types as text."""
-    return ", ".join(f"{topic.name} ({topic.type})" for topic in recording.topics.values())
+    """Return all topics with their types as text, and what is odd about the types."""
+    topics = recording.topics.values()
+    text = ", ".join(f"{topic.name} ({topic.title})" for topic in topics)
+    foreign = sorted({topic.encoding for topic in topics if topic.encoding not in ENCODINGS})
+    if foreign:
+        return (
+            f"{text}; messages in {' and '.join(foreign)} are not read, only those of ROS "
+            f"({' and '.join(ENCODINGS)}); record the topics of ROS, or convert these messages"
+        )
+    return text
 
 
 def check_roles(topics: Mapping[str, str] | None) -> None:
@@ -320,7 +333,13 @@ def transform_tree(recording: Recording, near: str = "") -> TransformTree:
         for name in (name for name, depth in shared.items() if depth == max(shared.values())):
             stamps, values, index = (np.concatenate(parts) for parts in zip(*by_topic[name], strict=True))
             values = values.astype(np.float64)
-            whole = np.isfinite(values).all(axis=1) & (np.abs(values[:, 3:]).sum(axis=1) > 0)
+            whole = np.isfinite(values).all(axis=1)
+            whole[whole] = are_oriented(values[whole, 3:])
+            if not whole.all():
+                tree.notes.append(
+                    f"{name} {parent} -> {child}: {int((~whole).sum())} of {len(whole)} transforms are not finite or have no "
+                    "orientation: left out"
+                )
             if whole.any():
                 kept = np.flatnonzero(whole)[np.argsort(index[whole], kind="stable")]
                 logged = logged_times(recording.topics[name])[index[kept]]

@@ -114,7 +114,7 @@ def settle_clocks(
         (edge.parent, edge.child): replace(edge, stamps=stamps)
         for edge, stamps in zip(edges, found.stamps[len(places) :], strict=True)
     }
-    return replace(recording, topics=topics), TransformTree({**tree.edges, **moved}), found.notes
+    return replace(recording, topics=topics), TransformTree({**tree.edges, **moved}, tree.notes), found.notes
 
 
 def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:

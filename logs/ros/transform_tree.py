@@ -86,6 +86,8 @@ class TransformTree:
 
     edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
     """(parent, child) -> the transform; a child with two parents has two edges."""
+    notes: list[str] = field(default_factory=list)
+    """Notes on transforms that were left out."""
 
     def add(
         self,
@@ -122,6 +124,17 @@ class TransformTree:
         return [
             f"{child} (under {' and '.join(names)})" for child, names in parents.items() if len(names) > 1
         ]
+
+    @property
+    def faults(self) -> list[str]:
+        """Return notes on transforms that were left out, static ones with several values, and frames with two parents."""
+        restated = [
+            f"static transform {edge.parent} -> {edge.child} has {n} different values: the last one was used"
+            for edge in self.edges.values()
+            if edge.is_static and (n := len(np.unique(edge.transforms.round(6), axis=0))) > 1
+        ]
+        parents = [f"frames with two parents: {', '.join(self.conflicts)}"] if self.conflicts else []
+        return [*self.notes, *restated, *parents]
 
     @property
     def frames(self) -> list[str]:

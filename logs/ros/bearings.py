@@ -1,0 +1,93 @@
+"""The bearings of a scan from the angles that its driver states, which may contradict each other.
+
+A LaserScan states the first bearing, the last one and the step between rays; the number of rays is that of its ranges. A
+driver that changes the number and forgets the step, or takes every second ray and keeps it, states two different steps.
+The surfaces decide: they are straight with the true step, and bent with another one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.types import Floats
+
+MAX_TURNS = 2
+"""Turns of a laser that one scan holds at most."""
+MIN_DISAGREEMENT = 0.05
+"""Smallest share by which two steps differ that is reported; less bends no surface visibly."""
+MIN_STRAIGHTER = 0.7
+"""Share of the bend that the step of `angle_max` leaves at most, where it replaces the stated one."""
+MAX_SCANS = 50
+"""Number of scans whose surfaces are compared at most."""
+WINDOW = 12
+"""The bend is that of arcs of a twelfth of the rays, which is wide enough to exceed noise."""
+
+
+def stated_bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
+    """Return the bearings (n_rays,) [rad]; those of a driver that states degrees are converted."""
+    stated = angle_min + increment * np.arange(n_rays, dtype=np.float64)
+    return np.radians(stated) if are_degrees(n_rays, increment) else stated
+
+
+def are_degrees(n_rays: int, increment: float) -> bool:
+    """Return whether rays would go around more than MAX_TURNS times if their increment were in radians."""
+    return (n_rays - 1) * abs(increment) > 2 * np.pi * MAX_TURNS
+
+
+def are_contradictory(n_rays: int, angle_min: float, angle_max: float, increment: float) -> bool:
+    """Return whether the step between rays differs from that between the first and the last bearing."""
+    if n_rays < 3 or increment == 0 or not np.isfinite(angle_max):
+        return False
+    by_ends = (angle_max - angle_min) / (n_rays - 1)
+    few = 2 / (n_rays - 1)  # an end that is one step off is common, and the step is right
+    return by_ends != 0 and abs(by_ends / increment - 1) > max(MIN_DISAGREEMENT, few)
+
+
+def bearings_of(limits: Floats, ranges: Floats) -> tuple[Floats, list[str]]:
+    """Return the bearings (n_rays,) [rad] of scans, and notes.
+
+    Parameters
+    ----------
+    limits : angle_min, angle_max, angle_increment, ... as stated
+    ranges : (n_scans, n_rays) [m]
+
+    Raises
+    ------
+    LogError : The angles are not finite, or all rays would have one bearing.
+    """
+    angle_min, angle_max, increment = limits[:3].tolist()
+    n = ranges.shape[1]
+    by_ends = (angle_max - angle_min) / (n - 1) if n > 1 else 0.0
+    if increment == 0 or not np.isfinite(increment):
+        increment = by_ends
+    if not np.isfinite(angle_min) or (n > 1 and not 1e-9 < abs(increment) < np.inf):
+        raise LogError(
+            f"scans have {n} rays, angle_min {angle_min:g} and angle_increment {increment:g}; expected a finite first "
+            "bearing, and an increment other than 0"
+        )
+    stated = stated_bearings(n, angle_min, increment)
+    if not are_contradictory(n, angle_min, angle_max, increment):
+        return stated, []
+    said = f"angle_increment {increment:.6g} with {n} rays ends at {stated[-1]:.4g} rad, but angle_max is {angle_max:.4g}"
+    other = stated_bearings(n, angle_min, by_ends)
+    some = ranges[:: 1 + len(ranges) // MAX_SCANS]
+    if bend(some, other) < MIN_STRAIGHTER * bend(some, stated):
+        return other, [
+            f"{said}: surfaces are straight with the step {by_ends:.6g} between both ends: it was used"
+        ]
+    return stated, [f"{said}: the increment was used; if walls are bent, correct it in the driver"]
+
+
+def bend(ranges: Floats, bearings: Floats) -> float:
+    """Return how bent the surfaces of scans are: the sagitta of an arc of rays by its chord, its lower quartile.
+
+    Most arcs of a room without a corner in them are straight, so that their quartile is noise. inf: there are none.
+    """
+    half = max(1, len(bearings) // (2 * WINDOW))
+    with np.errstate(all="ignore"):  # no return: not finite
+        points = ranges * np.exp(1j * bearings)
+        first, middle, last = points[:, : -2 * half], points[:, half:-half], points[:, 2 * half :]
+        sagitta = np.abs(((middle - first) / (last - first)).imag)
+    sagitta = sagitta[np.isfinite(sagitta)]
+    return float(np.quantile(sagitta, 0.25)) if len(sagitta) else np.inf

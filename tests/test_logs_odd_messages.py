@@ -1,0 +1,157 @@
+"""Scans whose angles contradict each other, scans that a driver repeats, and orientations that are none."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbag_samples import HUMBLE, Message, odometry, read, scan, transform, write_bag2
+
+import logs
+from logs.notes import assumptions_of
+from logs.ros.bearings import bend
+from logs.stream import McapStream, open_log
+from logs.transforms import are_oriented
+
+N = 120
+
+
+def room(x: float, seed: int) -> np.ndarray:
+    """Return the ranges (N,) of a full turn at (x, 1.1) in a room of 6 by 4 m, with 1 cm of noise."""
+    angles = -np.pi + 2 * np.pi / N * np.arange(N)
+    with np.errstate(divide="ignore"):
+        along_x = (np.where(np.cos(angles) > 0, 6.0, 0.0) - x) / np.cos(angles)
+        along_y = (np.where(np.sin(angles) > 0, 4.0, 0.0) - 1.1) / np.sin(angles)
+    noise = 0.01 * np.random.default_rng(seed).normal(size=N)
+    return np.minimum(np.abs(along_x), np.abs(along_y)) + noise
+
+
+def drive(
+    *, increment: float = 2 * np.pi / N, stuck: range = range(0), speed: float = 0.5, n: int = 30
+) -> list[Message]:
+    out = [transform(0.0, "base_link", "laser", 0, 0, 0, static=True)]
+    for i in range(n):
+        k = stuck[0] - 1 if i in stuck else i
+        out.append(scan(i / 10, room(1 + speed * k / 10, k), angle_min=-np.pi, increment=increment))
+        out.append(odometry(i / 10, speed * i / 10, 0, 0, speed))
+    return out
+
+
+def with_angles(bag: list[Message], **angles: float) -> list[Message]:
+    """Return the messages with other angles in the scans."""
+    out = []
+    for topic, kind, at, data in bag:
+        if topic == "/scan":
+            whole = HUMBLE.deserialize_cdr(data, kind)
+            for name, value in angles.items():
+                setattr(whole, name, value)
+            data = bytes(HUMBLE.serialize_cdr(whole, kind))
+        out.append((topic, kind, at, data))
+    return out
+
+
+TRUE = {"angle_max": np.pi - 2 * np.pi / N}
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_straight_surfaces_decide_between_a_wrong_increment_and_the_last_bearing(
+    factor: float, tmp_path: Path
+) -> None:
+    bag = with_angles(drive(increment=factor * 2 * np.pi / N), **TRUE)
+    run = read(tmp_path, bag)
+    np.testing.assert_allclose(run.sensor.bearings, -np.pi + 2 * np.pi / N * np.arange(N), atol=1e-5)
+    assert any("surfaces are straight with the step" in note for note in assumptions_of(run))
+
+
+@pytest.mark.parametrize("end", [0.0, 2 * np.pi])
+def test_a_right_increment_is_kept_and_the_wrong_last_bearing_noted(end: float, tmp_path: Path) -> None:
+    run = read(tmp_path, with_angles(drive(), angle_max=end))
+    np.testing.assert_allclose(np.diff(run.sensor.bearings), 2 * np.pi / N, atol=1e-5)
+    assert any("the increment was used" in note for note in assumptions_of(run))
+
+
+def test_a_last_bearing_that_is_a_step_off_is_not_worth_a_note(tmp_path: Path) -> None:
+    assert assumptions_of(read(tmp_path, with_angles(drive(), angle_max=np.pi))) == []
+
+
+def test_a_log_with_contradictory_angles_is_not_read_in_pieces(tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", with_angles(drive(increment=np.pi / N), **TRUE))
+    (file,) = bag.glob("*.mcap")
+    assert not isinstance(open_log(file), McapStream)
+    (file,) = write_bag2(tmp_path / "good", drive()).glob("*.mcap")
+    assert isinstance(open_log(file), McapStream)
+
+
+def test_a_bend_needs_returns() -> None:
+    assert bend(np.full((2, 9), np.inf), np.arange(9.0)) == np.inf
+
+
+def test_angles_that_are_not_finite_cost_their_scans(tmp_path: Path) -> None:
+    good = drive()
+    broken = with_angles(good, angle_min=np.nan)
+    with pytest.raises(logs.LogError, match="no scan has a finite angle_min"):
+        read(tmp_path / "all", broken)
+    run = read(tmp_path / "some", broken[:10] + good[10:])
+    assert run.n_scans == sum(one[0] == "/scan" for one in good[10:])
+    assert any("whose angle_min is not finite were left out" in note for note in assumptions_of(run))
+    run = read(tmp_path / "step", with_angles(good, angle_increment=np.nan, **TRUE))
+    np.testing.assert_allclose(np.diff(run.sensor.bearings), 2 * np.pi / N, atol=1e-5)
+
+
+def test_scans_that_a_driver_repeats_while_the_robot_moves_state_nothing(tmp_path: Path) -> None:
+    run = read(tmp_path, drive(stuck=range(10, 20)))
+    assert np.isnan(run.ranges[10:20]).all()
+    assert np.isfinite(run.ranges[[*range(10), *range(20, 30)]]).all()
+    assert any(note.startswith("10 scans repeat the one before") for note in assumptions_of(run))
+
+
+def test_equal_scans_of_a_robot_that_stands_are_kept(tmp_path: Path) -> None:
+    run = read(tmp_path, drive(stuck=range(10, 20), speed=0.0))
+    assert np.isfinite(run.ranges).all()
+    assert assumptions_of(run) == []
+
+
+def test_equal_scans_without_motion_in_the_log_are_noted(tmp_path: Path) -> None:
+    bag = [one for one in drive(stuck=range(10, 20)) if one[0] != "/odom"]
+    run = read(tmp_path, bag)
+    assert np.isfinite(run.ranges).all()
+    assert any(note.startswith("10 scans in a row are equal") for note in assumptions_of(run))
+
+
+def test_a_yaw_in_the_z_of_a_quaternion_is_no_orientation(tmp_path: Path) -> None:
+    out = []
+    for topic, kind, at, data in drive():
+        if topic == "/odom":
+            whole = HUMBLE.deserialize_cdr(data, kind)
+            whole.pose.pose.orientation.z, whole.pose.pose.orientation.w = whole.pose.pose.position.x, 1.0
+            data = bytes(HUMBLE.serialize_cdr(whole, kind))
+        out.append((topic, kind, at, data))
+    run = read(tmp_path, out)
+    assert any("have no orientation (quaternions of changing norm)" in note for note in assumptions_of(run))
+    assert (run.odometry[:, 2] == 0).all()
+
+
+def test_scaled_and_rounded_quaternions_are_orientations_and_a_single_wrong_one_is_none() -> None:
+    yaw = np.linspace(-3, 3, 40)
+    unit = np.column_stack([0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)])
+    assert are_oriented(unit).all()
+    assert are_oriented(2.5 * unit).all()
+    assert are_oriented(unit.round(2)).all()
+    unit[3] *= 4
+    unit[5] = 0
+    assert np.flatnonzero(~are_oriented(unit)).tolist() == [3, 5]
+
+
+def test_a_static_transform_with_two_values_and_one_without_orientation_are_noted(tmp_path: Path) -> None:
+    again = transform(1.0, "base_link", "laser", 0.3, 0, 0, static=True)
+    said = assumptions_of(read(tmp_path / "two", [*drive(), again]))
+    assert said == ["static transform base_link -> laser has 2 different values: the last one was used"]
+    topic, kind, at, data = transform(0.0, "base_link", "laser", 0.3, 0, 0, static=True)
+    assert data.endswith(struct.pack("<4d", 0, 0, 0, 1))
+    none = (topic, kind, at, data[:-32] + bytes(32))
+    said = assumptions_of(read(tmp_path / "none", [none, *drive()[1:]]))
+    assert any(
+        "/tf_static base_link -> laser: 1 of 1 transforms are not finite or have no" in s for s in said
+    )
