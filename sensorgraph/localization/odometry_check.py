@@ -163,8 +163,9 @@ def _opposite_text(direction: tuple[float, float] | None) -> str:
             "its rays clockwise and looks backwards; correct the odometry, or state the mount in robot.yaml"
         )
     return (
-        "scans and odometry turn in opposite directions: the laser counts its rays clockwise, as in a mirror; state "
-        "this in robot.yaml or in the transform"
+        "scans and odometry turn in opposite directions: the laser counts its rays clockwise, as in a mirror, or the "
+        "odometry counts turns to the right as positive (z down); state the laser in robot.yaml or in the transform, or "
+        "correct the odometry"
     )
 
 
