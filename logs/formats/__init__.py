@@ -17,6 +17,22 @@ from logs.run import OccupancyMap, Run
 from logs.types import Mounts, Progress
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+OTHERS: tuple[tuple[int, tuple[bytes, ...], str], ...] = (
+    (0, (ZSTD_MAGIC,), "compressed with zstd; give the rosbag2 folder that contains it, or decompress it: zstd -d"),
+    (0, (b"PK\x03\x04",), "a zip archive; unpack it and give the log in it: unzip"),
+    (0, (b"\xfd7zXZ\x00",), "compressed with xz; decompress it: xz -dk"),
+    (0, (b"7z\xbc\xaf\x27\x1c",), "a 7z archive; unpack it and give the log in it: 7z x"),
+    (0, (b"Rar!\x1a\x07",), "a rar archive; unpack it and give the log in it: unrar x"),
+    (0, (b"\x04\x22\x4d\x18",), "compressed with lz4; decompress it: lz4 -dk"),
+    (257, (b"ustar",), "a tar archive; unpack it and give the log in it: tar xf"),
+    (0, (b"version https://git-lfs",), "a pointer of Git LFS and not the log; fetch it: git lfs pull, for"),
+    (0, (b"/annex/objects", b"../.git/annex"), "a pointer of git-annex and not the log; fetch it: git annex get"),
+    (0, (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x0a\x0d\x0d\x0a"),
+     "a capture of network packets; replay it to the driver of the laser and record its topics, instead of"),
+)  # fmt: skip
+"""Files that are given for logs: (offset, first bytes there, what such a file is and what to do with it)."""
+BAG_METADATA = "metadata.yaml"
+PAGES = (b"<!doctype html", b"<html", b"<?xml")
 
 
 class Format(NamedTuple):
@@ -94,6 +110,10 @@ def format_of(path: Path) -> str:
     LogError
         If no format matches; the message describes the content of the file.
     """
+    if path.is_fifo():
+        raise LogError(f"{path} is a pipe, and a log is read more than once; save it to a file and give that")
+    if path.name == BAG_METADATA and path.is_file():
+        raise LogError(f"{path} describes a rosbag2 folder; give the folder: {path.parent}")
     head = first_bytes(path)
     for name, known in FORMATS.items():
         if known.matches(path, head):
@@ -105,10 +125,11 @@ def format_of(path: Path) -> str:
     if path.is_dir():
         inside = ", ".join(sorted(child.name for child in path.iterdir())[:5]) or "nothing"
         raise LogError(f"{path} is a folder without a log (it holds {inside}); {expected}")
-    if head.startswith(ZSTD_MAGIC):
-        raise LogError(
-            f"{path} is compressed with zstd; give the rosbag2 folder that contains it, or decompress it: zstd -d {path}"
-        )
+    for at, starts, what in OTHERS:
+        if head[at:].startswith(starts):
+            raise LogError(f"{path} is {what} {path}")
+    if head.lstrip().lower().startswith(PAGES):
+        raise LogError(f"{path} is a web page and not the log; download the file itself, then check its size")
     if not head:
         raise LogError(f"{path} is empty; {expected}")
     raise LogError(f"{path} is not a known log (it starts with {head[:8]!r}); {expected}")

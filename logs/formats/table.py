@@ -9,7 +9,7 @@ Example:
 Required are `t` [s], `r0` ... (or `ray_0` ...) [m], and the bearings [rad] in a comment above the header. The bearings
 are given as above or one by one. Optional columns are the reference pose `x,y,phi`, the odometry
 `odom_x,odom_y,odom_phi` and `v,omega`, and the command `cmd_v,cmd_omega`. `inf`, `-inf` and `nan` (or an empty cell)
-follow REP-117. Further comments `# NAME: VALUE` are optional; they are the fields of the metadata record in our MCAP
+follow REP-117. Cells may also be separated by semicolons or tabs, then with decimal commas. Further comments `# NAME: VALUE` are optional; they are the fields of the metadata record in our MCAP
 files (`own_record`).
 """
 
@@ -39,16 +39,33 @@ POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS = (
     ("cmd_v", "cmd_omega"),
 )
 _RAY = re.compile(r"r(?:ay_)?(\d+)")
+SEPARATORS = (",", ";", "\t")
+"""Separators of cells; a spreadsheet of a country with decimal commas writes semicolons."""
 _COMMENT = re.compile(r"#\s*([\w.]+)\s*:\s*(.*)")
 
 
 def matches(path: Path, head: bytes) -> bool:
     """Return whether the first line that is not a comment contains t and r0."""
     for line in head.decode("utf-8", errors="replace").splitlines():
-        if line.strip() and not line.startswith("#"):
-            names = [name.strip() for name in line.split(",")]
+        if line.strip() and not _is_comment(line):
+            names, _ = _header(line)
             return "t" in names and ("r0" in names or "ray_0" in names)
     return False
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip(' "').startswith("#")
+
+
+def _header(line: str) -> tuple[list[str], str]:
+    """Return the names of the columns and the separator of the cells, which is the most frequent one of the header."""
+    separator = max(SEPARATORS, key=line.count)
+    return _cells(line, separator), separator
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of a line; a spreadsheet may have quoted them."""
+    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
 def read(
@@ -66,10 +83,13 @@ def read(
         If a row cannot be read, a ray column or the bearings are missing, or the number of rows is not as stated.
     """
     lines = read_lines(path)
-    stated = {found[1]: found[2].strip() for line in lines if (found := _COMMENT.match(line))}
-    rows = [line for line in lines if line.strip() and not line.startswith("#")]
-    names = [name.strip() for name in rows[0].split(",")]
-    values = _values(path, rows[1:], len(names), progress)
+    comments = [
+        line.strip(' ",;\t') for line in lines if _is_comment(line)
+    ]  # a spreadsheet fills a row with separators
+    stated = {found[1]: found[2].strip() for line in comments if (found := _COMMENT.match(line))}
+    rows = [line for line in lines if line.strip() and not _is_comment(line)]
+    names, separator = _header(rows[0])
+    values = _values(path, rows[1:], len(names), separator, progress)
     claimed = stated.get("rows")
     if claimed is not None and claimed != str(len(values)):
         raise LogError(
@@ -167,14 +187,15 @@ def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
     return np.column_stack([x, y, wrap(phi)])
 
 
-def _values(path: Path, rows: Sequence[str], width: int, progress: Progress | None) -> Floats:
+def _values(path: Path, rows: Sequence[str], width: int, separator: str, progress: Progress | None) -> Floats:
+    """Return the numbers (n_rows, width); a comma that separates no cells is a decimal comma."""
     out = np.empty((len(rows), width))
     for i, line in enumerate(rows):
-        cells = line.split(",")
+        cells = _cells(line if separator == "," else line.replace(",", "."), separator)
         try:
             if len(cells) != width:
                 raise ValueError(f"it has {len(cells)} cells, expected {width}")
-            out[i] = [float(cell) if cell.strip() else np.nan for cell in cells]
+            out[i] = [float(cell) if cell else np.nan for cell in cells]
         except ValueError as exc:
             raise LogError(
                 f"{path}: row {i + 1} cannot be read: {exc}; check that the copy is complete"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import codecs
 import zlib
 from pathlib import Path
 
@@ -10,10 +11,26 @@ from logs.errors import LogError
 from logs.inflation import BZIP2_MAGIC, GZIP_MAGIC, TooLarge, most_plain, unpack
 
 HEAD_SIZE = 1 << 16
+MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
+"""Byte order mark -> encoding of a text; Windows programs write one."""
+
+
+def decoded(data: bytes) -> str:
+    """Return a text without its byte order mark, which states the encoding; without a mark, it is UTF-8."""
+    mark, encoding = next((known for known in MARKS if data.startswith(known[0])), (b"", "utf-8"))
+    return data.removeprefix(mark).decode(encoding, errors="replace")
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return the first bytes of a file, decompressed if it is gzip or bzip2; empty for a folder."""
+    """Return the first bytes of a file, decompressed if it is gzip or bzip2; empty for a folder.
+
+    A text with a byte order mark is returned as UTF-8 without it.
+    """
+    head = _first_plain(path)
+    return decoded(head).encode() if head.startswith(tuple(mark for mark, _ in MARKS)) else head
+
+
+def _first_plain(path: Path) -> bytes:
     if path.is_dir():
         return b""
     with path.open("rb") as file:
@@ -54,4 +71,4 @@ def read_lines(path: Path) -> list[str]:
                 f"{path} {why} ({kind}: {exc}); copy it again, or keep its intact first part with "
                 f"`{tool} {path} > {path.stem}`"
             ) from exc
-    return data.decode("utf-8", errors="replace").splitlines()
+    return decoded(data).splitlines()

@@ -55,7 +55,6 @@ def inspect(
         sensorgraph inspect others.bag --topic scan=/scan@rear_laser --topic odom=/tf --json found.json
     """
     from logs.inspection import inspect as look
-    from planners.maps import MAPS
     from sensorgraph.cli.inputs import check_output, read_options, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
@@ -68,7 +67,7 @@ def inspect(
     if json is not None:
         check_output(json, file)
     expected = None if policy is None else load_topics(policy)
-    if file.suffix.lower() in MAPS and file.is_file():
+    if _is_map(file):
         facts = _map_facts(file)
         if json is not None:
             write_json(json, facts)
@@ -104,6 +103,14 @@ def inspect(
         write_json(json, {**found.to_dict(), "orientation": turned})
     typer.echo(with_flags("\n".join(found.lines(lines))))
     _judge(found, expected)
+
+
+def _is_map(file: Path) -> bool:
+    """Return whether a file is a map by its name; the metadata.yaml of a bag is none."""
+    from logs.formats import BAG_METADATA
+    from planners.maps import MAPS
+
+    return file.suffix.lower() in MAPS and file.is_file() and file.name != BAG_METADATA
 
 
 def _judge(found: Inspection, expected: dict[str, Any] | None) -> None:
