@@ -232,6 +232,6 @@ def _same_fan(stated: tuple[float, float, float], laser: MeasuredLaser) -> bool:
 
 
 def _insert_behind(node: Node, text: str, phrase: str) -> None:
-    """Insert an element on a line of its own, behind another one with the same indentation."""
+    """Insert an element on a separate line, behind another one with the same indentation."""
     file, end = node.origin.file, node.origin.end
     file.insert(end, f"{file.newline}{file.indent(node.origin.start)}{text}", phrase)

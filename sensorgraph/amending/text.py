@@ -1,4 +1,4 @@
-"""A file as text with pending edits of spans, and the comment beside each edited number."""
+"""A file as text with pending edits of spans, and the comment on each edited number."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def number_text(value: float) -> str:
 
 
 def note(old: str | None, why: Why) -> str:
-    """Return the phrase beside a changed number."""
+    """Return the comment on a changed number."""
     parts = [] if old is None else [f"was {old}"]
     if why.sigma is not None:
         parts.append(f"± {why.sigma:.2g}")

@@ -61,7 +61,7 @@ class Value:
     file: TextFile
     span: tuple[int, int]
     anchor: int
-    """Offset of the comment beside it."""
+    """Offset of its comment."""
     scope: Scope
     owner: Element | None = None
     """For a macro's parameter: the macro, in which all its uses are."""

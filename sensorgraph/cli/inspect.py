@@ -106,7 +106,7 @@ def inspect(
 
 
 def _is_map(file: Path) -> bool:
-    """Return whether a file is a map by its name; the metadata.yaml of a bag is none."""
+    """Return whether a file is a map by its name; not the metadata.yaml of a bag."""
     from logs.formats import BAG_METADATA
     from planners.maps import MAPS
 

@@ -17,7 +17,7 @@ from sensorgraph.effects import Effect
 
 NAMELESS = Facts(has_name=False)
 ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
-"""Why an effect beside structure is not named."""
+"""Why an effect next to structure is not named."""
 
 
 def structure_entries(channel: str, tests: Sequence[TestedStructure]) -> Iterator[Entry]:

@@ -3,7 +3,7 @@
 The gain of an effect rarely grows as other effects enter the model, because they explain readings that it would explain.
 The gain of an earlier round therefore bounds the present one, and a candidate whose bound is far below the best gain of a
 round is not fitted (Minoux 1978, Accelerated greedy algorithms for maximizing submodular set functions). The bound is not
-certain. It is void where the score test expects more than it did at that fit. It is used only beside a candidate that
+certain. It is void where the score test expects more than it did at that fit. It is used only next to a candidate that
 surely enters the model, so a search ends with a round that fits every candidate.
 """
 
