@@ -13,10 +13,11 @@ from the motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from logs.signals import Signal, forward, in_nanoseconds
 from logs.transforms import Stamps
 from logs.types import Bools, Floats
 
@@ -50,20 +51,6 @@ class ClockLimits:
 CLOCK_LIMITS = ClockLimits()
 UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds", 1e3: "thousands of seconds"}
 """Seconds per unit of a stamp -> name of the unit."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Signal:
-    """The times of the messages of one signal, in the order of the log."""
-
-    name: str
-    stamps: Stamps
-    """(n,) [ns] header stamps; 0: absent."""
-    logged: Stamps
-    """(n,) [ns] log times."""
-    has_header: bool = True
-    is_correction: bool = False
-    """Whether it is the transform between map and odometry, which localizers post-date."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +119,9 @@ def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> Set
     Header stamps that agree with each other are never changed, whatever the log times are.
     """
     given = list(signals)
-    signals, notes = _forward(given, limits)
+    signals, notes = in_nanoseconds(given)
+    signals, said = forward(signals, limits.offset)
+    notes += said
     clocks = [_clock(signal, limits) for signal in signals]
     _rescale(clocks, limits)
     for clock in clocks:
@@ -157,38 +146,6 @@ def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> Set
         for new, old in zip(stamps, given, strict=True)
     )
     return SettledClocks(stamps=stamps, notes=notes, is_changed=changed)
-
-
-def _forward(signals: Sequence[Signal], limits: ClockLimits) -> tuple[list[Signal], list[str]]:
-    """Return the signals with log times and stamps that do not restart, if the clock of the whole log was set back.
-
-    The parts are joined without a gap. The fastest signal determines the step, so that all signals keep their order.
-    """
-    fastest = max((s for s in signals if len(s.logged) > 1), key=lambda s: len(s.logged), default=None)
-    if fastest is None:
-        return list(signals), []
-    steps = np.diff(fastest.logged)
-    back = np.flatnonzero(steps < -limits.offset * 1e9)
-    if len(back) == 0:
-        return list(signals), []
-    period = int(np.median(steps[steps > 0])) if (steps > 0).any() else 0
-    jumps = period - steps[back]  # (n_back,) [ns]
-    out = []
-    for signal in signals:
-        own = np.flatnonzero(np.diff(signal.logged) < -limits.offset * 1e9)[: len(jumps)]
-        added = np.zeros(len(signal.logged), dtype=np.int64)
-        for at, jump in zip(own, jumps, strict=False):
-            added[at + 1 :] += jump
-        has_stepped = np.diff(signal.stamps, prepend=signal.stamps[:1])[own + 1] < 0
-        moved = signal.stamps + (added if has_stepped.all() else 0)
-        out.append(
-            replace(signal, logged=signal.logged + added, stamps=np.where(signal.stamps == 0, 0, moved))
-        )
-    times = "once" if len(back) == 1 else f"{len(back)} times"
-    return out, [
-        f"the log times go back {times}, by {-steps[back].min() / 1e9:,.1f} s: the clock was set back, or the file holds "
-        "several recordings: the parts were joined in the order of the file"
-    ]
 
 
 def _clock(signal: Signal, limits: ClockLimits) -> _Clock:

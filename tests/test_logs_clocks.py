@@ -10,8 +10,9 @@ import pytest
 from rosbag_samples import EPOCH, Message, command, odometry, pose, scan, transform, write_bag2
 
 import logs
-from logs.clocks import Signal, settle
+from logs.clocks import settle
 from logs.notes import assumptions_of
+from logs.signals import Signal
 from sensorgraph.diagnosis.motion.calibration.laser_motion import with_moving_odometry
 from sensorgraph.errors import SensorgraphError
 
@@ -225,3 +226,30 @@ def test_one_signal_alone_is_left_as_it_is() -> None:
         found = settle([Signal(name="/scan", stamps=stamps, logged=at)])
         assert found.is_changed == (not stamps.any())
     assert settle([]).notes == []
+
+
+def compressed(part: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a clock whose seconds go on for this part of each second."""
+    return lambda t: np.floor(t) + part * (t % 1.0)
+
+
+@pytest.mark.parametrize(("part", "unit"), [(1e-3, "microseconds"), (1e-6, "milliseconds")])
+@pytest.mark.parametrize("wheels", [False, True])
+def test_parts_of_a_second_in_another_unit_are_converted(
+    part: float, unit: str, wheels: bool, tmp_path: Path
+) -> None:
+    wrong = compressed(part)
+    run = run_of(tmp_path, drive(scans=wrong, wheels=wrong if wheels else lambda t: t))
+    assert np.abs(apart(run)).max() < 2e-3
+    np.testing.assert_allclose(np.diff(run.stamps), 0.1, atol=2e-3)
+    notes = [note for note in assumptions_of(run) if f"have {unit} in place of nanoseconds" in note]
+    assert len(notes) == 1 + wheels
+
+
+def test_stamps_shortly_after_each_full_second_are_nanoseconds() -> None:
+    """As of a receiver that is triggered once a second, with an error of up to 0.2 ms."""
+    t = np.arange(60) + RNG.uniform(0, 2e-4, 60)
+    stamps = np.rint(1e9 * (t + 1_700_000_000)).astype(np.int64)
+    logged = stamps + np.rint(1e9 * RNG.uniform(0.001, 0.03, 60)).astype(np.int64)
+    found = settle([Signal(name="/fix", stamps=stamps, logged=logged)])
+    assert not found.is_changed and not found.notes

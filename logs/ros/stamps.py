@@ -10,11 +10,12 @@ from itertools import compress
 
 import numpy as np
 
-from logs.clocks import Signal, settle
+from logs.clocks import settle
 from logs.ros import cdr
 from logs.ros.poses import FIXED_FRAMES, MAP_FRAMES, base_of
 from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, logged_times
 from logs.ros.transform_tree import Edge, TransformTree
+from logs.signals import Signal
 from logs.sweep import LIMITS
 from logs.transforms import Stamps
 from logs.types import Bools, Floats, Ints
