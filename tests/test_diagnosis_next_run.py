@@ -14,19 +14,19 @@ from planners.arena import Arena
 from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
-from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
+from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace, candidate_motions
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.drives import random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     EvidenceForecast,
-    EvidenceQuadratics,
+    EvidenceQuadratic,
     MotionSamples,
     OpenQuestion,
     planned_scans,
 )
 from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
 from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
-from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
+from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
@@ -126,7 +126,7 @@ def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena
         for omega in (0.0, 1.0)
     )
     forecast = EvidenceForecast(question, planned_scans([still, turning], arena, robot, 60.0))
-    nothing, much = (forecast.nats(60.0 * one) for one in np.eye(2))
+    nothing, much = (forecast.nats(one * 60.0) for one in forecast.per_second())
     assert nothing < 1e-6 < 100.0 < much
 
 
@@ -143,8 +143,9 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
             OpenQuestion(truth=(effect("latency", tau=tau),), alternative=(), text=""),
             planned_scans([motion], arena, robot, 60.0),
         )
-        assert forecast.nats(np.array([120.0])) > forecast.nats(np.array([60.0]))
-        got.append(forecast.nats(np.array([60.0])))
+        (one,) = forecast.per_second()
+        assert forecast.nats(one * 120.0) > forecast.nats(one * 60.0)
+        got.append(forecast.nats(one * 60.0))
     assert got[1] > 3 * got[0]  # at least quadratic: nuisances in their boxes take a constant part
 
 
@@ -241,19 +242,20 @@ def test_time_goes_to_the_motions_that_bring_most_and_nowhere_else() -> None:
     """Of two questions with nothing to refit: each motion brings one of them, the third more of both, the fourth is not allowed."""
 
     class Plain:
-        def __init__(self, nats: list[float]) -> None:
-            n = len(nats)
-            self.per_second = EvidenceQuadratics(
-                matrix=np.ones((n, 1, 1)),
-                right=np.zeros((n, 1)),
-                squares=np.zeros(n),
-                constant=np.array(nats),
-            )
-
-        def refitted(self, total: EvidenceQuadratics) -> Floats:
+        def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
             return np.zeros(1)
 
-    forecasts = [Plain([4.0, 0.0, 3.0, 9.0]), Plain([0.0, 4.0, 3.0, 9.0])]
-    time = allocate_time(forecasts, 100.0, np.arange(4) < 3)  # type: ignore[arg-type]
+    def quadratics(nats: list[float]) -> QuadraticsOfMotions:
+        one = {"matrix": np.eye(1), "right": np.zeros(1), "squares": 0.0}
+        return QuadraticsOfMotions.of([EvidenceQuadratic(**one, constant=value) for value in nats])  # type: ignore[arg-type]
+
+    per_second = [quadratics([4.0, 0.0, 3.0, 9.0]), quadratics([0.0, 4.0, 3.0, 9.0])]
+    time = allocate_time([Plain(), Plain()], per_second, 100.0, slice(0, 3))  # type: ignore[list-item]
     assert time.sum() == pytest.approx(100.0) and time[3] == 0.0
     assert time[2] > 90.0 and time[0] == pytest.approx(time[1], abs=3.0)
+
+
+def test_motions_of_a_kind_stand_together(arena: Arena, robot: Robot) -> None:
+    motions = candidate_motions(DrivableSpace.of(arena, robot), np.random.default_rng(0))
+    kinds = [motion.kind for motion in motions]
+    assert kinds == sorted(kinds, key=list(dict.fromkeys(kinds)).index)

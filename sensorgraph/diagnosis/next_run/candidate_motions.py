@@ -81,7 +81,7 @@ class DrivableSpace:
 
     def spread_places(self, n: int, rng: np.random.Generator) -> Floats:
         """Return n places (n, 2) [m] far from each other, by farthest-point sampling."""
-        nodes = self.nodes[rng.permutation(len(self.nodes))]
+        nodes = self.nodes[rng.permutation(len(self.nodes))[: NEXT_RUN.candidates.max_spread_places]]
         chosen = [nodes[0]]
         distance = np.hypot(*(nodes - nodes[0]).T)
         while len(chosen) < min(n + 1, len(nodes)):

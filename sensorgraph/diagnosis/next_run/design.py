@@ -39,7 +39,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     planned_scans,
 )
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
-from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
+from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
@@ -132,10 +132,11 @@ def next_run(
     samples = [motion_samples(motion, robot, duration) for motion in motions]
     scans = planned_scans(samples, arena, robot, duration)
     forecasts = [EvidenceForecast(q, scans) for q in questions]
-    kinds = np.array([motion.kind for motion in motions])
-    of_kinds = [kinds == kind for kind in dict.fromkeys(kinds.tolist())]
-    allowed = [np.ones(len(motions), dtype=np.bool_), *of_kinds]
-    allocations = [allocate_time(forecasts, duration, some) for some in allowed]
+    per_second = [QuadraticsOfMotions.of(forecast.per_second()) for forecast in forecasts]
+    allocations = [
+        allocate_time(forecasts, per_second, duration, part)
+        for part in (slice(None), *_parts_by_kind(motions))
+    ]
     drives = build_drives(space, motions, allocations, duration, start, seed)
     random = [random_drive(space, rng, duration) for _ in range(NEXT_RUN.drives.n_random)]
     curves = [*(curve for curve, _ in drives), *random]
@@ -163,6 +164,14 @@ def next_run(
     )
 
 
+def _parts_by_kind(motions: Sequence[CandidateMotion]) -> list[slice]:
+    """Return a slice for each kind of motion; motions of one kind are adjacent."""
+    kinds = [motion.kind for motion in motions]
+    counts = [kinds.count(kind) for kind in dict.fromkeys(kinds)]
+    ends = np.cumsum(counts).tolist()
+    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+
+
 def _rate(
     questions: Sequence[OpenQuestion], curves: Sequence[Curve], arena: Arena, robot: Robot, duration: float
 ) -> tuple[Floats, Floats]:
@@ -188,10 +197,14 @@ def expected_evidence(
     duration: float,
 ) -> Floats:
     """Return the expected evidence (n_questions, n_drives) [nats] of whole drives."""
-    scans = planned_scans(drives, arena, robot, duration)
-    forecasts = [EvidenceForecast(question, scans) for question in questions]
-    alone = np.diag([drive.duration for drive in drives])
-    return np.array([[forecast.nats(times) for times in alone] for forecast in forecasts])
+    out, scans = np.zeros((len(questions), len(drives))), planned_scans(drives, arena, robot, duration)
+    for i, question in enumerate(questions):
+        forecast = EvidenceForecast(question, scans)
+        out[i] = [
+            forecast.nats(quadratic * drive.duration)
+            for quadratic, drive in zip(forecast.per_second(), drives, strict=True)
+        ]
+    return out
 
 
 def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
@@ -220,7 +233,7 @@ def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> Mo
 
 def _drive_samples(curve: Curve) -> MotionSamples:
     """Return sample moments of a whole drive, evenly spaced in time."""
-    n = NEXT_RUN.drives.n_samples
+    n = max(int(curve.duration / NEXT_RUN.drives.sample_interval), NEXT_RUN.drives.min_samples)
     stamps = (np.arange(n) + 0.5) / n * curve.duration
     poses, twists, _ = curve.sample(stamps)
     return MotionSamples(poses=poses, twists=twists, times=stamps, duration=curve.duration)

@@ -90,6 +90,7 @@ class DriveBuilder:
                 self._move(motions[k], clock + (self.duration - clock) * float(share[k]) / shares_left)
                 used += [] if motions[k] in used else [motions[k]]
             shares_left -= float(share[k])
+        self.curve_builder.wait(NEXT_RUN.drives.end_pause)
         return used
 
     def _move(self, motion: CandidateMotion, until: float) -> None:

@@ -12,7 +12,8 @@ sum over scans is linear in time, so that the best allocation of time among moti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -30,8 +31,6 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 Model = tuple[Amendment, ...]
-VARIANCE_RATIO = (0.01, 100.0)
-"""Limits of the ratio of the variances of two models, which may have no noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,35 +61,42 @@ class MotionSamples:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EvidenceQuadratics:
-    """Evidence [nats] of one second of each of n motions, as a function of the refitted values x (k,).
+class EvidenceQuadratic:
+    """Evidence [nats] of a second of a motion, or of a drive, as a function of the refitted values x (k,).
 
         constant + (squares - 2 right'x + x'matrix x) / 2
 
-    All coefficients are proportional to time. The total of a drive has no axis n.
+    All coefficients are proportional to time.
     """
 
     matrix: Floats
-    """(n, k, k) normal matrices."""
+    """(k, k) normal matrix."""
     right: Floats
-    """(n, k) right-hand sides of the normal equations."""
-    squares: Floats
-    """(n,) sums of the weighted squared residuals at x = 0."""
-    constant: Floats
-    """(n,) [nats] part that no refit reduces."""
+    """(k,) right-hand side of the normal equations."""
+    squares: float
+    """Sum of the weighted squared residuals at x = 0."""
+    constant: float
+    """[nats] part that no refit reduces."""
 
-    def total(self, times: Floats) -> EvidenceQuadratics:
-        """Return the evidence of a drive with times (n,) [s] of the motions."""
-        return EvidenceQuadratics(
-            matrix=np.tensordot(times, self.matrix, 1),
-            right=times @ self.right,
-            squares=np.asarray(times @ self.squares),
-            constant=np.asarray(times @ self.constant),
+    def __mul__(self, factor: float) -> EvidenceQuadratic:
+        return EvidenceQuadratic(
+            matrix=self.matrix * factor,
+            right=self.right * factor,
+            squares=self.squares * factor,
+            constant=self.constant * factor,
         )
 
-    def at(self, x: Floats) -> Floats:
-        """Return the evidence (n,) [nats] that remains at refitted values x (k,)."""
-        return np.asarray(self.constant + 0.5 * (self.squares - 2 * self.right @ x + (self.matrix @ x) @ x))
+    def __add__(self, other: EvidenceQuadratic) -> EvidenceQuadratic:
+        return EvidenceQuadratic(
+            matrix=self.matrix + other.matrix,
+            right=self.right + other.right,
+            squares=self.squares + other.squares,
+            constant=self.constant + other.constant,
+        )
+
+    def at(self, x: Floats) -> float:
+        """Return the evidence [nats] that remains at refitted values x (k,)."""
+        return self.constant + 0.5 * float(self.squares - 2 * self.right @ x + x @ self.matrix @ x)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,51 +122,55 @@ class EvidenceForecast:
     """Expected evidence of many motions between the two models of a question."""
 
     def __init__(self, question: OpenQuestion, scans: PlannedScans) -> None:
+        self.motions, self.rate = scans.motions, scans.sensor.rate
         true_cast = cast(scans, question.truth)
         truth = true_cast.expected
         data = replace(scans, ranges=_noise_free_readings(truth, scans))
         self.solver, alternative_cast = solver_for(data, question.alternative)
+        self.walls = alternative_cast.scene.walls
+        self.tau = self.solver.tau
+        self.locked = self.solver.locked
         true_beams, beams = true_cast.beams, alternative_cast.beams
         bent = [~b.straight for b in (true_beams, beams) if b.straight is not None]
         same_wall = np.asarray((true_beams.wall == beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
-        ratio = np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12)
-        weight, constant = _weights(self.solver, truth, data, same_wall, np.clip(ratio, *VARIANCE_RATIO))
-        weight, constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
-        self.per_second = self._per_second(scans, weight, constant)
-
-    def _per_second(self, scans: PlannedScans, weight: Floats, constant: Floats) -> EvidenceQuadratics:
-        """Return the evidence of one second of each motion, from weights and constants (n_scans, n_rays)."""
-        systems, squares, constants, begin = [], [], [], 0
-        for motion in scans.motions:
-            rows = np.arange(begin, begin + len(motion.poses))
-            begin += len(rows)
-            solver = self.solver.of_scans(rows)
-            system = solver.assemble(weight[rows], 1.0)
-            w = np.where(solver.jacobian.valid, weight[rows], 0.0)
-            poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
-            systems.append(system)
-            squares.append(float((w * solver.y**2).sum() - poses))
-            constants.append(float(constant[rows].sum()))
-        scans_per_second = scans.sensor.rate / np.array([len(motion.poses) for motion in scans.motions])
-        return EvidenceQuadratics(
-            matrix=scans_per_second[:, None, None] * np.stack([system.matrix for system in systems]),
-            right=scans_per_second[:, None] * np.stack([system.right for system in systems]),
-            squares=scans_per_second * np.array(squares),
-            constant=scans_per_second * np.array(constants),
+        variance_ratio = np.clip(
+            np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12),
+            *NEXT_RUN.forecast.variance_ratio,
         )
+        weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
+        self.weight, self.constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
 
-    def refitted(self, total: EvidenceQuadratics) -> Floats:
-        """Return the nuisances and parameters (k,) at which the alternative fits a drive best."""
-        tau = self.solver.tau
-        g, p = boxed(total.matrix, total.right, tau, SCAN.nuisance.max_tolerances * tau, self.solver.locked)
+    def per_second(self) -> list[EvidenceQuadratic]:
+        """Return the evidence of one second of each motion."""
+        out, begin = [], 0
+        for motion in self.motions:
+            rows = slice(begin, begin + len(motion.poses))
+            begin = rows.stop
+            solver = _solver_of(self.solver, self.walls, rows)
+            system = solver.assemble(self.weight[rows], 1.0)
+            w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
+            poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
+            quadratic = EvidenceQuadratic(
+                matrix=system.matrix,
+                right=system.right,
+                squares=float((w * solver.y**2).sum() - poses),
+                constant=float(self.constant[rows].sum()),
+            )
+            out.append(quadratic * (self.rate / len(motion.poses)))
+        return out
+
+    def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
+        """Return the nuisances and parameters (k,) at which the alternative fits best."""
+        g, p = boxed(
+            quadratic.matrix, quadratic.right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked
+        )
         return np.concatenate([g, p])
 
-    def nats(self, times: Floats) -> float:
-        """Return the expected evidence [nats] of a run with times (n,) [s] of the motions."""
-        total, tau = self.per_second.total(times), self.solver.tau
-        x = self.refitted(total)
-        prior = 0.5 * float(np.sum((x[: len(tau)] / tau) ** 2))
-        return max(float(total.at(x)) + prior, 0.0)
+    def nats(self, quadratic: EvidenceQuadratic) -> float:
+        """Return the expected evidence [nats] of a whole run."""
+        x = self.refitted(quadratic)
+        prior = 0.5 * float(np.sum((x[: len(self.tau)] / self.tau) ** 2))
+        return max(quadratic.at(x) + prior, 0.0)
 
 
 def planned_scans(
@@ -218,7 +228,8 @@ def _weights(
     both = np.isfinite(truth.reading) & np.isfinite(expected.reading)
     off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
     p, q = _return_probability(truth, data), _return_probability(expected, data)
-    counts = np.maximum(expected.p_alternative, truth.p_alternative) <= SCAN.likelihood.min_edge_chance
+    counts = expected.p_alternative <= settings.max_p_alternative
+    counts &= truth.p_alternative <= settings.max_p_alternative
     near = same_wall | (np.abs(off) <= settings.linear_sigmas * sigma)
     small: Bools = solver.jacobian.valid & near & data.returned
     weight = np.where(small & counts, p / sigma**2, 0.0)
@@ -236,3 +247,27 @@ def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
     chance = expected.p_return * ndtr(margin / expected.sigma)
     return np.clip(np.where(aimed, chance, 0.0), p_lost, 1 - p_lost)
+
+
+def _solver_of(solver: Solver, walls: Floats, rows: slice) -> Solver:
+    """Return the solver of some scans."""
+    n = solver.shape[0]
+
+    def cut(thing: Any) -> Any:
+        parts = {f.name: getattr(thing, f.name) for f in fields(thing)}
+        kept: dict[str, Any] = {}
+        for name, value in parts.items():
+            if isinstance(value, np.ndarray) and value.ndim >= 2:
+                kept[name] = value[:, rows] if name == "ends" else value[rows]
+        return replace(thing, **kept)
+
+    some = np.arange(n)[rows]
+    return Solver(
+        solver.data.subset(some),
+        cut(solver.expected),
+        cut(solver.jacobian),
+        walls,
+        solver.effects[rows],
+        solver.corners,
+        solver.locked,
+    )

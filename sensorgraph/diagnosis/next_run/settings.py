@@ -29,6 +29,8 @@ class CandidateSettings:
     """[m] additional clearance of places, where available."""
     cell: float = 0.25
     """[m] cell size of the grid of reachable places."""
+    max_spread_places: int = 4000
+    """Maximum number of reachable places among which distant ones are chosen."""
     n_samples: int = 6
     """Number of sample moments of a motion; twice as many for a spin."""
 
@@ -45,6 +47,8 @@ class DriveSettings:
     """Share of the longest motion's time, below which a motion is omitted."""
     min_time_left: float = 4.0
     """[s] minimum remaining time for a further place; half of it for the return of a shuttle."""
+    end_pause: float = 0.2
+    """[s] standstill at the end."""
     n_via_places: int = 24
     """Number of places through which a path between two motions may lead."""
     corner_cost: float = 0.5
@@ -53,8 +57,10 @@ class DriveSettings:
     """Maximum duration of a drive, as a multiple of the requested one."""
     n_random: int = 9
     """Number of random drives for comparison."""
-    n_samples: int = 120
-    """Number of sample moments of a whole drive."""
+    sample_interval: float = 1.0
+    """[s] maximum interval between the sample moments of a whole drive."""
+    min_samples: int = 40
+    """Minimum number of sample moments of a whole drive."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +93,10 @@ class ForecastSettings:
     """Difference in standard deviations, up to which a ray counts by its linearised residual on any wall."""
     p_lost: float = 2e-3
     """Probability of a missing return or an outlier under any hypothesis."""
+    max_p_alternative: float = 2e-3
+    """Probability of reading the other side of a depth edge, above which a ray does not count."""
+    variance_ratio: tuple[float, float] = (0.01, 100.0)
+    """Limits of the ratio of the variances of two models."""
     half_weight_nats: float = 10.0
     """[nats] evidence on one question, at which further evidence counts half."""
     n_allocation_steps: int = 24
