@@ -44,6 +44,7 @@ def archive(kind: str) -> bytes:
         (b"/annex/objects/MD5E-s111--abcdef.bag\n", "is a pointer of git-annex"),
         (b"\xd4\xc3\xb2\xa1" + bytes(20), "is a capture of network packets"),
     ],
+    ids=["zip", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap"],  # gzip holds the time
 )
 def test_a_file_that_is_given_for_a_log_is_named(data: bytes, words: str, tmp_path: Path) -> None:
     path = tmp_path / "run.bag"
