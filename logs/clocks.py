@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from logs.signals import Signal, forward, in_nanoseconds
+from logs.signals import Signal, forward, half_range, in_nanoseconds
 from logs.transforms import Stamps
 from logs.types import Bools, Floats
 
@@ -293,15 +293,11 @@ def _drift_of(at: Floats, values: Floats, limits: ClockLimits) -> _Difference:
         rise = float(np.median(values[last]) - np.median(values[first]))
         run = float(np.median(share[last]) - np.median(share[first]))
         drift = rise / run if run > 0 else 0.0
-    scatter = _half_range(values - drift * share)
+    scatter = half_range(values - drift * share)
     if abs(drift) < max(limits.drift, limits.significance * scatter):
-        drift, scatter = 0.0, _half_range(values)
+        drift, scatter = 0.0, half_range(values)
     offset = float(np.median(values - drift * share))
     return _Difference(offset=offset, drift=drift, scatter=scatter, middle=middle, span=span)
-
-
-def _half_range(values: Floats) -> float:
-    return float(np.ptp(np.quantile(values, [0.05, 0.95]))) / 2
 
 
 def _log_notes(reference: _Clock, by_log: _Difference, limits: ClockLimits) -> list[str]:

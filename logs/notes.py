@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 from logs.run import Run
 
@@ -18,6 +19,11 @@ ODOMETRY_LEFT_OUT = "the odometry was left out"
 def notes_of(run: Run) -> list[str]:
     """Return all notes of a run, as `inspect` lists them."""
     return [note for note in run.meta.get("notes", "").split("; ") if note]
+
+
+def with_note(run: Run, text: str) -> Run:
+    """Return a run with a further note."""
+    return replace(run, meta={**run.meta, "notes": "; ".join([*notes_of(run), text])})
 
 
 def assumptions_of(run: Run) -> list[str]:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.notes import with_note
 from logs.run import Run
 from logs.transforms import interpolate, wrap
 from logs.types import Bools, Ints
@@ -34,7 +35,7 @@ def blank_repeated(run: Run) -> Run:
     lost = [np.arange(a, b + 1) for a, b in zip(starts, ends, strict=True) if _moves(run, int(a) - 1, int(b))]
     index: Ints = np.concatenate([*lost, np.zeros(0, dtype=np.intp)])
     if len(index) > MOST * run.n_scans:
-        return _noted(
+        return with_note(
             run, f"{len(index)} of {run.n_scans} scans are equal in every ray although the robot moves"
         )
     if lost:
@@ -45,12 +46,12 @@ def blank_repeated(run: Run) -> Run:
             f"{len(index)} scans repeat the one before in every ray although the robot moves, for up to {longest:.1f} s: "
             "the driver was stuck, their readings were left out"
         )
-        return _noted(replace(run, ranges=ranges), text)
+        return with_note(replace(run, ranges=ranges), text)
     has_motion = len(run.odom_stamps) > 1 or len(run.pose_stamps) > 1
     most = int((ends - starts + 1).max())
     if not has_motion and most >= MIN_UNKNOWN:
         text = f"{most} scans in a row are equal in every ray: the driver was stuck, or the robot stands in a simulator"
-        return _noted(run, text)
+        return with_note(run, text)
     return run
 
 
@@ -72,8 +73,3 @@ def _moves(run: Run, first: int, last: int) -> bool:
         return False
     a, b = interpolate(run.stamps[[first, last]], stamps, poses)
     return bool(np.hypot(*(b - a)[:2]) > MOVED or abs(wrap(b[2] - a[2])) > MOVED)
-
-
-def _noted(run: Run, text: str) -> Run:
-    notes = "; ".join(filter(None, [run.meta.get("notes", ""), text]))
-    return replace(run, meta={**run.meta, "notes": notes})

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.transforms import Stamps
+from logs.types import Floats
 
 SECOND = 1_000_000_000
 """[ns]"""
@@ -50,7 +51,8 @@ def in_nanoseconds(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
             if parts[there].max() * unit >= SECOND:
                 continue
             stamps = np.where(there, whole * SECOND + parts * unit, 0)
-            before, after = (_scatter(signal.logged[there] - at[there]) for at in (signal.stamps, stamps))
+            offsets = ((signal.logged - at)[there] for at in (signal.stamps, stamps))
+            before, after = (half_range(one - one[0]) for one in offsets)  # differences fit into floats
             if after < before / 2:
                 signal = replace(signal, stamps=stamps)
                 notes.append(
@@ -61,10 +63,9 @@ def in_nanoseconds(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
     return out, notes
 
 
-def _scatter(offsets: Stamps) -> float:
-    """Return half the range [ns] of the central 90 % of the offsets (n,) [ns] between log times and stamps."""
-    low, high = np.quantile(offsets - offsets[0], (0.05, 0.95))
-    return float(high - low) / 2
+def half_range(values: Floats | Stamps) -> float:
+    """Return half the range of the central 90 % of values (n,), as a scatter that outliers hardly change."""
+    return float(np.ptp(np.quantile(values, [0.05, 0.95]))) / 2
 
 
 def forward(signals: Sequence[Signal], least: float) -> tuple[list[Signal], list[str]]:

@@ -79,7 +79,7 @@ def are_oriented(quaternions: Floats) -> NDArray[np.bool_]:
     there = norms[(norms > 0) & np.isfinite(norms)]
     is_scaled = len(there) > 0 and bool((np.abs(there / np.median(there) - 1) < NORM_ERROR).all())
     wrong = (np.abs(norms - 1) > NORM_ERROR) & ~absent & (not is_scaled)
-    if wrong.mean() > MAX_WRONG_NORMS:
+    if wrong.sum() > MAX_WRONG_NORMS * len(wrong):
         wrong[:] = True
     return np.asarray(~(absent | wrong))
 

@@ -9,8 +9,8 @@ Example:
 Required are `t` [s], `r0` ... (or `ray_0` ...) [m], and the bearings [rad] in a comment above the header. The bearings
 are given as above or one by one. Optional columns are the reference pose `x,y,phi`, the odometry
 `odom_x,odom_y,odom_phi` and `v,omega`, and the command `cmd_v,cmd_omega`. `inf`, `-inf` and `nan` (or an empty cell)
-follow REP-117. Cells may also be separated by semicolons or tabs, then with decimal commas. Further comments `# NAME: VALUE` are optional; they are the fields of the metadata record in our MCAP
-files (`own_record`).
+follow REP-117. Cells may also be separated by semicolons or tabs, then with decimal commas. Further comments
+`# NAME: VALUE` are optional; they are the fields of the metadata record in our MCAP files (`own_record`).
 """
 
 from __future__ import annotations
@@ -83,9 +83,8 @@ def read(
         If a row cannot be read, a ray column or the bearings are missing, or the number of rows is not as stated.
     """
     lines = read_lines(path)
-    comments = [
-        line.strip(' ",;\t') for line in lines if _is_comment(line)
-    ]  # a spreadsheet fills a row with separators
+    # a spreadsheet fills the rest of a row with separators
+    comments = [line.strip(' ",;\t') for line in lines if _is_comment(line)]
     stated = {found[1]: found[2].strip() for line in comments if (found := _COMMENT.match(line))}
     rows = [line for line in lines if line.strip() and not _is_comment(line)]
     names, separator = _header(rows[0])

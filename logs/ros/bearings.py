@@ -7,6 +7,8 @@ The surfaces decide: they are straight with the true step, and bent with another
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from logs.errors import LogError
@@ -19,7 +21,7 @@ MIN_DISAGREEMENT = 0.05
 MIN_STRAIGHTER = 0.7
 """Share of the bend that the step of `angle_max` leaves at most, where it replaces the stated one."""
 MAX_SCANS = 50
-"""Number of scans whose surfaces are compared at most."""
+"""Number of scans whose surfaces are compared, and one more of each part of the log at most."""
 WINDOW = 12
 """The bend is that of arcs of a twelfth of the rays, which is wide enough to exceed noise."""
 
@@ -44,20 +46,20 @@ def are_contradictory(n_rays: int, angle_min: float, angle_max: float, increment
     return by_ends != 0 and abs(by_ends / increment - 1) > max(MIN_DISAGREEMENT, few)
 
 
-def bearings_of(limits: Floats, ranges: Floats) -> tuple[Floats, list[str]]:
+def bearings_of(limits: Floats, ranges: Sequence[Floats]) -> tuple[Floats, list[str]]:
     """Return the bearings (n_rays,) [rad] of scans, and notes.
 
     Parameters
     ----------
     limits : angle_min, angle_max, angle_increment, ... as stated
-    ranges : (n_scans, n_rays) [m]
+    ranges : (n_scans, n_rays) [m] each, parts of the log; few of their scans are compared
 
     Raises
     ------
     LogError : The angles are not finite, or all rays would have one bearing.
     """
     angle_min, angle_max, increment = limits[:3].tolist()
-    n = ranges.shape[1]
+    n = ranges[0].shape[1]
     by_ends = (angle_max - angle_min) / (n - 1) if n > 1 else 0.0
     if increment == 0 or not np.isfinite(increment):
         increment = by_ends
@@ -71,7 +73,8 @@ def bearings_of(limits: Floats, ranges: Floats) -> tuple[Floats, list[str]]:
         return stated, []
     said = f"angle_increment {increment:.6g} with {n} rays ends at {stated[-1]:.4g} rad, but angle_max is {angle_max:.4g}"
     other = stated_bearings(n, angle_min, by_ends)
-    some = ranges[:: 1 + len(ranges) // MAX_SCANS]
+    every = 1 + sum(map(len, ranges)) // MAX_SCANS
+    some = np.concatenate([part[::every] for part in ranges])
     if bend(some, other) < MIN_STRAIGHTER * bend(some, stated):
         return other, [
             f"{said}: surfaces are straight with the step {by_ends:.6g} between both ends: it was used"

@@ -24,7 +24,7 @@ from logs.no_return import (
 )
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
-from logs.ros.bearings import MAX_SCANS, are_contradictory, are_degrees, bearings_of, stated_bearings
+from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, stated_bearings
 from logs.ros.recording import Topic, logged_times, sort_stamps
 from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
@@ -103,8 +103,7 @@ class _Group:
 
     def bearings_and_notes(self) -> tuple[Floats, list[str]]:
         """Return the bearings (n_rays,) [rad], and notes on angles that contradict each other."""
-        few = [part[:: 1 + len(part) // MAX_SCANS] for part in self.ranges]
-        return bearings_of(self.limits, np.concatenate(few))
+        return bearings_of(self.limits, self.ranges)
 
 
 def count_shape(census: ShapeCensus, payload: bytes, encoding: str = "cdr") -> None:

@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
+from sensorgraph.robust import rms
 
 N_SCANS = 40
 """Number of scans that are cast for the consequence of an effect."""
@@ -137,8 +138,8 @@ def scan_change(one: Cast, other: Cast) -> ScanError:
     lost = np.abs(a.p_return - b.p_return)
     wrong = float(lost.mean()) + abs(a.stray - b.stray) + abs(a.short - b.short)
     return ScanError(
-        offset=float(np.sqrt(np.square(off[moved]).mean())) if moved.any() else 0.0,
-        noise=float(np.sqrt(np.square(noise[noisy]).mean())) if noisy.any() else 0.0,
+        offset=rms(off[moved]),
+        noise=rms(noise[noisy]),
         affected=float((moved | noisy).mean()),
         wrong=min(wrong, 1.0) if wrong > LEAST_CHANGE else 0.0,
     )

@@ -291,7 +291,7 @@ def iterate(
                 j=j,
                 responsibilities=responsibilities,
                 system=system,
-                covariance=np.zeros((0, 0)),
+                covariance=np.zeros((0, 0)),  # that of the best round alone follows at the end
             )
             if gained < SCAN.fit.min_round_gain and turn > 1:
                 break

@@ -36,7 +36,6 @@ from sensorgraph.types import Bools, Floats
 LATE, ELSEWHERE, OFFSETS = "late_scans", "scans_elsewhere", "scan_offsets"
 """Kinds of odd scan."""
 
-
 LATE_CAUSES = (
     "scans that sometimes wait in a queue, and are stamped when they leave it",
     "two clocks that stamp the scans in turn",
@@ -111,9 +110,8 @@ def find(checked: Checked) -> list[Doubt]:
     failed, beside = frozenset[int](), 0.0 if found is None else found.gain
     if found is not None and not _is_beyond_replicates(found, fitted, rng):
         found = None
-    if (
-        found is not None and found.family == LATE
-    ):  # a common delay is then the mean of two, and its size is not valid
+    if found is not None and found.family == LATE:
+        # a common delay is then the mean of two, and its size is not valid
         is_delay = [Nuisance.DELAY in a.effect.nuisances for a in fitted.model]
         failed = frozenset(np.flatnonzero(is_delay).tolist())
     if fitted.model and null is not None:
@@ -231,18 +229,16 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[OddScans, float]:
     changes, by_chance = np.count_nonzero(np.diff(is_late)), 2 * share * (1 - share) * len(is_late)
     stamped = f"stamped {1e3 * abs(delay):.0f} ms too {'late' if delay > 0 else 'early'}"
     if changes < SCAN.odd_scans.max_changes_share * by_chance:
-        statement, causes = (
+        causes, statement = (
+            STRETCH_CAUSES,
             (
                 f"the delay of the scans changes during the run: in {100 * share:.0f} % of it they are {stamped}, relative to the "
                 "rest"
             ),
-            STRETCH_CAUSES,
         )
     else:
-        statement, causes = (
-            (f"{100 * share:.0f} % of the scans are {stamped}, relative to the others"),
-            LATE_CAUSES,
-        )
+        causes = LATE_CAUSES
+        statement = f"{100 * share:.0f} % of the scans are {stamped}, relative to the others"
     found = OddScans(
         family=LATE,
         statement=statement,
