@@ -13,7 +13,9 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.errors import LogError
 from logs.files import atomic_file
+from logs.formats import format_of
 from logs.inflation import most_plain
 from logs.run import PoseFrame, RangeSensor, with_rare_times
 from sensorgraph.errors import SensorgraphError
@@ -122,6 +124,15 @@ def sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
     return arrays | ({"sensor.delays": sensor.delays} if sensor.delays.any() else {})
 
 
+def _unreadable_text(path: Path, error: Exception) -> str:
+    """Return what a file is that cannot be read as a sensorgraph."""
+    try:
+        kind = format_of(path)
+    except LogError:
+        return f"{path}: not a sensorgraph, or damaged ({error}); build it again with `sensorgraph build`"
+    return f"{path} is a log ({kind}) and no sensorgraph; build one from it: sensorgraph build {path} -o {path.stem}.sensorgraph"
+
+
 def read_members(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays: dict[str, NDArray[Any]] = {}
     try:
@@ -143,9 +154,7 @@ def read_members(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     except Exception as exc:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
         if isinstance(exc, OSError) and exc.filename is not None:  # the file cannot be opened
             raise
-        raise SensorgraphError(
-            f"{path}: not a sensorgraph, or damaged ({exc}); build it again with `sensorgraph build`"
-        ) from exc
+        raise SensorgraphError(_unreadable_text(path, exc)) from exc
     if not isinstance(top, dict):
         raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
     return top, arrays

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import lzma
 import os
+import sqlite3
 import tarfile
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,9 @@ from rosbag_samples import trip, write_bag2
 import logs
 from logs.inspection import inspect
 from sensorgraph.cli import run as command_line
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.graph_file import write_members
 
 ROWS = "# bearings: -1 to 1 in 3\n# range_max: 8.0\nt,x,y,phi,r0,r1,r2\n0,0,0,0,1.25,2,3\n0.5,1,0,0.5,1,2,\n"
 
@@ -43,12 +48,90 @@ def archive(kind: str) -> bytes:
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "is a pointer of Git LFS"),
         (b"/annex/objects/MD5E-s111--abcdef.bag\n", "is a pointer of git-annex"),
         (b"\xd4\xc3\xb2\xa1" + bytes(20), "is a capture of network packets"),
+        (b"<?xml version='1.0'?><gazebo_log><header/></gazebo_log>", "is a log of Gazebo's states"),
+        (b"<robot name='a'/>", "is an XML file"),
+        (b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b" + bytes(20), "is a map of Cartographer .pbstream.; give the log from"),
+        (b"\x16" + bytes(7) + b"serialization::archive", "is a pose graph of slam_toolbox"),
+        (b"# stamp x y z\n" + 3 * b"1.5 1 2 0 0 0 0.6 0.8\n", "is a trajectory .TUM: stamp x y z"),
+        (3 * b"1 0 0 5 0 1 0 6 0 0 1 0\n", "is a trajectory .KITTI: 3 x 4 matrices"),
+        (b"VERTEX_SE2 0 1 2 0.5\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", "is a pose graph .g2o or TORO., without scans"),
+        (b"t,x,y,phi\n0,1,2,3\n1,1,2,3\n", "is a table without ranges .its columns are t, x, y, phi."),
+        (b"header:\n  stamp:\nangle_min: -1\n", "is a text printed by `ros2 topic echo`"),
+        (b'{"type": "FeatureCollection"}', "is an arena .GeoJSON.; give a log here, and the arena with --arena"),
+        (b"image: a.pgm\nresolution: 0.05\n", "is a map of map_server; give a log here, and the map with --arena"),
     ],
-    ids=["zip", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap"],  # gzip holds the time
-)
+    ids=[
+        "zip", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap", "gazebo", "xml", "pbstream", "posegraph",
+        "tum", "kitti", "g2o", "table", "echo", "geojson", "map",
+    ],  # gzip holds the time
+)  # fmt: skip
 def test_a_file_that_is_given_for_a_log_is_named(data: bytes, words: str, tmp_path: Path) -> None:
     path = tmp_path / "run.bag"
     path.write_bytes(data)
+    with pytest.raises(logs.LogError, match=words):
+        logs.read(path)
+
+
+@pytest.mark.parametrize("text", [b"hello, world, all\n", b"1 2 3 4\n5 6 7 8\n", b"8 9 9 9 9 9 9 9\n" * 3])
+def test_other_texts_are_not_taken_for_tables_or_trajectories(text: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(text)
+    with pytest.raises(logs.LogError, match="is not a known log"):
+        logs.read(tmp_path / "a.txt")
+
+
+def test_a_database_of_another_program_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "state.tlog"
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("CREATE TABLE topics (id INTEGER, name TEXT, message_type_id INTEGER)")
+        base.execute("CREATE TABLE messages (id INTEGER, time_recv INTEGER, message BLOB)")
+        base.execute("CREATE VIEW all_topics AS SELECT * FROM topics")
+    with pytest.raises(
+        logs.LogError, match="of another program than rosbag2 .its tables are messages, topics."
+    ):
+        logs.read(path)
+
+
+def test_the_logs_in_a_folder_of_folders_are_listed(tmp_path: Path) -> None:
+    for name in ("monday", "friday"):
+        write_bag2(tmp_path / name, trip()[:3])
+    with pytest.raises(logs.LogError, match="with the logs friday, monday; give one of them"):
+        logs.read(tmp_path)
+
+
+def test_a_sensorgraph_and_a_log_that_are_exchanged_are_named(tmp_path: Path) -> None:
+    graph = tmp_path / "a.sensorgraph"
+    write_members(graph, {"format": "sensorgraph"}, {})
+    with pytest.raises(
+        logs.LogError, match="is a sensorgraph; give a log here, and the sensorgraph as GRAPH"
+    ):
+        logs.read(graph)
+    (bag,) = write_bag2(tmp_path / "bag", trip()[:3]).glob("*.mcap")
+    with pytest.raises(SensorgraphError, match=r"is a log .mcap. and no sensorgraph; build one from it"):
+        Sensorgraph.load(bag)
+
+
+@pytest.mark.parametrize(
+    ("kind", "n", "words"),
+    [
+        (
+            "sensor_msgs/msg/PointCloud",
+            1,
+            "sensor_msgs/msg/PointCloud is not read: replay the log, let a node",
+        ),
+        ("velodyne_msgs/msg/VelodyneScan", 1, "let velodyne_pointcloud publish a PointCloud2"),
+        ("livox_ros_driver2/msg/CustomMsg", 1, "let a converter of Livox messages publish a PointCloud2"),
+        ("sensor_msgs/msg/LaserScan", 0, "/scan .sensor_msgs/msg/LaserScan, no messages."),
+    ],
+)
+def test_range_sensors_that_are_not_read_are_named(kind: str, n: int, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/scan", "cdr", writer.register_schema(kind, "ros2msg", b""))
+        for i in range(n):
+            writer.add_message(channel, i, bytes(40), i)
+        writer.finish()
     with pytest.raises(logs.LogError, match=words):
         logs.read(path)
 

@@ -10,29 +10,16 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import carmen, mcap_file, rosbag, table, wean
+from logs.formats.foreign import described
 from logs.formats.text import first_bytes
 from logs.inflation import BZIP2_MAGIC, GZIP_MAGIC
 from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
 from logs.types import Mounts, Progress
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-OTHERS: tuple[tuple[int, tuple[bytes, ...], str], ...] = (
-    (0, (ZSTD_MAGIC,), "compressed with zstd; give the rosbag2 folder that contains it, or decompress it: zstd -d"),
-    (0, (b"PK\x03\x04",), "a zip archive; unpack it and give the log in it: unzip"),
-    (0, (b"\xfd7zXZ\x00",), "compressed with xz; decompress it: xz -dk"),
-    (0, (b"7z\xbc\xaf\x27\x1c",), "a 7z archive; unpack it and give the log in it: 7z x"),
-    (0, (b"Rar!\x1a\x07",), "a rar archive; unpack it and give the log in it: unrar x"),
-    (0, (b"\x04\x22\x4d\x18",), "compressed with lz4; decompress it: lz4 -dk"),
-    (257, (b"ustar",), "a tar archive; unpack it and give the log in it: tar xf"),
-    (0, (b"version https://git-lfs",), "a pointer of Git LFS and not the log; fetch it: git lfs pull, for"),
-    (0, (b"/annex/objects", b"../.git/annex"), "a pointer of git-annex and not the log; fetch it: git annex get"),
-    (0, (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x0a\x0d\x0d\x0a"),
-     "a capture of network packets; replay it to the driver of the laser and record its topics, instead of"),
-)  # fmt: skip
-"""Files that are given for logs: (offset, first bytes there, what such a file is and what to do with it)."""
 BAG_METADATA = "metadata.yaml"
-PAGES = (b"<!doctype html", b"<html", b"<?xml")
+MAX_LISTED = 5
+"""Number of files of a folder that a message lists."""
 
 
 class Format(NamedTuple):
@@ -123,16 +110,36 @@ def format_of(path: Path) -> str:
         "expected MCAP, a rosbag2 folder or .db3, a ROS 1 .bag, a CARMEN log or a CSV table with t and r0 ..."
     )
     if path.is_dir():
-        inside = ", ".join(sorted(child.name for child in path.iterdir())[:5]) or "nothing"
-        raise LogError(f"{path} is a folder without a log (it holds {inside}); {expected}")
-    for at, starts, what in OTHERS:
-        if head[at:].startswith(starts):
-            raise LogError(f"{path} is {what} {path}")
-    if head.lstrip().lower().startswith(PAGES):
-        raise LogError(f"{path} is a web page and not the log; download the file itself, then check its size")
+        raise LogError(f"{path} is a folder {_inside(path)}; {expected}")
+    what = described(head, str(path))
+    if what:
+        raise LogError(f"{path} is {what}")
     if not head:
         raise LogError(f"{path} is empty; {expected}")
     raise LogError(f"{path} is not a known log (it starts with {head[:8]!r}); {expected}")
+
+
+def _inside(folder: Path) -> str:
+    """Describe a folder that is no log: the logs in it, or else its files."""
+    children = sorted(folder.iterdir())
+    logs = [child for child in children if _is_log(child)]
+    if logs:
+        return f"with the logs {_listed(logs)}; give one of them, or all of them to `sensorgraph fleet`"
+    return f"without a log (it holds {_listed(children) or 'nothing'})"
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    more = f" and {len(paths) - MAX_LISTED} more" if len(paths) > MAX_LISTED else ""
+    return ", ".join(path.name for path in paths[:MAX_LISTED]) + more
+
+
+def _is_log(path: Path) -> bool:
+    """Tell whether a file or a folder is a log."""
+    try:
+        head = first_bytes(path)
+        return any(known.matches(path, head) for known in FORMATS.values())
+    except (LogError, OSError):  # damaged, or private
+        return False
 
 
 def _check_plain(path: Path, kind: str) -> None:

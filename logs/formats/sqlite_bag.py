@@ -15,6 +15,11 @@ from logs.ros.recording import Recording, Topic, full_type
 from logs.types import Progress
 
 MAGIC = b"SQLite format 3\x00"
+TABLES = {
+    "topics": ("id", "name", "type", "serialization_format"),
+    "messages": ("topic_id", "timestamp", "data"),
+}
+"""Tables of rosbag2 -> the columns that are read."""
 PENDING = ("-wal", "-journal")
 """Ends of the names of files with changes that are not in the database yet."""
 
@@ -45,11 +50,12 @@ def load(file: Path, progress: Progress | None = None) -> Recording:
     Raises
     ------
     LogError
-        If the database is damaged, or is not one of rosbag2.
+        If the database is damaged, or is of another program than rosbag2.
     """
     recording = Recording(format="rosbag2, sqlite3")
     try:
         with opened(file) as base:
+            _check_tables(file, base)
             _load(base, recording, progress)
     except (sqlite3.Error, UnicodeDecodeError) as exc:
         raise LogError(
@@ -67,6 +73,26 @@ def messages(file: Path, topic: str) -> Iterator[tuple[int, bytes]]:
     )
     with opened(file) as base:
         yield from base.execute(query, (topic,))
+
+
+def _check_tables(file: Path, base: sqlite3.Connection) -> None:
+    """Reject a database that has not the tables of rosbag2.
+
+    Raises
+    ------
+    LogError
+        If it belongs to another program, such as rtabmap or Gazebo (state.tlog).
+    """
+    tables = [
+        str(row[0])
+        for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+    ]
+    there = {(table, str(row[1])) for table in TABLES for row in base.execute(f"PRAGMA table_info({table})")}
+    if not {(table, column) for table, columns in TABLES.items() for column in columns} <= there:
+        raise LogError(
+            f"{file} is an SQLite database of another program than rosbag2 (its tables are {', '.join(tables)[:200]}); give the "
+            "bag from which it was made, or record the topics while it is replayed"
+        )
 
 
 def _load(base: sqlite3.Connection, recording: Recording, progress: Progress | None) -> None:

@@ -50,6 +50,15 @@ KEPT_TYPES = frozenset(
     }
 )
 """Types whose messages are kept in memory; messages of other types are only counted, and may be read again."""
+RAW_TYPES = {
+    "sensor_msgs/msg/PointCloud": "a node such as point_cloud_converter",
+    "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
+    "livox_ros_driver/msg/CustomMsg": "a converter of Livox messages",
+    "livox_ros_driver2/msg/CustomMsg": "a converter of Livox messages",
+    "ouster_ros/msg/PacketMsg": "the driver of Ouster",
+    "ouster_sensor_msgs/msg/PacketMsg": "the driver of Ouster",
+}
+"""Types of range sensors that are not read -> what converts them to PointCloud2."""
 ENCODINGS = ("cdr", "ros1")
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "scan": ("/scan", (SCAN_TYPE, MULTI_ECHO_TYPE, RANGE_TYPE, CLOUD_TYPE)),
@@ -246,12 +255,20 @@ def choices(recording: Recording, role: str) -> str:
 def listing(recording: Recording) -> str:
     """Return all topics with their types as text, and what is odd about the types."""
     topics = recording.topics.values()
-    text = ", ".join(f"{topic.name} ({topic.title})" for topic in topics)
+    text = ", ".join(
+        f"{topic.name} ({topic.title}{'' if topic.n_messages else ', no messages'})" for topic in topics
+    )
     foreign = sorted({topic.encoding for topic in topics if topic.encoding not in ENCODINGS})
     if foreign:
         return (
             f"{text}; messages in {' and '.join(foreign)} are not read, only those of ROS "
             f"({' and '.join(ENCODINGS)}); record the topics of ROS, or convert these messages"
+        )
+    raw = [topic for topic in topics if topic.type in RAW_TYPES]
+    if raw:
+        return (
+            f"{text}; {raw[0].type} is not read: replay the log, let {RAW_TYPES[raw[0].type]} publish a PointCloud2, and "
+            "record it"
         )
     return text
 
