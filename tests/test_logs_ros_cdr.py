@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -94,6 +96,19 @@ def test_any_bytes_are_read_or_refused_in_one_sentence(data: bytes, msgtype: str
     except LogError as exc:
         assert "\n" not in str(exc)
         assert "/x" in str(exc)
+
+
+def test_cdr2_aligns_large_numbers_to_four_bytes() -> None:
+    head = (
+        struct.pack("<iII", 5, 6, 6) + b"a_map\0" + bytes(2)
+    )  # 20 bytes, after which CDR leaves 4 bytes free
+    values = np.arange(7.0)
+    for code, gap in ((b"\x00\x01\x00\x00", 4), (b"\x00\x07\x00\x00", 0)):
+        row = code + head + bytes(gap) + values.astype("<f8").tobytes()
+        (block,) = cdr.unpack([row], "geometry_msgs/msg/PoseStamped", "/pose")
+        np.testing.assert_array_equal(block["pose"][0], values)
+    with pytest.raises(LogError, match="it starts with 00 0b 00 00, expected little-endian CDR or CDR2"):
+        list(cdr.unpack([b"\x00\x0b\x00\x00" + row], "geometry_msgs/msg/PoseStamped", "/pose"))
 
 
 def test_big_endian_is_refused_by_name() -> None:

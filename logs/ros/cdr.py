@@ -76,6 +76,8 @@ FIRST_FIELDS: dict[str, Fields] = {
 """Types of which `unpack` reads only the first fields."""
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
+MAX_ALIGNMENT = {b"\x00\x01": 8, b"\x00\x07": 4}
+"""First bytes of a message, little-endian CDR and CDR2 -> [bytes] the alignment of its largest numbers."""
 _U4 = struct.Struct("<I")
 
 
@@ -97,10 +99,11 @@ class _Layout:
     fixed: list[tuple[int, bytes]] = field(default_factory=list)
     end: int = 4
     is_ros1: bool = False
+    max_alignment: int = 8
 
     def align(self, size: int) -> None:
         if not self.is_ros1:
-            self.end += -(self.end - 4) % size
+            self.end += -(self.end - 4) % min(size, self.max_alignment)
 
     def numbers(self, name: str, code: str, count: int) -> None:
         dtype = np.dtype("<" + code)
@@ -301,10 +304,12 @@ def _walk(spec: Fields, data: bytes, *, is_ros1: bool) -> _Layout:
     """
     if is_ros1:
         layout = _Layout(end=0, is_ros1=True)
-    elif data[0] != 0 or data[1] != 1:
-        raise ValueError(f"it starts with {data[:4].hex(' ')}, expected little-endian CDR, 00 01 00 00")
+    elif data[:2] not in MAX_ALIGNMENT:
+        raise ValueError(
+            f"it starts with {data[:4].hex(' ')}, expected little-endian CDR or CDR2 without parameter lists, 00 01 or 00 07"
+        )
     else:
-        layout = _Layout(fixed=[(0, data[:2])])
+        layout = _Layout(fixed=[(0, data[:2])], max_alignment=MAX_ALIGNMENT[data[:2]])
     _find(layout, spec, "", data)
     if layout.end > len(data):
         raise ValueError(f"it has {len(data)} bytes, but its fields need {layout.end}")
