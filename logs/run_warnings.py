@@ -8,8 +8,10 @@ import numpy as np
 
 from logs.jumps import JUMP_LIMITS
 from logs.notes import notes_of
+from logs.range_unit import unit_text
 from logs.run import Run
 from logs.sweep import sweep_warnings
+from logs.transforms import interpolate, wrap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,10 +28,10 @@ class WarningLimits:
     """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
     jump: float = 0.1
     """[m] shorter jumps count as noise of the reference pose."""
-    millimetres: float = 1000.0
-    """[m] a larger median range indicates millimetres."""
-    centimetres: float = 60.0
-    """[m] a larger median range indicates centimetres or millimetres."""
+    frozen_way: float = 0.5
+    """[m] motion of the odometry while the pose keeps exactly its place, above which the reference has stopped ..."""
+    frozen_turn: float = 0.5
+    """[rad] ... and the same for its heading."""
     still: float = 1e-6
     """[m, rad] poses that span less are constant."""
 
@@ -58,9 +60,8 @@ def warnings_of(run: Run) -> list[str]:
     finite = np.isfinite(run.ranges)
     if finite.any():
         middle = float(np.median(run.ranges[finite]))
-        if middle > LIMITS.centimetres:
-            unit = "millimetres" if middle > LIMITS.millimetres else "centimetres or millimetres"
-            out.append(f"the median range is {middle:g}, probably in {unit}; expected metres")
+        if unit_text(middle):
+            out.append(f"the median range is {middle:.0f}, which {unit_text(middle)}")
     blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
     if len(blind):
         out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")
@@ -112,6 +113,29 @@ def _pose_warnings(run: Run) -> list[str]:
             at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
             out.append(
                 f"the pose jumps {int(jumps.sum())} times, at most {moved[jumps].max():.2f} m at {at:.2f} s"
+            )
+    return out + _frozen_warnings(run)
+
+
+def _frozen_warnings(run: Run) -> list[str]:
+    """Return warnings on poses that keep their place, or their heading, while the odometry moves."""
+    if len(run.odom_stamps) < 2 or run.meta.get("pose_source", "").startswith("odometry"):
+        return []
+    driven = interpolate(run.pose_stamps, run.odom_stamps, run.odometry)
+    ways, turns = np.hypot(*np.diff(driven[:, :2], axis=0).T), np.abs(wrap(np.diff(driven[:, 2])))
+    steps, out = np.diff(run.poses, axis=0), []
+    for what, still, moved, limit, unit in (
+        ("place", (steps[:, :2] == 0).all(axis=1), ways, LIMITS.frozen_way, "m"),
+        ("heading", steps[:, 2] == 0, turns, LIMITS.frozen_turn, "rad"),
+    ):
+        edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
+        spans = [(moved[a:b].sum(), a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        most, first, last = max(spans, default=(0.0, 0, 0))
+        if most > limit:
+            length = run.pose_stamps[last] - run.pose_stamps[first]
+            out.append(
+                f"the {what} of the pose stays the same for {length:.1f} s from {run.pose_stamps[first]:.1f} s while the odometry "
+                f"moves by {most:.1f} {unit}: check that the reference was running"
             )
     return out
 

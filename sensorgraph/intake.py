@@ -6,6 +6,7 @@ import numpy as np
 
 from logs.jumps import find_jumps
 from logs.notes import assumptions_of
+from logs.range_unit import BEYOND, unit_text
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
@@ -64,6 +65,36 @@ def check_jumps(
         "a jump saw through; expected poses along which a robot can drive: check the "
         "clocks and the source of the poses (sensorgraph inspect), or set `force` to use them as they are"
     )
+
+
+def check_unit(run: Run, name: str) -> None:
+    """Refuse a run whose ranges are in another unit than metres.
+
+    Raises
+    ------
+    SensorgraphError : The median range is that of millimetres or centimetres.
+    """
+    finite = run.ranges[np.isfinite(run.ranges)]
+    beyond = next((note for note in assumptions_of(run) if note.startswith(BEYOND)), "")
+    if beyond and not len(finite):
+        raise SensorgraphError(f"{name}: {beyond}")
+    middle = float(np.median(finite)) if len(finite) else 0.0
+    if unit_text(middle):
+        raise SensorgraphError(f"{name}: the median range is {middle:.0f}, which {unit_text(middle)}")
+
+
+def check_returns(run: Run, name: str = "the run") -> None:
+    """Refuse a run without a return, or with ranges in another unit than metres.
+
+    Raises
+    ------
+    SensorgraphError : No ray ever returned, or the median range is that of millimetres or centimetres.
+    """
+    check_unit(run, name)
+    if not np.isfinite(run.ranges).any():
+        raise SensorgraphError(
+            f"no ray of {name} ever returned; check the topic of the scans with `sensorgraph inspect`"
+        )
 
 
 def check_moves(run: Run) -> None:

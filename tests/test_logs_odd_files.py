@@ -86,7 +86,7 @@ def test_a_database_of_another_program_is_not_called_damaged(tmp_path: Path) -> 
         base.execute("CREATE TABLE messages (id INTEGER, time_recv INTEGER, message BLOB)")
         base.execute("CREATE VIEW all_topics AS SELECT * FROM topics")
     with pytest.raises(
-        logs.LogError, match="of another program than rosbag2 .its tables are messages, topics."
+        logs.LogError, match=r"of another program than rosbag2 .its tables are messages, topics."
     ):
         logs.read(path)
 

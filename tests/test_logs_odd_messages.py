@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbag_samples import HUMBLE, Message, odometry, read, scan, transform, write_bag2
+from rosbag_samples import HUMBLE, Message, odometry, pose, read, scan, transform, write_bag2
 
 import logs
+import sensorgraph as sg
 from logs.notes import assumptions_of
 from logs.ros.bearings import bend
+from logs.run_warnings import warnings_of
 from logs.stream import McapStream, open_log
 from logs.transforms import are_oriented
+from sensorgraph.errors import SensorgraphError
 
 N = 120
 
@@ -29,11 +33,17 @@ def room(x: float, seed: int) -> np.ndarray:
 
 
 def drive(
-    *, increment: float = 2 * np.pi / N, stuck: range = range(0), speed: float = 0.5, n: int = 30
+    *,
+    increment: float = 2 * np.pi / N,
+    stuck: range = range(0),
+    speed: float = 0.5,
+    n: int = 30,
+    held: int = 1,
 ) -> list[Message]:
+    """Return a drive along x; the scans in `stuck` repeat the one before, and each is repeated until `held` are there."""
     out = [transform(0.0, "base_link", "laser", 0, 0, 0, static=True)]
     for i in range(n):
-        k = stuck[0] - 1 if i in stuck else i
+        k = stuck[0] - 1 if i in stuck else i - i % held
         out.append(scan(i / 10, room(1 + speed * k / 10, k), angle_min=-np.pi, increment=increment))
         out.append(odometry(i / 10, speed * i / 10, 0, 0, speed))
     return out
@@ -105,6 +115,40 @@ def test_scans_that_a_driver_repeats_while_the_robot_moves_state_nothing(tmp_pat
     assert np.isnan(run.ranges[10:20]).all()
     assert np.isfinite(run.ranges[[*range(10), *range(20, 30)]]).all()
     assert any(note.startswith("10 scans repeat the one before") for note in assumptions_of(run))
+
+
+def test_a_driver_that_repeats_most_scans_leaves_those_that_were_measured(tmp_path: Path) -> None:
+    run = read(tmp_path, drive(n=36, held=3))
+    assert np.isfinite(run.ranges).all(axis=1).tolist() == 12 * [True, False, False]
+
+
+def test_a_reference_that_stopped_is_noticed_by_the_odometry(tmp_path: Path) -> None:
+    stuck = [pose(i / 10, 1 + 0.5 * min(i, 10) / 10, 0, 0) for i in range(30)]
+    run = read(tmp_path, [*drive(), *stuck])
+    assert any(
+        "the place of the pose stays the same for 1.9 s from 1.0 s while" in w for w in warnings_of(run)
+    )
+    alive = [pose(i / 10, 1 + 0.5 * i / 10, 0, 0) for i in range(30)]
+    assert not any("stays the same" in w for w in warnings_of(read(tmp_path / "alive", [*drive(), *alive])))
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1000, "looks like millimetres"), (100, "looks like centimetres")]
+)
+def test_ranges_in_another_unit_than_range_max_are_named(factor: float, words: str, tmp_path: Path) -> None:
+    bag = [
+        scan(i / 10, factor * room(1 + i / 20, i), angle_min=-np.pi, increment=2 * np.pi / N)
+        for i in range(12)
+    ]
+    run = read(tmp_path, bag)
+    assert any(
+        re.search(f"the median reading .* is beyond range_max 10 m and {words}", s)
+        for s in assumptions_of(run)
+    )
+    with pytest.raises(SensorgraphError, match=f"beyond range_max 10 m and {words}"):
+        sg.locate(run)
+    coded = [scan(i / 10, np.where(room(1, i) > 1.2, 65.535, 1.0)) for i in range(12)]
+    assert not any("looks like" in text for text in assumptions_of(read(tmp_path / "coded", coded)))
 
 
 def test_equal_scans_of_a_robot_that_stands_are_kept(tmp_path: Path) -> None:

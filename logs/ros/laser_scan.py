@@ -22,6 +22,7 @@ from logs.no_return import (
     range_max_text,
     zero_text,
 )
+from logs.range_unit import beyond_text
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
 from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, stated_bearings
@@ -278,7 +279,7 @@ def clean_ranges(
         range_max = code
     if no_return is None:
         no_return = detect_no_return(parts, range_max)
-    invalid = "" if no_return == "nan" else frequent_nans(parts)
+    invalid = [beyond_text(parts, range_max), "" if no_return == "nan" else frequent_nans(parts)]
     total, at_max, zeros, nans = sum(part.size for part in parts), 0, 0, 0
     counts = Counter[str]()
     for part in parts:
@@ -305,8 +306,7 @@ def clean_ranges(
         notes.append(zero_text(zeros, total))
     if no_return == "nan":
         notes.append(nan_text(nans, total))
-    if invalid:
-        notes.append(invalid)
+    notes += filter(None, invalid)
     notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
     return range_min, range_max, no_return
 

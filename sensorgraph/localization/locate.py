@@ -14,7 +14,7 @@ from logs.run import RARE_TIMES, Run
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.intake import check_rays
+from sensorgraph.intake import check_rays, check_returns
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
@@ -58,10 +58,7 @@ def locate(
             "give a longer log"
         )
     check_rays(run.sensor, "the run", takes="locate takes", remedy="give the run of a laser", one_place=False)
-    if not np.isfinite(run.ranges).any():
-        raise SensorgraphError(
-            "no ray of the run ever returned; check the topic of the scans with `sensorgraph inspect`"
-        )
+    check_returns(run)
     given, run = run, with_spread_stamps(run)
     is_spread = run is not given
     run, notes = with_checked_odometry(run)

@@ -25,6 +25,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
 from sensorgraph.effects.nuisance import POSE_LIKE
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import check_returns
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.cast_memory import CastMemory
@@ -316,10 +317,7 @@ def prepare_scans(
             "record a longer run" if run.n_scans else "select the topic of its scans with `topics` scan=NAME"
         )
         raise SensorgraphError(f"the run has {run.n_scans} scans, expected {least} or more; {more}")
-    if not np.isfinite(run.ranges).any():
-        raise SensorgraphError(
-            "no ray of the run ever returned; check the topic of the scans with `sensorgraph inspect`"
-        )
+    check_returns(run)
     if kept.sum() < least:
         raise SensorgraphError(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
