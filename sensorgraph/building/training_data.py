@@ -15,18 +15,17 @@ from logs.run_warnings import warnings_of
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps
+from sensorgraph.intake import check_jumps, check_unit
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.models.narmax.sequences import MAX_STEP, stretches
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.ray_order import bearings_text, ray_order, ray_order_line
+from sensorgraph.world.self_fit import self_fit
 
 logger = logging.getLogger(__name__)
 
-MAX_MEDIAN_RANGE = 60.0
-"""[m] A larger median range means that the ranges have another unit."""
 STANDSTILL = (1e-4, 1e-4, 1e-4)
 """[m, m, rad] A robot whose poses vary by less stood still."""
 
@@ -191,21 +190,16 @@ class _LogIntake:
             self.last = run.stamps[pairing.paired][-1:], pairing.poses[pairing.paired][-1:]
 
     def _check_first_piece(self, run: Run) -> None:
-        """Refuse ranges in another unit, and warn of a mirrored or turned scan."""
-        finite = run.ranges[np.isfinite(run.ranges)]
-        middle = float(np.median(finite)) if len(finite) else 0.0
-        if middle > MAX_MEDIAN_RANGE:
-            unit, factor = ("millimetres", 1000) if middle > 1000 else ("centimetres", 100)
-            raise SensorgraphError(
-                f"{self.name}: the median range is {middle:.0f}, which looks like {unit}, expected metres; "
-                f"divide the ranges by {factor} where they are logged"
-            )
+        """Refuse ranges in another unit, and warn of a mirrored or turned scan, and of scans that contradict each other."""
+        check_unit(run, self.name)
         oriented = orientation(run, None)
         if oriented is not None and oriented.best != "as logged":
             self.warnings["orientation"] = (
-                f"the scan fits itself better {oriented.best}: check the sign of angle_increment, the mount's yaw "
-                f"and the driver's `inverted` setting (for details: sensorgraph inspect {self.name})"
+                f"the scan fits itself better {oriented.best}: check the sign of angle_increment, the mount's yaw, the "
+                f"frame of the poses and the driver's `inverted` setting (for details: sensorgraph inspect {self.name})"
             )
+        elif (better := self_fit(run)) is not None:
+            self.warnings["self_fit"] = better.line()
 
     def entry(self) -> dict[str, Any]:
         """Return the log's entry in the graph; refuse a robot that stood still."""

@@ -63,6 +63,7 @@ def inspect(
     from sensorgraph.world.described import differences, with_robot
     from sensorgraph.world.orientation import orientation
     from sensorgraph.world.robot import load_robot
+    from sensorgraph.world.self_fit import self_fit
 
     if json is not None:
         check_output(json, file)
@@ -97,6 +98,8 @@ def inspect(
                 found = replace(found, warnings=kept)
         oriented = orientation(stated, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
+        better = self_fit(stated) if oriented is not None and oriented.best == "as logged" else None
+        lines += [f"  WARNING: {better.line()}"] if better is not None else []
     if json is not None:
         names = () if oriented is None else ("best", "against", "fits")
         turned = {name: getattr(oriented, name) for name in names} or None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +20,15 @@ CAUSES = {
     "turned 180°": (1, np.pi),
     "mirrored and turned 180°": (-1, np.pi),
 }
+TURNS = (*range(30, 166, 15), *range(195, 331, 15))
+"""[°] Other turns of a laser, or of the frame of its poses, that are tried, then refined in steps of `FINE_TURN`."""
+FINE_TURN = 2
+MAX_RAYS = 180
+"""Number of rays of each scan that are compared in this search."""
 MAX_MEDIAN_ERROR = 0.1  # [m] median error above which map, poses and scans do not belong together
 MAX_ERROR_RATIO = 0.8  # another orientation must be better by this factor to be reported
 END_POINT_CELL = 0.1  # [m] cell of the grid of end points
+CELL_HEADING = 0.5  # [rad] of this grid, so that walls along x or y do not lie on the borders of its cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +55,8 @@ class Orientation:
         out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
         if self.best != "as logged":
             out.append(
-                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
-                "and the driver's `inverted` setting"
+                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw, the frame of "
+                "the poses and the driver's `inverted` setting"
             )
         elif self.against == "the arena" and self.fits[self.best] > MAX_MEDIAN_ERROR:
             out.append(
@@ -60,7 +67,7 @@ class Orientation:
 
 
 def orientation(run: Run, arena: Arena | None) -> Orientation | None:
-    """Compare the scans of a run with an arena, or with each other, under four orientations of the sensor.
+    """Compare the scans of a run with an arena, or with each other, under several orientations of the sensor.
 
     Without an arena, the end points coincide best under the right orientation and fill the fewest cells. This
     requires views of the same walls under several headings. Composite sensors are mirrored and turned
@@ -81,14 +88,41 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     several = run.sensor.is_composite
     poses = pairing.poses[some][:, None] if several else ray_poses(run, pairing, some)  # (n, n_rays or 1, 3)
     mounted = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+
+    def lasers(sign: int, turn: float) -> Floats:
+        return ray_starts(mounted, _turned(run.sensor, sign, turn)) if several else mounted
+
+    rays = np.linspace(0, run.sensor.n_rays - 1, min(run.sensor.n_rays, MAX_RAYS)).astype(np.intp)
+
+    def cells(sign: int, turn: float) -> float:
+        starts = lasers(sign, turn)
+        some_starts = starts if starts.shape[1] == 1 else starts[:, rays]
+        return cells_filled(ranges[:, rays], some_starts, run.sensor.bearings[rays], sign, turn)
+
     fits = {}
-    for name, (sign, turn) in CAUSES.items():
-        lasers = ray_starts(mounted, _turned(run.sensor, sign, turn)) if several else mounted
+    for name, (sign, turn) in {**CAUSES, **_other_turn(cells)}.items():
         if arena is not None:
-            fits[name] = _against_map(ranges, lasers, run.sensor, arena, sign, turn)
+            fits[name] = _against_map(ranges, lasers(sign, turn), run.sensor, arena, sign, turn)
         else:
-            fits[name] = _against_itself(ranges, lasers, run.sensor.bearings, sign, turn)
+            fits[name] = cells_filled(ranges, lasers(sign, turn), run.sensor.bearings, sign, turn)
     return Orientation(fits=fits, against="itself" if arena is None else "the arena", n_scans=len(some))
+
+
+def _other_turn(cells: Callable[[int, float], float]) -> dict[str, tuple[int, float]]:
+    """Return the turn by which the scans fill fewer cells than under each of `CAUSES`, with its name; empty if none.
+
+    If one of `CAUSES` is better than the others, no turn is searched for. Small turns are left to the calibration of the mount.
+    """
+    known, second = sorted(cells(sign, turn) for sign, turn in CAUSES.values())[:2]
+    if known < MAX_ERROR_RATIO * second:
+        return {}
+    for sign, prefix in ((1, ""), (-1, "mirrored and ")):
+        least = min(TURNS, key=lambda degrees: cells(sign, np.radians(degrees)))
+        near = range(least - FINE_TURN * 4, least + FINE_TURN * 4 + 1, FINE_TURN)
+        best = min(near, key=lambda degrees: cells(sign, np.radians(degrees)))
+        if cells(sign, np.radians(best)) < MAX_ERROR_RATIO * known:
+            return {f"{prefix}turned {(best + 180) % 360 - 180}°": (sign, float(np.radians(best)))}
+    return {}
 
 
 def _turned(sensor: RangeSensor, sign: int, turn: float) -> RangeSensor:
@@ -112,9 +146,19 @@ def _against_map(
     return float(np.median(np.abs(ranges[seen] - np.minimum(ideal[seen], sensor.range_max))))
 
 
-def _against_itself(ranges: Floats, lasers: Floats, bearings: Floats, sign: int, turn: float) -> float:
+def cells_filled(ranges: Floats, lasers: Floats, bearings: Floats, sign: int = 1, turn: float = 0.0) -> float:
+    """Return the number of cells that the end points of scans fill; right poses fill the fewest.
+
+    Parameters
+    ----------
+    ranges : (n, n_rays) [m]
+    lasers : (n, 1, 3) or (n, n_rays, 3) [m, m, rad] poses of the laser in map.
+    bearings : (n_rays,) [rad]
+    sign, turn : -1 for a mirrored laser, and [rad] by which it is turned.
+    """
     phi = lasers[..., 2] + sign * bearings + turn
     ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
     near = np.isfinite(ranges) & (ranges > 0.1) & (ranges < 10.0)
-    cells = np.floor(ends[near] / END_POINT_CELL).astype(np.int64)
+    cos, sin = np.cos(CELL_HEADING), np.sin(CELL_HEADING)
+    cells = np.floor(ends[near] @ np.array([[cos, -sin], [sin, cos]]) / END_POINT_CELL).astype(np.int64)
     return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])))
