@@ -11,12 +11,14 @@ from watching_samples import believing, graph
 
 import sensorgraph as sg
 from logs.run import Run
+from logs.transforms import compose
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, doubt_of
 from sensorgraph.watching.laser_errors import MissingReturns, in_a_block
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.policy import healthy
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
 from sensorgraph.watching.status import WatchStatus
+from sensorgraph.watching.summary import WatchSummary
 
 BOX = [(6.3, 1.2, 6.7, 1.2), (6.7, 1.2, 6.7, 1.6), (6.7, 1.6, 6.3, 1.6), (6.3, 1.6, 6.3, 1.2)]
 
@@ -214,3 +216,62 @@ def test_sizes_have_units_of_readers(
 ) -> None:
     doubt = FaultDoubt(name=name, p=1.0, parameters=parameters, stderr=stderr, nats=30.0)
     assert doubt.sentence() == words
+
+
+def test_a_shorter_reach_covers_nothing_and_odometry_in_millimetres_is_left_out() -> None:
+    run = laps(1, seed=14)
+    sensor = replace(run.sensor, range_max=2.5)
+    ranges = np.where(run.ranges > 2.5, np.inf, run.ranges)
+    end = last(replace(run, sensor=sensor, ranges=ranges, odometry=run.odometry * [1e3, 1e3, 1.0]))
+    assert not names(end)
+    assert end.pose.status == "ok"
+
+
+def test_a_robot_that_is_never_where_the_graph_knows_the_place_is_a_warning() -> None:
+    summary = WatchSummary()
+    summary.n_statements = summary.n_outside = 3
+    summary.conclude()
+    assert summary.level == "warning" and "in another frame than the graph" in summary.reason
+    seen_once = WatchSummary()
+    seen_once.n_statements, seen_once.n_outside = 3, 2
+    seen_once.conclude()
+    assert seen_once.level == "ok"
+
+
+@pytest.mark.parametrize("late", [-0.2, 0.2])
+def test_the_filter_that_loses_the_pose_in_turns_finds_the_time_error_all_the_same(late: float) -> None:
+    rng = np.random.default_rng(3)
+    found, pose, twist = OdometryErrors(), np.zeros(3), np.zeros(2)
+    for k in range(300):
+        if k % 20 == 0:
+            twist = np.array([0.4, rng.uniform(-1.0, 1.0)])
+        if k % 10 == 5:
+            found.forget_pose()
+        step = np.array([0.2 * twist[0], 0.0, 0.2 * twist[1]])
+        pose = compose(pose, step)
+        found.add(step, twist, compose(pose, late * np.array([twist[0], 0.0, twist[1]])))
+    values, errors = found.estimates()
+    assert abs(values[-1] - late) < 3 * errors[-1] + 0.02
+    assert np.abs(values[:2]).max() < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [-0.15, 0.15])
+def test_a_latency_of_either_sign_is_named_alone(late: float) -> None:
+    """The speed of the robot changes; the twist at the time of a scan lies between two steps of the odometry."""
+    angle = np.cumsum(0.06 + 0.04 * np.sin(0.3 * np.arange(240)))
+    poses = np.column_stack([3.2 + 1.5 * np.cos(angle), 2.6 + 1.5 * np.sin(angle), angle + np.pi / 2])
+    run = believing(room_run(poses, seed=19), poses)
+    at = run.stamps + late
+    true = np.column_stack([np.interp(at, run.stamps, column) for column in poses.T])
+    end = last(replace(run, ranges=seen(true, run.sensor.bearings)))
+    assert names(end) == {"latency"}
+    assert end.faults[0].parameters["s"] == pytest.approx(late, abs=0.05)
+
+
+@pytest.mark.slow
+def test_odometry_that_neither_slip_nor_an_encoder_explains_is_unlike_the_motion() -> None:
+    run = laps(2, seed=20)
+    end = last(replace(run, odometry=run.odometry[:, [1, 0, 2]]))
+    fault = next(fault for fault in end.faults if fault.name == "odometry_unlike_motion")
+    assert 0.3 < fault.parameters["share"] <= 1.0

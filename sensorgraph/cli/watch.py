@@ -149,9 +149,11 @@ def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
     from logs import read
     from sensorgraph.cli.inputs import with_robot
     from sensorgraph.cli.progress import reading_bar
+    from sensorgraph.intake import check_unit
 
     with reading_bar() as tick:
         run = read(path, **reading, progress=tick)
+    check_unit(run, path.name)
     return with_robot(run, path.name, robot)
 
 
@@ -218,6 +220,7 @@ class _Output:
                     if publish is not None:
                         publish(status)
                     line.show(status, summary)
+        summary.conclude()
         if summary.last is None:
             raise SensorgraphError(f"{name} has no scan to watch; expected messages on /scan")
         if self.out is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,6 +12,9 @@ from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.types import Floats
+from sensorgraph.watching.settings import TRACKING
+
+logger = logging.getLogger(__name__)
 
 MAX_AGE = 5.0
 """[s] An older pose is no longer believed."""
@@ -40,6 +44,13 @@ def believed_poses(run: Run) -> tuple[Floats, Floats] | None:
     return run.pose_stamps[known], base
 
 
+def usual_speed(stamps: Floats, odometry: Floats) -> float:
+    """Return the median speed [m/s] of the odometry (n_scans, 3) between scans at stamps (n_scans,), where it moves."""
+    ways, steps = np.hypot(*np.diff(odometry[:, :2], axis=0).T), np.diff(stamps)
+    moves = (ways > 0) & (steps > 0)
+    return float(np.median(ways[moves] / steps[moves])) if moves.any() else 0.0
+
+
 def observations(run: Run, *, after: float = -np.inf) -> Iterator[Observation]:
     """Yield the scans of a run in order, those after a stamp [s].
 
@@ -47,6 +58,9 @@ def observations(run: Run, *, after: float = -np.inf) -> Iterator[Observation]:
     """
     motion = odometry_of(run)
     odometry = None if motion is None else odometry_at_scans(run, motion)
+    if odometry is not None and (speed := usual_speed(run.stamps, odometry)) > TRACKING.max_speed:
+        logger.warning("the odometry moves by %.3g m/s and is not used; check that it is in metres", speed)
+        motion = odometry = None
     belief = believed_poses(run)
     for k in np.flatnonzero(run.stamps > after):
         stamp, now = float(run.stamps[k]), None if odometry is None else odometry[k]

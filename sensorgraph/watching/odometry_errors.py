@@ -55,13 +55,23 @@ class OdometryErrors:
         weight : Share of new evidence in the scan, 0 to 1: scans from one place see the same surfaces, with the same errors.
         """
         if not self.has_pose:
-            self.mean[:3] = tracked
-            self.covariance[:3, :3] = np.diag(POSE_NOISE**2)
-            self.has_pose = True
+            self._begin(twist, tracked)
             return 0.0
         self._move(step)
         self.weight += weight
         return self._correct(twist, tracked, POSE_NOISE**2 / max(weight, 1e-3))
+
+    def _begin(self, twist: Floats, tracked: Floats) -> None:
+        """Set the pose at which the tracked one would be seen; how far it is behind depends on the time error."""
+        v, omega = twist
+        late, (x, y, phi) = self.mean[-1], tracked
+        phi -= omega * late
+        ahead = np.array([v * np.cos(phi), v * np.sin(phi), omega])
+        self.mean[:3] = x - late * ahead[0], y - late * ahead[1], phi
+        self.covariance[:3, 3:] = -np.outer(ahead, self.covariance[-1, 3:])
+        self.covariance[3:, :3] = self.covariance[:3, 3:].T
+        self.covariance[:3, :3] = np.diag(POSE_NOISE**2) + self.covariance[-1, -1] * np.outer(ahead, ahead)
+        self.has_pose = True
 
     def forget_pose(self) -> None:
         """Begin at the next tracked pose again, as the motion up to there is not known."""

@@ -59,8 +59,8 @@ class GraphReadings:
         order = ray_order(graph.sensor.bearings, sensor.bearings)
         if order is None:
             raise SensorgraphError(
-                f"the scans have {sensor.n_rays} rays {bearings_text(sensor.bearings, graph.sensor.bearings)}, other than "
-                f"the {graph.sensor.n_rays} of the graph; use a graph that was built with this laser"
+                f"the scans have {bearings_text(sensor.bearings, graph.sensor.bearings)} as the graph has; use a graph that "
+                "was built with this laser"
             )
         self.graph, self.sensor, self.priors = graph, sensor, priors
         n = sensor.n_rays

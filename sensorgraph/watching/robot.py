@@ -35,6 +35,8 @@ STEPS = 40
 """Number of recent steps that are searched for slip and dead encoders."""
 MOVING = 0.03
 """[m] Shortest step that shows these."""
+SLIPPING = 0.1
+"""Least share of the way that wheels lose by slip; odometry that errs otherwise is not that of wheels that slip."""
 
 
 class RobotHealth:
@@ -56,6 +58,8 @@ class RobotHealth:
         self._steps: deque[tuple[Floats, Floats]] = deque(maxlen=STEPS)
         self._last: tuple[float, Floats, Floats] | None = None
         self._since: dict[str, float] = {}
+        self._waiting: tuple[Floats, Floats, Floats, float] | None = None
+        """Step, its twist, pose and weight of the last scan: the twist at its time lies between two steps."""
 
     @property
     def usable(self) -> Bools:
@@ -64,7 +68,7 @@ class RobotHealth:
 
     def lose(self) -> None:
         """The pose is not sure: the next motion is not compared."""
-        self._last = None
+        self._last = self._waiting = None
         for one in self.motion.both:
             one.forget_pose()
 
@@ -82,9 +86,7 @@ class RobotHealth:
         if odometry is not None and self._last is not None and 0.0 < dt < 2.0:
             step = compose(invert(self._last[1]), odometry)
             is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
-            twist = np.array([step[0], step[2]]) / dt
-            for motion in self.motion.both:
-                motion.add(step, twist, pose, now.weight)
+            self._add_motion(step, np.array([step[0], step[2]]) / dt, pose, now.weight)
             if np.hypot(step[0], step[1]) > MOVING or np.hypot(*(pose - self._last[2])[:2]) > MOVING:
                 self._steps.append((step, compose(invert(self._last[2]), pose)))
         if odometry is not None:
@@ -93,14 +95,26 @@ class RobotHealth:
             for pair in (self.motion, self.ranges, self.missing):
                 pair.advance(dt)
 
+    def _add_motion(self, step: Floats, twist: Floats, pose: Floats, weight: float) -> None:
+        """Take a step (3,), its mean twist (2,) and the pose (3,) at its end; it counts when the next step is known."""
+        if self._waiting is not None:
+            before, twist_before, pose_before, weight_before = self._waiting
+            for motion in self.motion.both:
+                motion.add(before, 0.5 * (twist_before + twist), pose_before, weight_before)
+        self._waiting = step, twist, pose, weight
+
     def _add_coverage(
         self, ranges: Floats, mode: Floats, p_none: Floats, answered: Bools, weight: float, dt: float
     ) -> None:
-        """Count readings that are missing or too close where the graph predicts a surface further away."""
-        z = ranges[self.readings.rays]
+        """Count readings that are missing or too close where the graph predicts a surface within the laser's limits.
+
+        A graph may have been built with a laser that reaches farther, or nearer.
+        """
+        z, sensor = ranges[self.readings.rays], self.readings.sensor
         near = self.priors.near
-        asked = answered & (mode > 2 * near) & ~np.isnan(z)
-        is_none = np.isposinf(z) | (z >= self.readings.sensor.range_max)
+        low, high = max(2 * near, sensor.range_min + near), sensor.range_max - near
+        asked = answered & (mode > low) & (mode < high) & ~np.isnan(z)
+        is_none = np.isposinf(z) | (z >= sensor.range_max)
         is_covered = is_none | (z < near)
         self.sectors.add(is_covered, p_none, asked, weight, dt)
         counted = asked & self.usable & ~in_a_block(is_none & asked, asked)
@@ -198,5 +212,8 @@ class RobotHealth:
                     name=f"dead_encoder_{side}", p=p, nats=nats, parameters={"rad_per_m": slope}, stderr={}
                 )
             ]
-        lacking = 1.0 - float(true[odd, 0].sum() / max(driven[odd, 0].sum(), 1e-9))
-        return [FaultDoubt(name=WHEEL_SLIP.name, p=p, nats=nats, parameters={"share": lacking}, stderr={})]
+        stated, way = (float(np.hypot(steps[odd, 0], steps[odd, 1]).sum()) for steps in (driven, true))
+        name, lacking = WHEEL_SLIP.name, 1.0 - way / max(stated, 1e-9)
+        if lacking < SLIPPING:  # wheels that slip state a longer way than the robot drives
+            name, lacking = "odometry_unlike_motion", share
+        return [FaultDoubt(name=name, p=p, nats=nats, parameters={"share": lacking}, stderr={})]

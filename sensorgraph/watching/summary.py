@@ -82,6 +82,8 @@ class WatchSummary:
         self.level: Level = "ok"
         self.reason = ""
         self.n_statements = 0
+        self.n_outside = 0
+        """Number of statements that the robot is outside what the graph knows."""
         self._every = 1
 
     def add(self, status: WatchStatus, level: Level, reason: str) -> None:
@@ -98,10 +100,20 @@ class WatchSummary:
             self.points, self._every = self.points[::2], 2 * self._every
         self.notes = [*self.notes, *status.notes][-100:]
         self.n_statements += 1
+        self.n_outside += words[0] == "unknown"
         self.last = status
         order = ("ok", "warning", "error")
         if order.index(level) > order.index(self.level):
             self.level, self.reason = level, reason
+
+    def conclude(self) -> None:
+        """Warn if the graph knew the surroundings at no time, so that nothing was judged."""
+        if self.level == "ok" and self.n_outside == self.n_statements:
+            self.level = "warning"
+            self.reason = (
+                "the robot was never where the graph knows the surroundings: it is another place, or the poses are in another "
+                "frame than the graph"
+            )
 
     def _extend(self, row: str, t: float, word: str, text: str) -> None:
         spans = self.spans[row]
