@@ -34,7 +34,10 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
         for a in result.effects
     )
     if is_absurd:
-        words = "odometry and reference poses do not belong together: distance or turn differ in sign or by more than half"
+        words = (
+            "odometry and reference poses do not belong together: distance or turn differ in sign or by more than half, or the "
+            "poses are those of a point beside the robot's axle"
+        )
         gone = dict.fromkeys(range(len(result.effects)), ABSURD)
         return without_close_calls(replace(result.without(gone), unknown=Unknown(statement=words)))
     if result.unknown is not None:  # an effect with less evidence may be a part of it

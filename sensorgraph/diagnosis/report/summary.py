@@ -330,7 +330,12 @@ def gap_sentences(finding: Finding) -> list[str]:
     out = []
     for name in named or [main_channel(finding)]:
         result = finding.channels[name]
-        text = gap_sentence(result.gap, channel=name, n_effects=len(result.effects))
+        text = gap_sentence(
+            result.gap,
+            channel=name,
+            n_effects=len(result.effects),
+            is_widened=bool(_worse_than_stated(finding)),
+        )
         out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
     return [text for text in (*out, _second_gap_sentence(finding)) if text]
 
@@ -369,14 +374,19 @@ def _from_to(gap: Gap, unit: str) -> str:
     )
 
 
-def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) -> str:
-    """Return a sentence with the gap before and after, in units of the noise floor."""
+def gap_sentence(
+    gap: Gap | None, *, channel: str = "scan", n_effects: int = 1, is_widened: bool = False
+) -> str:
+    """Return a sentence with the gap before and after, in units of the noise floor.
+
+    With `is_widened`, the fit widened the tolerances, so that a gap below the floor says nothing about the laser.
+    """
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
     unit = "cm" if channel == "scan" else "cm/s"
     if not n_effects:
-        is_loud = channel == "scan" and after * SCAN.nuisance.stretched_scale < floor
+        is_loud = channel == "scan" and not is_widened and after * SCAN.nuisance.stretched_scale < floor
         return (
             f"The gap is {after / floor:.2f} times the noise floor "
             f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
