@@ -28,9 +28,9 @@ def warnings_of(run: Run, tmp_path: Path) -> str:
 
 def test_our_file_is_described_without_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = some_run(100)
-    poses = np.zeros_like(run.poses)
-    poses[:, 0] = 0.2 * run.pose_stamps
-    logs.write(changed(run, poses=poses), tmp_path / "run.mcap")
+    poses, odometry = np.zeros_like(run.poses), np.zeros_like(run.odometry)
+    poses[:, 0], odometry[:, 0] = 0.2 * run.pose_stamps, 0.2 * run.odom_stamps
+    logs.write(changed(run, poses=poses, odometry=odometry), tmp_path / "run.mcap")
     assert command(["inspect", str(tmp_path / "run.mcap"), "--json", str(tmp_path / "found.json")]) == 0
     said = capsys.readouterr().out
     for words in (
@@ -101,8 +101,8 @@ def test_what_looks_wrong_is_said(tmp_path: Path) -> None:
         (changed(run, poses=still), "the pose never changes"),
         (changed(run, poses=jumping), "the pose jumps 1 times, at most 3.00 m"),
         (changed(run, ranges=blind), "3 rays never return: 3-4, 9"),
-        (changed(run, ranges=run.ranges * 1000), "probably in millimetres"),
-        (changed(run, ranges=run.ranges * 100), "probably in centimetres"),
+        (changed(run, ranges=run.ranges * 1000), "looks like millimetres"),
+        (changed(run, ranges=run.ranges * 100), "looks like centimetres"),
         (changed(run, stamps=gap), "scan: 1 gaps, the longest 4.10 s"),
         (changed(run, stamps=1000 * run.stamps), "a scan every 100 s: check that the stamps are in seconds"),
         (changed(run, stamps=run.stamps + 100), "do not overlap in time, they are 94.0 s apart"),
