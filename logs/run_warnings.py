@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.jumps import JUMP_LIMITS
 from logs.notes import notes_of
-from logs.range_unit import unit_text
+from logs.range_limits import unit_text
 from logs.run import Run
 from logs.sweep import sweep_warnings
 from logs.transforms import interpolate, wrap

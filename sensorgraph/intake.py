@@ -6,7 +6,7 @@ import numpy as np
 
 from logs.jumps import find_jumps
 from logs.notes import assumptions_of
-from logs.range_unit import BEYOND, unit_text
+from logs.range_limits import BEYOND, unit_text
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones

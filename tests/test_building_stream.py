@@ -135,7 +135,10 @@ def one_scan(run: Run) -> Run:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (in_centimetres, "looks like centimetres or millimetres, expected metres .divide the ranges by 100 or"),
+        (
+            in_centimetres,
+            "looks like centimetres or millimetres, expected metres .divide the ranges by 100 or",
+        ),
         (blind, "no ray of the log returned; check range_max"),
         (still, "the pose never changes over 700 scans; check that the robot moved"),
         (one_scan, "1 scans to fit, expected 10 or more"),

@@ -151,6 +151,17 @@ def test_ranges_in_another_unit_than_range_max_are_named(factor: float, words: s
     assert not any("looks like" in text for text in assumptions_of(read(tmp_path / "coded", coded)))
 
 
+def test_a_range_min_above_most_readings_is_not_used(tmp_path: Path) -> None:
+    bag = [
+        scan(i / 10, room(1 + i / 20, i), increment=0.05, range_min=11.1, range_max=101.1) for i in range(12)
+    ]
+    run = read(tmp_path, bag)
+    assert np.isfinite(run.ranges).all() and run.sensor.range_min == 0
+    assert "100% of the readings are below range_min 11.1 m: 0 was used" in assumptions_of(run)
+    near = read(tmp_path / "near", [scan(i / 10, [0.2, 0.05, 1, 2, 3]) for i in range(12)])
+    assert np.isneginf(near.ranges[:, 1]).all() and not assumptions_of(near)[1:]
+
+
 def test_equal_scans_of_a_robot_that_stands_are_kept(tmp_path: Path) -> None:
     run = read(tmp_path, drive(stuck=range(10, 20), speed=0.0))
     assert np.isfinite(run.ranges).all()

@@ -22,7 +22,7 @@ from logs.no_return import (
     range_max_text,
     zero_text,
 )
-from logs.range_unit import beyond_text
+from logs.range_limits import beyond_text, lower_limit
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
 from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, stated_bearings
@@ -270,16 +270,14 @@ def clean_ranges(
         top = max((float(part[np.isfinite(part)].max(initial=0.0)) for part in parts), default=0.0) or 1.0
         notes.append(f"range_max {range_max:g} is invalid, the largest range {top:g} m was used")
         range_max = max(top, 1e-3)
-    if not 0 <= range_min < range_max:
-        notes.append(f"range_min {range_min:g} is invalid, 0 was used")
-        range_min = 0.0
+    range_min, lower = lower_limit(parts, range_min, range_max)
     code = code_below(parts, range_max) if no_return in (None, "range_max") else None
     if code is not None and detect_no_return(parts, range_max) != "range_max":
         notes.append(f"range_max {range_max:g} m: many ranges are exactly {code:g} m, which was used")
         range_max = code
     if no_return is None:
         no_return = detect_no_return(parts, range_max)
-    invalid = [beyond_text(parts, range_max), "" if no_return == "nan" else frequent_nans(parts)]
+    invalid = [lower, beyond_text(parts, range_max), "" if no_return == "nan" else frequent_nans(parts)]
     total, at_max, zeros, nans = sum(part.size for part in parts), 0, 0, 0
     counts = Counter[str]()
     for part in parts:

@@ -1,4 +1,7 @@
-"""Notice ranges in millimetres or centimetres by their median; the unit itself is not certain, so nothing is converted."""
+"""Notice limits that most readings contradict, and ranges in millimetres or centimetres.
+
+The unit itself is not certain, so that no range is converted.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,26 @@ MAX_CENTIMETRES = 1000.0
 """A larger median, of 10 m in centimetres, is probably one in millimetres."""
 BEYOND = "the median reading "
 """Begin of the note on readings beyond range_max, which `beyond_text` writes."""
+
+
+MOST_BELOW = 0.5
+"""Share of the readings below range_min above which this limit is wrong, as a laser is not always that near to surfaces."""
+
+
+def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> tuple[float, str]:
+    """Return range_min [m] as it is used, and a note; 0 if the limit is none, or if most readings are below it.
+
+    Parameters
+    ----------
+    parts : arrays (n_scans, n_rays) [m] of readings
+    """
+    if not 0 <= range_min < range_max:
+        return 0.0, f"range_min {range_min:g} is invalid, 0 was used"
+    readings = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in parts])
+    below = float((readings < range_min).mean()) if len(readings) else 0.0
+    if below > MOST_BELOW:
+        return 0.0, f"{below:.0%} of the readings are below range_min {range_min:g} m: 0 was used"
+    return range_min, ""
 
 
 def unit_text(median: float) -> str:
@@ -32,5 +55,5 @@ def beyond_text(parts: Sequence[Floats], range_max: float) -> str:
     """
     readings = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in parts])
     low, median, high = np.quantile(readings, [0.25, 0.5, 0.75]) if len(readings) else np.zeros(3)
-    text = unit_text(float(median)) if median > range_max and low < high else ""
+    text = unit_text(float(median)) if low > range_max and low < high else ""
     return f"{BEYOND}{median:.0f} is beyond range_max {range_max:g} m and {text}" if text else ""
