@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,17 @@ def test_mirrored_laser_is_refused_in_one_line() -> None:
         SensorgraphError, match="turn in opposite directions: the laser counts its rays clockwise"
     ):
         with_checked_odometry(mirrored)
+
+
+def test_a_laser_that_is_turned_by_less_than_is_refused_is_noted_with_the_angle() -> None:
+    x = np.linspace(1.0, 7.0, 90)
+    poses = np.column_stack([x, 1.2 + 0.4 * np.sin(2 * x), np.arctan(0.8 * np.cos(2 * x))])
+    given = room_run(poses)
+    ranges = seen(compose(poses, np.array([0.0, 0.0, 0.2])), given.sensor.bearings)
+    assert with_checked_odometry(given)[1] == ()
+    run, (note,) = with_checked_odometry(replace(given, ranges=ranges))
+    assert run.sensor is given.sensor
+    assert re.search(r"to the right of the odometry's motion: the laser is turned by \+1[012]\.", note)
 
 
 def test_a_laser_of_unknown_mount_gets_the_yaw_that_the_wheels_show() -> None:

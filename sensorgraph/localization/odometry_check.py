@@ -56,6 +56,10 @@ class OdometryCheckSettings:
     """Minimum number of such steps for a step-by-step comparison."""
     max_direction: float = 0.5
     """[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
+    noted_direction: float = 0.035
+    """[rad] A smaller angle between these motions is not worth a note ..."""
+    noted_errors: float = 4.0
+    """... nor one of fewer standard errors."""
     max_unexplained: float = 0.6
     """Maximum error of a step, relative to its length, for a comparison of directions."""
     min_error: float = 0.02
@@ -108,6 +112,8 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     limit = s.max_direction if _has_stated_mount(run) else s.right_angle
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
         run = _with_yaw(run, *direction, notes, s)
+    elif direction is not None and abs(direction[0]) > max(s.noted_direction, s.noted_errors * direction[1]):
+        notes.append(_turned_text(*direction))
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
         if seen.sum() > s.min_distance:
@@ -197,6 +203,15 @@ def _with_yaw(
         f"{np.degrees(yaw):.0f}° was used"
     )
     return replace(run, sensor=replace(run.sensor, mount=np.array([x, y, wrap(old + yaw)])))
+
+
+def _turned_text(angle: float, stderr: float) -> str:
+    """Return the note on a direction [rad] of the scans that is too small to refuse the mount."""
+    return (
+        f"the scans move {np.degrees(abs(angle)):.1f}° ± {np.degrees(stderr):.1f}° to the {'right' if angle < 0 else 'left'} "
+        f"of the odometry's motion: the laser is turned by {np.degrees(-angle):+.1f}° relative to its specified mount, or the "
+        "robot slips sideways; the headings of the poses are wrong by as much if it is the laser"
+    )
 
 
 def _compared(
