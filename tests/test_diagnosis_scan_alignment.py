@@ -10,11 +10,13 @@ import shapely.affinity
 from conftest import further, polygon_arena
 from scan_samples import data_of, drive, hall_arena
 
+from logs.run import RangeSensor, Run
 from planners.arena import Arena, wrap
-from sensorgraph.diagnosis.scan.map_alignment import align
+from sensorgraph.diagnosis.scan.map_alignment import align, misalignment
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.world.robot import parse_robot
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot import default_robot, parse_robot
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +74,22 @@ def test_a_part_of_a_larger_map_is_not_taken_for_one_of_another_scale(hall: Aren
     place = align(replace(data, arena=wide, ranges=ranges, memo={}), np.random.default_rng(0))
     assert 0.45 < place.share < 0.8
     assert place.is_good and place.scale == 1.0
+
+
+def test_a_mirrored_laser_in_a_corridor_is_named_although_most_rays_end_at_walls() -> None:
+    niches = [(0, 0), (5, 0), (5, -0.4), (6, -0.4), (6, 0), (20, 0), (20, 2), (0, 2)]
+    corridor = polygon_arena(niches)
+    sensor = RangeSensor(bearings=np.linspace(-np.pi, np.pi, 60, endpoint=False), range_max=12.0)
+    x = np.linspace(2.0, 18.0, 60)
+    poses = np.column_stack([x, 0.95 + 0.05 * np.sin(x), 0.1 * np.cos(x)])
+    ranges = np.roll(cast(corridor, poses, sensor).ranges[:, ::-1], 1, axis=1)
+    stamps = 0.1 * np.arange(60)
+    run = Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
+    data, _ = prepare_scans(run, corridor, default_robot())
+    place = align(data, np.random.default_rng(0))
+    assert 0.45 < place.share < 0.8
+    found = misalignment(place, run, data)
+    assert found is not None and "the scan fits the arena if it is mirrored" in found.statement
 
 
 def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:

@@ -139,7 +139,7 @@ def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | No
 
 def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
     """Return a statement that the scan is mirrored or turned, if this explains the few rays at walls; else empty."""
-    if alignment.share > SETTINGS.poor_share:
+    if alignment.share > SETTINGS.good_share:
         return ""
     found = orientation(replace(run, sensor=data.sensor), data.arena)
     if found is None or found.best == "as logged":
