@@ -216,3 +216,25 @@ def test_new_surfaces_in_a_narrow_view_are_not_taken_for_known_ones(
     ok = np.array(found.status) == "ok"
     off = errors(found, poses)[ok] if is_certain else np.zeros((1, 3))
     assert np.abs(off[:, :2]).max() < 0.05 and np.abs(off[:, 2]).max() < 0.02
+
+
+def test_after_a_gap_in_a_corridor_a_similar_place_that_the_odometry_excludes_is_not_taken() -> None:
+    """The robot drives 8 m without scans, beyond what it saw before. The place where it was before looks alike."""
+
+    def wall(y: float, depth: float, niches: tuple[float, ...]) -> list[tuple[float, float, float, float]]:
+        corners = [(0.0, y)]
+        for x in niches:
+            corners += [(x, y), (x, y + depth), (x + 0.9, y + depth), (x + 0.9, y)]
+        return [(*a, *b) for a, b in pairwise([*corners, (40.0, y)])]
+
+    walls = [*wall(0.0, -0.35, (7, 15, 16.5, 29)), *wall(2.0, 0.3, (11, 22, 33))]
+    x = np.arange(9, 33, 0.2)
+    poses = np.column_stack([x, 0.95 + 0.05 * np.sin(0.7 * x), 0.035 * np.cos(0.7 * x)])
+    run = room_run(poses, walls=walls, rate=4.0, seed=4)
+    seen = (x < 17) | (x > 25)
+    run = replace(run, ranges=np.where(run.ranges > 12, np.inf, run.ranges)).take_scans(seen)
+    found = locate(run)
+    off = errors(found, poses[seen])
+    ok = np.array(found.status) == "ok"
+    assert ok.sum() > 30
+    assert np.hypot(off[ok, 0], off[ok, 1]).max() < 0.5

@@ -175,8 +175,8 @@ class Tracker:
         """Tell whether a match is farther from the prediction than slip explains."""
         if deviations is None:
             return False
-        off = compose(invert(predicted), found.pose) / deviations
-        return bool((np.abs(off) > self.settings.max_slip).any())
+        off = compose(invert(predicted), found.pose)
+        return bool((np.abs(off) > self.settings.most_slip(deviations)).any())
 
     def _contradicts(self, k: int, predicted: Floats) -> bool:
         """Tell whether scan k at its predicted pose contradicts the recent key frames."""

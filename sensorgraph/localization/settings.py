@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from sensorgraph.types import Floats
+
 UNKNOWN_NORMAL_LENGTH = 0.3
 """Length of the vector that replaces a unit normal where only the viewing side of a point is known."""
 
@@ -147,6 +151,11 @@ class FrontEndSettings:
     max_slip: float = 20.0
     """Deviation of a match from its odometry pose, in standard deviations of the odometry, beyond which
     continuity is not known. One of the 11,383 scans exceeded it, at 22."""
+    slip_reach: tuple[float, float, float] = (1.0, 1.0, 0.5)
+    """[m, m, rad] Greatest slip ahead, to the left and in heading. After a gap in the scans, `max_slip` standard deviations are
+    many metres, but a long way averages ..."""
+    gap_errors: float = 4.0
+    """... and errs by more than this reach only within so many standard deviations."""
     min_overlap: float = 0.3
     """Minimum share of the points with a surface near them."""
     min_share_elsewhere: float = 0.85
@@ -180,6 +189,11 @@ class FrontEndSettings:
     """[m] Standard deviation of the edge between two track segments."""
     broken_turn: float = 0.5
     """[rad] Standard deviation of its turn."""
+
+    def most_slip(self, deviations: Floats) -> Floats:
+        """Return the greatest slip (3,) [m, m, rad] for the standard deviations (3,) of a motion by the odometry."""
+        usual = np.minimum(self.max_slip * deviations, self.slip_reach)
+        return np.asarray(np.maximum(usual, self.gap_errors * deviations))
 
 
 FRONT_END = FrontEndSettings()
