@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -293,3 +294,15 @@ def test_a_laser_that_sees_a_full_turn_and_a_ray_more_has_candidates() -> None:
     )
     for _, one in hypotheses(sensor):
         assert abs(one.sweep_time) <= 0.1 + 1e-12
+
+
+def test_a_long_lag_is_found_whole_and_the_odometry_is_taken_at_the_times_of_the_scans() -> None:
+    run = run_of(np.zeros(N_RAYS))
+    found = followed(replace(run, odom_stamps=run.odom_stamps + 0.2, meta={}))
+    (note,) = (note for note in found.notes if "lag of the scans" in note)
+    value = float(re.search(r"odometry: \+(\d+)", note)[1])  # type: ignore[index]
+    assert value == pytest.approx(200, abs=12)
+    assert found.odometry is not None
+    inside = slice(5, -5)
+    off = wrap(found.odometry[:, 2] - path(run.stamps)[:, 2])[inside]
+    assert np.abs(off - off.mean()).max() < 0.03

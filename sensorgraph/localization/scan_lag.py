@@ -24,6 +24,9 @@ from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats
 
+N_STEPS = 4
+"""Number of linear steps; each leaves a small share of the lag."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScanLag:
@@ -45,7 +48,24 @@ def scan_lag(
     motion : The odometry, without the stretches that the scans fill: these have no lag relative to the scans.
     tracked : Track of the scans.
     """
-    s, stamps = settings, run.stamps
+    found = _linear_lag(run.stamps, motion, tracked, settings)
+    for _ in range(N_STEPS):  # the model is linear in the lag, which a long lag is not
+        if found is None or abs(found.value) < settings.min_lag:
+            break
+        more = _linear_lag(run.stamps + found.value, motion, tracked, settings)
+        if more is None:
+            break
+        found = ScanLag(value=found.value + more.value, stderr=more.stderr)
+        if abs(more.value) < settings.min_lag:
+            break
+    return found
+
+
+def _linear_lag(
+    stamps: Floats, motion: Motion, tracked: ScanTrack, settings: ScanLagSettings
+) -> ScanLag | None:
+    """Return the lag of scans at stamps (n,) [s] by the model that is linear in it; None if the drive does not show it."""
+    s = settings
     step = np.diff(stamps)
     usable = tracked.matched & is_measured(motion, stamps)
     both = usable[1:] & usable[:-1] & tracked.is_continuous[1:] & (step > 0)
