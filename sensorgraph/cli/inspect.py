@@ -22,6 +22,8 @@ from sensorgraph.cli.options import (
 
 if TYPE_CHECKING:
     from logs.inspection import Inspection
+    from logs.run import Run
+    from sensorgraph.world.orientation import Orientation
 
 
 def inspect(
@@ -63,7 +65,6 @@ def inspect(
     from sensorgraph.world.described import differences, with_robot
     from sensorgraph.world.orientation import orientation
     from sensorgraph.world.robot import load_robot
-    from sensorgraph.world.self_fit import self_fit
 
     if json is not None:
         check_output(json, file)
@@ -97,15 +98,24 @@ def inspect(
                 kept = tuple(line for line in found.warnings if "sensor.sweep_time" not in line)
                 found = replace(found, warnings=kept)
         oriented = orientation(stated, walls)
-        lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
-        better = self_fit(stated) if oriented is not None and oriented.best == "as logged" else None
-        lines += [f"  WARNING: {better.line()}"] if better is not None else []
+        lines += _orientation_lines(stated, oriented)
     if json is not None:
         names = () if oriented is None else ("best", "against", "fits")
         turned = {name: getattr(oriented, name) for name in names} or None
         write_json(json, {**found.to_dict(), "orientation": turned})
     typer.echo(with_flags("\n".join(found.lines(lines))))
     _judge(found, expected)
+
+
+def _orientation_lines(run: Run, oriented: Orientation | None) -> list[str]:
+    """Return the fits of the orientations, and what else makes the scans contradict each other."""
+    from sensorgraph.world.self_fit import self_fit
+
+    if oriented is None:
+        return []
+    better = self_fit(run) if oriented.best == "as logged" else None
+    warning = [] if better is None else [f"WARNING: {better.line()}"]
+    return ["orientation", *(f"  {line}" for line in (*oriented.lines(), *warning))]
 
 
 def _is_map(file: Path) -> bool:

@@ -327,15 +327,10 @@ def main_channel(finding: Finding) -> str:
 def gap_sentences(finding: Finding) -> list[str]:
     """Report the gap before and after in each channel with a named effect; without one, its size."""
     named = [name for name, result in finding.channels.items() if result.effects]
-    out = []
+    out, is_widened = [], bool(_worse_than_stated(finding))
     for name in named or [main_channel(finding)]:
         result = finding.channels[name]
-        text = gap_sentence(
-            result.gap,
-            channel=name,
-            n_effects=len(result.effects),
-            is_widened=bool(_worse_than_stated(finding)),
-        )
+        text = gap_sentence(result.gap, channel=name, n_effects=len(result.effects), is_widened=is_widened)
         out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
     return [text for text in (*out, _second_gap_sentence(finding)) if text]
 
@@ -377,10 +372,7 @@ def _from_to(gap: Gap, unit: str) -> str:
 def gap_sentence(
     gap: Gap | None, *, channel: str = "scan", n_effects: int = 1, is_widened: bool = False
 ) -> str:
-    """Return a sentence with the gap before and after, in units of the noise floor.
-
-    With `is_widened`, the fit widened the tolerances, so that a gap below the floor says nothing about the laser.
-    """
+    """Return the gap before and after, in units of the noise floor, which is no measure of a laser if it was widened."""
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
