@@ -20,7 +20,9 @@ BEYOND = "the median reading "
 
 
 MOST_BELOW = 0.5
-"""Share of the readings below range_min above which this limit is wrong, as a laser is not always that near to surfaces."""
+"""Share of the readings below range_min above which this limit is wrong, as a laser is not always that near to surfaces ..."""
+LONGEST_BLIND = 1.0
+"""[m] ... unless the limit is shorter, as a sonar may look at its cover; no laser or sonar is blind for longer."""
 
 
 def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> tuple[float, str]:
@@ -34,7 +36,7 @@ def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> 
         return 0.0, f"range_min {range_min:g} is invalid, 0 was used"
     readings = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in parts])
     below = float((readings < range_min).mean()) if len(readings) else 0.0
-    if below > MOST_BELOW:
+    if below > MOST_BELOW and range_min > LONGEST_BLIND:
         return 0.0, f"{below:.0%} of the readings are below range_min {range_min:g} m: 0 was used"
     return range_min, ""
 
