@@ -131,7 +131,7 @@ def reach(
     if nx * ny > REACH.max_cells:
         raise PlanError(
             f"cell {cell} m makes {nx} x {ny} cells of the {x1 - x0:.1f} x {y1 - y0:.1f} m arena, more than "
-            f"{REACH.max_cells:,}; choose a larger cell"
+            f"{REACH.max_cells:,}; choose a larger cell, and check that the arena is in metres"
         )
     per_cell = max(math.ceil(round(cell / REACH.step, 9)), 1)
     per_cell = max(min(per_cell, math.isqrt(REACH.max_nodes // (nx * ny))), 2)

@@ -365,7 +365,9 @@ class Narmax:
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, IdentError):
                 raise
-            raise IdentError(f"{path}: not a model ({exc}); expected a file of Narmax.save") from exc
+            raise IdentError(
+                f"{path}: not a model ({exc}); expected the JSON of an identified model"
+            ) from exc
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:

@@ -129,12 +129,14 @@ def _unreadable_text(path: Path, error: Exception) -> str:
     try:
         kind = format_of(path)
     except LogError:
-        return f"{path}: not a sensorgraph, or damaged ({error}); build it again with `sensorgraph build`"
+        return f"{path}: not a sensorgraph, or damaged ({error}); expected a *.sensorgraph of `sensorgraph build`"
     return f"{path} is a log ({kind}) and no sensorgraph; build one from it: sensorgraph build {path} -o {path.stem}.sensorgraph"
 
 
 def read_members(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays: dict[str, NDArray[Any]] = {}
+    if path.is_dir():
+        raise SensorgraphError(f"{path} is a folder, expected a *.sensorgraph of `sensorgraph build`")
     try:
         with zipfile.ZipFile(path) as file:
             if "header.json" not in file.namelist():

@@ -108,8 +108,8 @@ def test_run_in_a_new_place_is_located_from_where_its_odometry_began(folder: Pat
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["raw.mcap", "-o", "out.bag"], "a run is written as *.mcap"),
-        (["raw.mcap", "--picture", "p.pdf"], "a picture is written as *.png"),
+        (["raw.mcap", "-o", "out.bag"], "written as *.mcap"),
+        (["raw.mcap", "--picture", "p.pdf"], "written as *.png"),
         (["raw.mcap", "-o", "raw.mcap"], "is also the input"),
         (["raw.mcap", "--arena", "nowhere.geojson"], "does not exist"),
         (["one.mcap"], "the run has 1 scan, expected a drive of 10 or more"),

@@ -112,7 +112,7 @@ def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
         ([], "0 runs are given"),
         (["good.mcap", "off.mcap"], "2 runs are given"),
         (["good.mcap", "--live"], "1 runs are given with --live"),
-        (["good.mcap", "-o", "x.json"], "statements are written as *.mcap"),
+        (["good.mcap", "-o", "x.json"], "written as *.mcap"),
         (["good.mcap", "--policy", "bad.yaml"], "is no policy of watch"),
         (["--init-policy"], "--init-policy takes good runs"),
     ],

@@ -71,18 +71,13 @@ def identify(
       sensorgraph identify motor.csv --output speed --inputs volts --auto -o motor.json
     """
     from sensorgraph.cli.inputs import check_output, print_warnings, write_json
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.identify import IdentificationSpec
     from sensorgraph.identification.identify import identify as identify_model
     from sensorgraph.show.figures.identified import identified_picture
 
-    check_output(out, file)
+    check_output(out, file, suffix=".json")
     if auto:
         _check_left_to_auto(context)
-    if out.suffix != ".json":
-        raise SensorgraphError(
-            f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}"
-        )
     question = IdentificationSpec(
         output=_one_output(output), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
         output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]

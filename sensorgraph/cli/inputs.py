@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from sensorgraph.world.robot import Robot
 
 
-def check_output(path: Path, *inputs: Path) -> None:
-    """Refuse an output path that cannot be written or is one of the inputs, before any work is done."""
+def check_output(path: Path, *inputs: Path, suffix: str | None = None) -> None:
+    """Refuse an output path that cannot be written, is one of the inputs or lacks its suffix, before any work is done."""
     if path.is_dir():
         raise SensorgraphError(f"{path} is a folder; give the name of a file to write")
     if not path.parent.is_dir():
@@ -35,6 +35,10 @@ def check_output(path: Path, *inputs: Path) -> None:
             raise SensorgraphError(
                 f"{path} is also the input and would be overwritten; write to another file"
             )
+    if suffix is not None and path.suffix != suffix:
+        raise SensorgraphError(
+            f"{path}: the file is written as *{suffix}; name it {path.with_suffix(suffix).name}"
+        )
     _probe(path.parent, path)
 
 

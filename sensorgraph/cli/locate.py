@@ -63,20 +63,15 @@ def locate(
         write_json,
     )
     from sensorgraph.cli.progress import progress, reading_bar
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.localization.locate import LocatedRun, poses_csv, summary, summary_lines
     from sensorgraph.localization.locate import locate as locate_run
     from sensorgraph.show.figures.localization import localization_picture
 
-    for path in (out, csv, json, picture):
+    for path, suffix in ((out, ".mcap"), (csv, None), (json, None), (picture, ".png")):
         if path is not None:
-            check_output(path, run)
-    if out is not None and out.suffix != ".mcap":
-        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
-    if picture is not None and picture.suffix != ".png":
-        raise SensorgraphError(
-            f"{picture}: a picture is written as *.png; name it {picture.with_suffix('.png').name}"
-        )
+            check_output(path, run, suffix=suffix)
+    if not any((out, csv, json, picture)):
+        typer.echo("note: no file will be written; give -o OUT.mcap, --csv, --json or --picture", err=True)
     place = None if arena is None else _place(arena)
     with reading_bar() as tick:
         log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
@@ -100,9 +95,8 @@ def locate(
                 f"{out} holds no pose, since no scan has the status ok; --csv lists the poses of all scans"
             )
     written = [str(path) for path in (csv, json, picture, out) if path is not None]
-    typer.echo(
-        f"wrote {', '.join(written)}" if written else "no file written; give -o OUT.mcap, --csv or --json"
-    )
+    if written:
+        typer.echo(f"wrote {', '.join(written)}")
 
 
 def _place(arena: str) -> Arena | Sensorgraph:

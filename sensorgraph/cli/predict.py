@@ -30,7 +30,7 @@ def predict(
     from sensorgraph.loading import read_poses
     from sensorgraph.models.base import Point
 
-    check_output(output, graph, poses)
+    check_output(output, graph, poses, suffix=".npz")
     model = Sensorgraph.load(graph)
     where = read_poses(poses)
     with progress("predicting", "poses") as tick:

@@ -93,9 +93,7 @@ def record(
         return
     if plan is None:
         raise SensorgraphError("nothing to drive: give a PLAN, or --live to record your own robot")
-    check_output(out, plan, *([effects] if effects is not None else []))
-    if out.suffix != ".mcap":
-        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
+    check_output(out, plan, *([effects] if effects is not None else []), suffix=".mcap")
     if graph is None and not controller:
         _record_drive(plan, out, arena, robot, start, effects, seed)
         return

@@ -90,9 +90,7 @@ def record_live(
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.recording.plan_coverage import PlanCoverage
 
-    check_output(out)
-    if out.suffix != ".mcap":
-        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
+    check_output(out, suffix=".mcap")
     for name, seconds in (("--duration", duration), ("--wait", wait)):
         if seconds is not None and not seconds > 0:
             raise SensorgraphError(f"{name} is {seconds:g}, expected seconds above 0")

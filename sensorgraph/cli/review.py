@@ -63,7 +63,6 @@ def review(
         with_robot,
     )
     from sensorgraph.cli.progress import progress, reading_bar
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import arena_in, load_arena
     from sensorgraph.show.rays import chosen_ray
@@ -71,9 +70,7 @@ def review(
     from sensorgraph.show.review.review import review as write_review
 
     check_poses(poses)
-    check_output(out, run, *(path for path in (graph,) if path is not None))
-    if out.suffix != ".rrd":
-        raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
+    check_output(out, run, *(path for path in (graph,) if path is not None), suffix=".rrd")
     with reading_bar() as tick:
         reading = read_options(topic, no_return, robot, heights)
         log = read(run, **reading, progress=tick)

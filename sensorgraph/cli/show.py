@@ -97,14 +97,9 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import reading_bar
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.show.figures.sensorgraph import graph_picture
 
-    check_output(figure, graph, *(path for path in (run,) if path is not None))
-    if figure.suffix != ".png":
-        raise SensorgraphError(
-            f"{figure}: the figure is written as *.png; name it {figure.with_suffix('.png').name}"
-        )
+    check_output(figure, graph, *(path for path in (run,) if path is not None), suffix=".png")
     log = None
     if run is not None:
         with reading_bar() as tick:

@@ -86,9 +86,9 @@ def watch(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.watching.policy import LEVELS, WatchPolicy, load_policy
 
-    for path in (out, json):
+    for path, suffix in ((out, None if init_policy else ".mcap"), (json, None)):
         if path is not None:
-            check_output(path, graph, *(runs or []))
+            check_output(path, graph, *(runs or []), suffix=suffix)
     reading = read_options(topic, no_return, robot, heights)
     if init_policy:
         _init_policy(graph, runs or [], out, reading, robot)
@@ -97,10 +97,6 @@ def watch(
         raise SensorgraphError(
             f"{len(runs or [])} runs are given{' with --live' if live else ''}, expected one, or --live; "
             "to learn limits, add --init-policy"
-        )
-    if out is not None and out.suffix != ".mcap":
-        raise SensorgraphError(
-            f"{out}: statements are written as *.mcap; name it {out.with_suffix('.mcap').name}"
         )
     limits = WatchPolicy() if policy is None else load_policy(policy)
     model = Sensorgraph.load(graph)
@@ -293,7 +289,8 @@ class _StatusLine:
         driven = max(status.t - (summary.first or 0.0), 1.0)
         rate = driven / max(now - self.began, 1e-9)
         load = (time.process_time() - self.cpu) / driven  # at the pace of the robot, also in a replay
-        text = f"{status.t:.0f} s ({rate:.0f}x, {load:.0%} of a core): {'; '.join(status.sentences())}"
+        pace = f"{rate:.0f} times real time, {load:.0%} of a core"
+        text = f"{status.t:.0f} s: {'; '.join(status.sentences())} ({pace})"
         if self.is_terminal:
             width = get_terminal_size().columns - 1
             sys.stderr.write(f"\r\x1b[2K{text[:width]}")

@@ -71,6 +71,10 @@ def review(
     if isinstance(plan, CoveragePlan):
         planned, facts = plan.trajectory.poses[::PLAN_STEP, :2], plan.to_dict()
     elif plan is not None:
+        if not (Path(plan) / "trajectory.csv").is_file():
+            raise SensorgraphError(
+                f"{plan} has no trajectory.csv, expected a plan's folder (from `sensorgraph plan`)"
+            )
         planned = read_csv(Path(plan) / "trajectory.csv").poses[::PLAN_STEP, :2]
         facts = read_plan_report(Path(plan) / "plan.json")
     contents = collect(
