@@ -41,7 +41,7 @@ def log_density_of(
     ----------
     none : Probability of no return.
     range_min : [m] Closer surfaces give the reading -inf.
-    stray : [1/m] Density of outliers per metre travelled.
+    stray : [1/m] Density of outliers per metre of ray.
     """
     if math.isnan(z):
         return 0.0

@@ -291,7 +291,7 @@ class Faces(FacesData):
             "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
             "noise": f"{1e3 * self.noise.sigma:.1f} mm of range, {1e3 * self.noise.sigma_xy:.1f} mm and "
             f"{math.degrees(self.noise.sigma_yaw):.3f}° of pose",
-            "unexplained": f"{self.noise.stray:.2g} returns per metre travelled",
+            "unexplained": f"{self.noise.stray:.2g} returns per metre of ray",
             **self.calibration.summary(),
             **({} if self.cells is None else {f"cells, {k}": v for k, v in self.cells.summary().items()}),
         }
