@@ -292,9 +292,9 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
 
 
 def _share_of_bare_footprint(task: Task) -> float:
-    """Return the covered share of the bins that the robot would reach without a margin."""
+    """Return the reachable share of the bins that the robot would reach without a margin."""
     bare = task.reach.with_clearance(task.vehicle.footprint_radius).cells()
-    met = (task.coverage.counts > 0) & bare[:, :, None]
+    met = task.coverage.reachable & bare[:, :, None]
     return float(met.sum() / max(int(bare.sum()) * task.coverage.headings, 1))
 
 

@@ -200,9 +200,9 @@ def _summary(report: dict[str, Any]) -> str:
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
-        f"{report['ratio']:.2f} of the reference time{_above(report)}; {joins['direct']:,} straight joins, "
+        f"{report['ratio']:.2f} of the reference time{_above(report)}; joins: {joins['direct']:,} straight, "
         f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m, "
-        f"{100 * report['share_of_bare_footprint']:.1f} % of the bins reachable without a margin; "
+        f"the margin leaves {100 * report['share_of_bare_footprint']:.1f} % of the bins reachable; "
         f"planned in {report['planning_s']:.1f} s"
     )
 
@@ -213,7 +213,7 @@ def _above(report: dict[str, Any]) -> str:
     covers = report["planner"] in ("coverage", "stop_and_spin") and report["robot"]["drive"] == "diff"
     if bound <= 0 or is_cut or not covers:
         return ""
-    return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % above the optimum of whole moves"
+    return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % longer than the best drive of turns and straight moves"
 
 
 def _runs(report: dict[str, Any]) -> list[str]:
