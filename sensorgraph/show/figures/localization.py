@@ -17,6 +17,7 @@ from sensorgraph.show.figures.style import (
     FINE,
     INK,
     LINE,
+    SOFT,
     SOLID,
     TEAL,
     TEXT,
@@ -56,11 +57,11 @@ def localization_picture(run: Run, found: Localization, path: Path, *, walls: Fl
     if found.rivals:
         x, y = np.concatenate(list(found.rivals.values()))[:, :2].T
         axes.plot(x, y, "x", color=AMBER, zorder=4, label=f"rival places: {len(x)}")
-    for closures, colour, label in ((found.refused, ALARM, "rejected"), (found.kept, TEAL, "accepted")):
+    for closures, colour, label in ((found.kept, SOFT, "accepted"), (found.refused, ALARM, "rejected")):
         for i, one in enumerate(closures):
             ends = found.poses[[one.first, one.second], :2]
             text = f"loop closures {label}: {len(closures)}" if i == 0 else None
-            axes.plot(ends[:, 0], ends[:, 1], color=colour, lw=FINE, alpha=0.8, zorder=3, label=text)
+            axes.plot(ends[:, 0], ends[:, 1], color=colour, lw=0.5 * FINE, alpha=0.8, zorder=1.5, label=text)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     sigma = np.median(deviations(found)[shown, :2])
     axes.set_title(
@@ -80,7 +81,7 @@ def _draw_track(axes: object, found: Localization) -> None:
     for word, colour in colours.items():
         if (states == word).any():
             x, y = np.where((states == word)[:, None], found.poses[:, :2], np.nan).T
-            axes.plot(x, y, color=colour, lw=1.2 * FINE, zorder=2, label=f"track: {word}")  # type: ignore[attr-defined]
+            axes.plot(x, y, color=colour, lw=2 * FINE, zorder=2, label=f"track: {word}")  # type: ignore[attr-defined]
 
 
 def _returns(run: Run, found: Localization, shown: np.ndarray) -> Floats:

@@ -118,6 +118,8 @@ def _cells_of(model: Faces | CellModel) -> CellModel | None:
 
 def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
     """Draw the probability that a ray stops at a face or in a cell."""
+    from matplotlib.colors import Normalize
+
     title = "probability that a ray stops"
     cells, image = _cells_of(model), None
     if cells is not None:
@@ -132,7 +134,7 @@ def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
         assert isinstance(model, Faces)
         pieces = visible_pieces(model)
         order = np.argsort(pieces.values, kind="stable")
-        image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", (0.0, 1.0))
+        image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", Normalize(0, 1))
         title += f": {model.faces.n_faces} faces"
     axes.set_title(title, loc="left", fontsize=SUBTITLE, color=INK)
     colour_bar(figure, image, axes, "probability", **COLOUR_BAR)
@@ -140,32 +142,37 @@ def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
 
 def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
     """Draw the training returns per metre of each visible piece, and returns that no face explains."""
+    from matplotlib.colors import LogNorm
+
     owner, edge = visible_edges(model)
     length = np.maximum(model.faces.edges[edge + 1] - model.faces.edges[edge], 1e-3)
     hits = model.hits[owner] if model.statistics is None else model.statistics.stops[edge]
     pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
-    value = np.log10(np.maximum(pieces.values, 1.0))
-    image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
+    value = np.maximum(pieces.values, 1.0)
+    scale = LogNorm(1.0, max(float(value.max(initial=1.0)), 10.0))
+    image = _draw_pieces(axes, pieces.ends, value, "viridis_r", scale)
     axes.set_title("training returns per metre", loc="left", fontsize=SUBTITLE, color=INK)
     if model.statistics is not None and len(model.statistics.unexplained_hits.cells):
-        axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
+        axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=2.0, color=ALARM, alpha=0.6, zorder=2)
         axes.set_title(
             "training returns per metre; red: returns that no face explains", loc="left", fontsize=SUBTITLE, color=INK
         )  # fmt: skip
-    colour_bar(figure, image, axes, "log10 (returns per metre)", **COLOUR_BAR)
+    colour_bar(figure, image, axes, "returns per metre", **COLOUR_BAR)
 
 
 def _mean_residuals(
     figure: Any, axes: Any, model: Faces | CellModel, ends: Floats, directions: Floats, residual: Floats
 ) -> None:
     """Draw the mean residual along each face or, for a model with cells, in squares."""
+    from matplotlib.colors import Normalize
+
     if _cells_of(model) is None:
         assert isinstance(model, Faces)
         pieces = residual_pieces(model, ends, directions, residual)
         order = np.argsort(np.nan_to_num(np.abs(pieces.values), nan=-1.0), kind="stable")
         value = 100 * pieces.values[order]
-        top = _colour_limit(value)
-        image = _draw_pieces(axes, pieces.ends[order], value, "RdBu_r", (-top, top))
+        top = _colour_limit(value, 100 * residual)
+        image = _draw_pieces(axes, pieces.ends[order], value, "RdBu_r", Normalize(-top, top))
     else:
         low, high = ends.min(axis=0), ends.max(axis=0)
         corner = np.floor(low / PATCH_SIZE) * PATCH_SIZE
@@ -173,7 +180,7 @@ def _mean_residuals(
         i, j = np.floor((ends - corner) / PATCH_SIZE).astype(int).T
         flat = np.ravel_multi_index((i, j), (nx, ny))
         value = 100 * mean_by_index(flat, residual, np.isfinite(residual), nx * ny).reshape(nx, ny)
-        top = _colour_limit(value)
+        top = _colour_limit(value, 100 * residual)
         image = _image(
             axes,
             corner,
@@ -190,21 +197,29 @@ def _mean_residuals(
     colour_bar(figure, image, axes, "measured − predicted [cm]", **COLOUR_BAR)
 
 
-def _colour_limit(value: Floats) -> float:
-    """Return the magnitude at which the colour scale ends, the 90 % quantile."""
-    known = np.abs(value[np.isfinite(value)])
-    return max(float(np.quantile(known, 0.9)), 1e-3) if len(known) else 1.0
+def _colour_limit(means: Floats, residual: Floats) -> float:
+    """Return the magnitude at which the colour scale ends, in the unit of the arguments.
+
+    It is the 90 % quantile of the means, but at least the median of single residuals: means far below the noise of a
+    reading stay white.
+    """
+    limits = [
+        float(np.quantile(np.abs(values[np.isfinite(values)]), share))
+        for values, share in ((means, 0.9), (residual, 0.5))
+        if np.isfinite(values).any()
+    ]
+    return max([*limits, 1e-3])
 
 
-def _draw_pieces(axes: Any, ends: Floats, value: Floats, colours: str, limits: tuple[float, float]) -> Any:
-    """Draw pieces (n, 2, 2) coloured by value (n,); nan is drawn as a thin grey line."""
+def _draw_pieces(axes: Any, ends: Floats, value: Floats, colours: str, scale: Any) -> Any:
+    """Draw pieces (n, 2, 2) coloured by value (n,) on a scale (a Normalize); nan is drawn as a thin grey line, and pale values keep a grey rim."""
     from matplotlib.collections import LineCollection
-    from matplotlib.colors import Normalize
 
     known = np.isfinite(value)
     axes.add_collection(LineCollection(list(ends[~known]), colors=SOFT, linewidths=0.6, zorder=2))
+    axes.add_collection(LineCollection(list(ends[known]), colors=SOFT, linewidths=3.2, zorder=2))
     lines = LineCollection(
-        list(ends[known]), array=value[known], cmap=colours, norm=Normalize(*limits), linewidths=2.2, zorder=3
+        list(ends[known]), array=value[known], cmap=colours, norm=scale, linewidths=2.2, zorder=3
     )
     lines.set_capstyle("butt")
     axes.add_collection(lines)

@@ -49,7 +49,7 @@ def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
         columns = (
             (f"{title}: RMS gap [{unit}]", [100 * f.rmse_m for f in fits]),
             ("times the noise floor", [f.normalised / floor for f in fits]),
-            ("negative log-likelihood per reading above the floor", [f.nats_per_ray - least for f in fits]),
+            ("negative log-likelihood per reading", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
             if not np.isfinite(values).all():
