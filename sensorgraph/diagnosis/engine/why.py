@@ -32,13 +32,13 @@ def check_known(name: str, known: Sequence[str]) -> None:
     Raises
     ------
     SensorgraphError
-        The message lists the known names, the nearest first.
+        The message has the nearest names or, if none is near, all of them.
     """
     if as_name(name) in known:
         return
-    near = difflib.get_close_matches(as_name(name), known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise SensorgraphError(f"{name!r} is no effect or family; {hint}expected one of: {', '.join(known)}")
+    near = difflib.get_close_matches(as_name(name), known, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"expected one of: {', '.join(known)}"
+    raise SensorgraphError(f"{name!r} is no effect or family; {hint}")
 
 
 def paragraph(entry: Entry) -> str:
