@@ -74,7 +74,7 @@ def export(
     )
     print_log_notes(*([] if driven is None else [driven]))
     for line in left_out:
-        typer.echo(f"left out: {line}")
+        typer.echo(f"not in the files of the world: {line}")
     typer.echo(f"wrote {out}; start with {out / 'README.md'}")
 
 

@@ -95,7 +95,8 @@ def _map(data: PageData) -> str:
         ]
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="100%">{"".join(parts)}</svg>'
-        '<p class="note">grey: surfaces of the graph; line: where the robot was, by our own tracking, in the colours of the '
+        f'<p class="note">x from {low[0]:.1f} to {high[0]:.1f} m, y from {low[1]:.1f} to {high[1]:.1f} m; '
+        "grey: surfaces of the graph; line: where the robot was, by our own tracking, in the colours of the "
         'time line; <span style="color:#d1345b">■</span>&nbsp;new, <span style="color:#2a5bd1">■</span>&nbsp;gone</p>'
     )
 
@@ -110,7 +111,8 @@ def _changes(last: WatchStatus) -> str:
         for change in last.changes
     )
     head = "".join(
-        f"<th>{word}</th>" for word in ("what", "where", "size", "first seen", "last seen", "passes", "p")
+        f"<th>{word}</th>"
+        for word in ("what", "where", "size", "first seen", "last seen", "passes", "probability")
     )
     return f"<h2>Changes of the place</h2><table><tr>{head}</tr>{rows}</table>"
 
@@ -122,7 +124,7 @@ def _robot(last: WatchStatus) -> str:
         for doubt in last.doubts
     )
     return (
-        "<h2>Laser and wheels</h2><table><tr><th>hypothesis</th><th>size</th><th>p</th><th>evidence [nats]</th></tr>"
+        "<h2>Laser and wheels</h2><table><tr><th>hypothesis</th><th>size</th><th>probability</th><th>evidence [nats]</th></tr>"
         f"{rows}</table>"
     )
 
