@@ -160,9 +160,10 @@ def summary_lines(found: IdentifiedSignal) -> list[str]:
         if share
     ]
     period = "" if found.data.period is None else f" every {found.data.period:g} s"
+    reason = "until none was left" if model.stop == "exhausted" else f"selected by {model.stop}"
     lines.append(
         f"{found.n_train:,} samples{period} for training, {scores['one_step'].n:,} for scores ({parts[q.split]}); "
-        f"{len(model.terms)} of {len(q.terms)} candidate terms, selected by {model.stop}"
+        f"{len(model.terms)} of {len(q.terms)} candidate terms, {reason}"
     )
     lines += _notes(model.notes)
     low, high = model.limits

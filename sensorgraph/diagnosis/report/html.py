@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from html import escape
@@ -271,17 +272,17 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
         "path": f"{plan['path_m']:.1f} m",
     }
     asked = "".join(f"<li>{escape(question)}</li>" for question in plan["questions"])
+    head = "".join(f"<th>{name}</th>" for name in ("step", "place [m]", "heading", "way [m]"))
     rows = "".join(
-        "<tr>"
-        + "".join(f"<td>{_value(v) if k == 'kind' else f'{k} {_value(v)}'}</td>" for k, v in step.items())
-        + "</tr>"
+        f"<tr><td>{escape(step['kind'])}</td><td>{_value(step['place'])}</td>"
+        f"<td>{_value(math.degrees(step['heading']))}°</td><td>{_value(step['way_m'])}</td></tr>"
         for step in plan["steps"]
     )
     return (
         f"<h2>The next run</h2><p>{escape(plan['why'])}</p><ul>{asked}</ul>"
         + _grid(facts)
         + picture(pictures.get("next_run"), "Path of the next run", "")
-        + f"<details><summary>{len(plan['steps'])} steps</summary><table>{rows}</table></details>"
+        + f"<details><summary>{len(plan['steps'])} steps</summary><table><tr>{head}</tr>{rows}</table></details>"
     )
 
 
@@ -319,4 +320,7 @@ def _lines_of(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
 
 
 def _setting(value: Any) -> str:
+    """Return a setting as text; of a mapping, its reason in words."""
+    if isinstance(value, Mapping) and "why" in value:
+        return str(value["why"])
     return f"{value:.4g}" if isinstance(value, float) else str(value)
