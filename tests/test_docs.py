@@ -64,6 +64,14 @@ def test_commands_links_and_included_files_exist(page: Path) -> None:
         assert (ROOT / included).exists(), included
 
 
+def test_the_examples_have_the_arena_and_the_robot_of_the_quickstart() -> None:
+    page = (SITE / "quickstart.md").read_text()
+    given = dict(re.findall(r'```\w+ title="(.*?)"\n(.*?)```', page, re.S))
+    assert sorted(given) == ["lab.geojson", "robot.yaml"]
+    for name, text in given.items():
+        assert yaml.safe_load((ROOT / "docs" / "examples" / name).read_text()) == yaml.safe_load(text)
+
+
 def test_every_page_is_in_the_navigation() -> None:
     text = re.sub(r"!!?(?:relative|python\S*)", "", (ROOT / "docs" / "mkdocs.yml").read_text())
     listed = re.findall(r"[\w/-]+\.md", str(yaml.safe_load(text)["nav"]))
