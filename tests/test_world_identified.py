@@ -78,6 +78,12 @@ def test_no_return_is_drawn_as_often_as_it_is_said(graph: Sensorgraph, robot: Ro
     assert np.abs(seen - said).max() < 5 * 0.5 / np.sqrt(3000)
 
 
+def test_a_drive_may_turn_many_times(graph: Sensorgraph, robot: Robot) -> None:
+    turned = np.array([[1.3, 1.4, 0.2 + 64 * np.pi], [1.3, 1.4, 0.2]])  # 32 turns: a heading of 201 rad
+    many, none = (IdentifiedWorld(graph, robot, seed=1).scans(0, pose[None]) for pose in turned)
+    np.testing.assert_allclose(many, none, atol=1e-9)
+
+
 def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: Robot) -> None:
     poses = np.tile([1.3, 1.4, 0.2], (600, 1))
     world, other = IdentifiedWorld(graph, robot, seed=1), IdentifiedWorld(graph, robot, seed=1)

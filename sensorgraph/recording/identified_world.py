@@ -16,7 +16,7 @@ import numpy as np
 import logs
 from logs.run import RangeSensor, Run
 from logs.transforms import compose
-from planners.arena import Arena
+from planners.arena import Arena, wrap
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError
@@ -135,7 +135,7 @@ class IdentifiedWorld:
 
         `poses` are (n, 3), or (n, n_rays, 3) for a sensor that sweeps.
         """
-        there = poses_for(self.graph, "base_link", self.sensor.mount, poses)
+        there = self._graph_poses(poses)
         answered = self.graph.predict(there, rays=self.rays).answered
         self.n_rays += answered.size
         self.unanswered += int((~answered).sum())
@@ -143,8 +143,13 @@ class IdentifiedWorld:
 
     def scan(self, number: int, pose: Floats) -> Floats:
         """Draw one scan (n_rays,) [m] at a pose (3,)."""
-        there = poses_for(self.graph, "base_link", self.sensor.mount, pose[None])
-        return np.asarray(self._draw(number, there)[0])
+        return np.asarray(self._draw(number, self._graph_poses(pose[None]))[0])
+
+    def _graph_poses(self, poses: Floats) -> Floats:
+        """Return base_link poses (..., 3) in the frame of the graph; the headings of a long drive are many turns."""
+        there = poses_for(self.graph, "base_link", self.sensor.mount, poses).copy()
+        there[..., 2] = wrap(there[..., 2])
+        return there
 
     def _draw(self, first: int, poses: Floats) -> Floats:
         uniform, normal = self._numbers(first, poses)
