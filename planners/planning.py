@@ -292,10 +292,9 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
 
 
 def _share_of_bare_footprint(task: Task) -> float:
-    """Return the reachable share of the bins that the robot would reach without a margin."""
+    """Return the share of the cells in reach without a margin that the margin leaves."""
     bare = task.reach.with_clearance(task.vehicle.footprint_radius).cells()
-    met = task.coverage.reachable & bare[:, :, None]
-    return float(met.sum() / max(int(bare.sum()) * task.coverage.headings, 1))
+    return float((task.reach.cells() & bare).sum() / max(int(bare.sum()), 1))
 
 
 def _dubins_start(

@@ -202,7 +202,7 @@ def _summary(report: dict[str, Any]) -> str:
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time{_above(report)}; joins: {joins['direct']:,} straight, "
         f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m, "
-        f"the margin leaves {100 * report['share_of_bare_footprint']:.1f} % of the bins reachable; "
+        f"the margin leaves {100 * report['share_of_bare_footprint']:.1f} % of the cells reachable; "
         f"planned in {report['planning_s']:.1f} s"
     )
 
