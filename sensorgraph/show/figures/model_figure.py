@@ -32,6 +32,8 @@ from sensorgraph.show.figures.style import (
 )
 from sensorgraph.types import Floats
 
+PANEL_WIDTH = 6.0
+"""[in] Width of a panel with its colour bar."""
 PATCH_SIZE = 0.2
 """[m] Side of the squares over which residuals are averaged where there are no faces."""
 MIN_PROBABILITY = 0.1
@@ -49,7 +51,7 @@ def model_figure(model: Faces | CellModel, residuals: tuple[Floats, Floats, Floa
     """Return the figure of a model of faces or cells.
 
     The left panel shows the probability that each face or cell stops a ray. The right panel shows the mean residuals
-    of a run or, without a run, the density of the training returns. White space was observed, grey space was not.
+    of a run or, without a run, the density of the training returns of faces. White space was observed, grey space was not.
 
     Parameters
     ----------
@@ -60,23 +62,21 @@ def model_figure(model: Faces | CellModel, residuals: tuple[Floats, Floats, Floa
     SensorgraphError : The model has no surface.
     """
     (x0, y0), (x1, y1) = _limits(model)
-    width = 12.0
-    tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)
-    figure = new_figure(width, tall + 0.9)
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    for axes in (left, right):
+    n_panels = 2 if residuals is not None or isinstance(model, Faces) else 1
+    tall = map_height(0.92 * PANEL_WIDTH, (x0, y0, x1, y1), 2.5, 10.0)
+    figure = new_figure(PANEL_WIDTH * n_panels, tall + 0.9)
+    panels = figure.subplots(1, n_panels, sharex=True, sharey=True, squeeze=False)[0]
+    for axes in panels:
         _observed_space(axes, model)
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
         axes.set_xlabel("x [m]", color=INK)
         reduce_frame(axes)
-    left.set_ylabel("y [m]", color=INK)
-    _visibility(figure, left, model)
+    panels[0].set_ylabel("y [m]", color=INK)
+    _visibility(figure, panels[0], model)
     if residuals is not None:
-        _mean_residuals(figure, right, model, *residuals)
+        _mean_residuals(figure, panels[1], model, *residuals)
     elif isinstance(model, Faces):
-        _training_returns(figure, right, model)
-    else:
-        right.set_title("residuals: give a run with --run", loc="left", fontsize=SUBTITLE, color=SOFT)
+        _training_returns(figure, panels[1], model)
     return figure
 
 
