@@ -188,7 +188,7 @@ def _record_closed_loop(
 def _touched(run: Run) -> str:
     """Return the number of wall contacts as text; empty without contacts."""
     contacts = int(run.meta["contacts"])
-    return f", touched a wall {contacts} times" if contacts else ""
+    return f", touched a wall {contacts:,} time{'s' if contacts > 1 else ''}" if contacts else ""
 
 
 def _unanswered(drive: ClosedLoopDrive) -> str:
