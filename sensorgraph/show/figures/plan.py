@@ -102,8 +102,10 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
     axes.add_collection(route)
     spins = plan.stops[abs(plan.stops[:, 3]) > np.pi]
     size = float(np.clip(220.0 / extent**2, 1.0, 10.0))
-    label = "turn on the spot by more than 180°" if len(spins) else None
-    axes.scatter(spins[:, 0], spins[:, 1], s=size, color=INK, alpha=0.5, linewidths=0, zorder=3, label=label)
+    dot: dict[str, Any] = {"color": INK, "alpha": 0.5, "linewidths": 0, "zorder": 3}
+    axes.scatter(spins[:, 0], spins[:, 1], s=size, **dot)
+    if len(spins):
+        axes.scatter([], [], s=10.0, label="turn > 180°", **dot)
     _holes(axes, plan)
     _start(axes, plan)
     placing = {"location": "right", "fraction": 0.025, "shrink": 0.8, "aspect": 45, "pad": 0.015}
