@@ -30,7 +30,7 @@ def check_name(name: str) -> None:
     Raises
     ------
     SensorgraphError
-        The message lists the known names.
+        The message has the nearest names.
     """
     families = (name for channel in ("scan", *FAMILIES_OF) for name in families_of(channel))
     check_known(name, [*EFFECTS, *families, UNLISTED])

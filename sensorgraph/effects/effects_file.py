@@ -92,9 +92,8 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
         raise SensorgraphError(f"{name}: not YAML: {' '.join(str(exc).split())}") from exc
     data = [] if data is None else data
     if not isinstance(data, list):
-        raise SensorgraphError(
-            f"{name}: contains a {type(data).__name__}, expected a list of effects, `- name: ...`"
-        )
+        kind = "mapping" if isinstance(data, dict) else type(data).__name__
+        raise SensorgraphError(f"{name}: contains a {kind}, expected a list of effects, `- name: ...`")
     return tuple(_amendment(entry, f"{name}: effect {i}", arena) for i, entry in enumerate(data, start=1))
 
 

@@ -19,7 +19,7 @@ def why(ledger: Ledger, name: str) -> str:
     Raises
     ------
     SensorgraphError
-        No entry has this name; the message lists the known names.
+        No entry has this name; the message has the nearest names.
     """
     check_known(name, ledger.names)
     found = ledger.of(name)
@@ -32,12 +32,13 @@ def check_known(name: str, known: Sequence[str]) -> None:
     Raises
     ------
     SensorgraphError
-        The message has the nearest names or, if none is near, all of them.
+        The message has the nearest names or, if none is near, an example.
     """
     if as_name(name) in known:
         return
     near = difflib.get_close_matches(as_name(name), known, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"expected one of: {', '.join(known)}"
+    example = f"expected for example {known[0]}; the table of a report lists all"
+    hint = f"did you mean {' or '.join(near)}?" if near else example
     raise SensorgraphError(f"{name!r} is no effect or family; {hint}")
 
 
