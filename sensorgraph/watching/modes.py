@@ -35,11 +35,11 @@ class Mode:
     is_matched: bool = False
     """Whether the last scan was matched to the surfaces."""
     answered: float = 0.0
-    """Share of the rays that the graph supports."""
+    """Share of the rays that the graph answers."""
     evidence: float = 0.0
-    """[nats] Mean evidence of the supported readings of the last scan."""
+    """[nats] Mean evidence of the answered readings of the last scan."""
     alone: float = 0.0
-    """[m] Distance driven where the graph does not support its rays or the scan does not match, less that where it does."""
+    """[m] Distance driven where the graph does not answer its rays or the scan does not match, less that where it does."""
     moved: float = 0.0
     """[m] Distance driven since the last scan."""
     followed: float = 0.0
@@ -116,12 +116,12 @@ def weighed(
     out = []
     for k, mode in enumerate(modes):
         answered, moved = float(found.answered[k]), mode.moved
-        is_supported = mode.is_matched and answered > priors.supported
-        followed = mode.followed + (moved if is_supported and mode.score > math.log(0.9) else 0.0)
+        is_known = mode.is_matched and answered > priors.answered
+        followed = mode.followed + (moved if is_known and mode.score > math.log(0.9) else 0.0)
         out.append(
             replace(
                 mode, score=mode.score + stay + float(gains[k]), answered=answered, evidence=float(evidence[k]),
-                alone=max(mode.alone - moved, 0.0) if is_supported else mode.alone + moved,
+                alone=max(mode.alone - moved, 0.0) if is_known else mode.alone + moved,
                 followed=min(followed, priors.confirmed),
             )
         )  # fmt: skip

@@ -117,8 +117,8 @@ class PoseJudge:
 
         Parameters
         ----------
-        known : How far the graph knows the surroundings, 0 to 1. Where it does not, the tracked pose drifts: if it leaves
-            the belief, this is no evidence, but if both agree, it is.
+        known : How far the graph knows the surroundings, 0 to 1; 0 where the scan is not matched. There the tracked pose
+            drifts: if it leaves the belief, this is no evidence, but if both agree, it is.
         """
         s = self.priors
         nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
@@ -147,12 +147,12 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         if mode is not main and p > RIVAL * best
     ]  # fmt: skip
     p_ok = best
-    is_known = main.answered >= priors.supported and main.alone < priors.alone
+    is_known = main.answered >= priors.answered and main.alone < priors.alone
     if believed is not None:
         moved = np.abs(tracker.velocity) * priors.stamp
         near = [_p_near(mode, believed, moved, priors) for mode in modes]
         p_near = float(probabilities @ near) / max(1.0 - p_lost, 1e-9)
-        known = min(main.answered / priors.supported, 1.0)
+        known = min(main.answered / priors.answered, 1.0) if main.is_matched else 0.0
         p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known))
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
@@ -163,7 +163,11 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         status, p = "ambiguous", 1.0 - best
     elif believed is not None and p_off > 0.5:
         status, p = "off", p_off
-    if not is_known and status in ("off", "ambiguous") and before not in ("off", "ambiguous"):
+    if (
+        not (is_known and main.is_matched)
+        and status in ("off", "ambiguous")
+        and before not in ("off", "ambiguous")
+    ):
         status, p = "ok", p_ok  # nothing that the graph knows is in sight: no news
     offset = (0.0, 0.0) if believed is None else apart(main.pose, believed)
     return PoseStatement(

@@ -5,7 +5,9 @@ of readings that the graph can predict, the evidence of one reading is
 
     log((s p + (1 - s) p_0) / p_0),
 
-and the probability that the graph predicts it is s p / (s p + (1 - s) p_0). GraphReadings without support count nothing.
+and the probability that the graph predicts it is s p / (s p + (1 - s) p_0). A ray that the graph does not answer counts
+nothing: its broad density is ignorance. Another pose at which the graph knows a similar wall would beat it by far, since walls
+resemble each other more than the readings of p_0 do.
 """
 
 from __future__ import annotations
@@ -36,15 +38,15 @@ class ReadingEvidence:
     """Evidence of the readings of one scan at poses."""
 
     ratios: Floats
-    """(n_poses, n_rays) [nats]; 0 where the graph is not asked or does not answer."""
+    """(n_poses, n_rays) [nats]; 0 where the graph does not answer."""
     known: Bools
-    """(n_poses, n_rays) whether the graph supports the ray and the reading is not broken."""
+    """(n_poses, n_rays) whether the graph answers the ray and the reading is not broken."""
     fits: Floats
     """(n_poses, n_rays) probability that the graph predicts the reading."""
 
     @property
     def answered(self) -> Floats:
-        """(n_poses,) Share of the rays that the graph supports."""
+        """(n_poses,) Share of the rays that the graph answers."""
         return np.asarray(self.known.mean(axis=1))
 
 
@@ -99,8 +101,9 @@ class GraphReadings:
         starts, own = self.graph_poses(poses), self.own[which]
         if self.graph.sensor.is_composite:
             starts = to_ray_starts(starts[:, None], self.graph.sensor, self.graph.pose_frame)[:, own]
-        found, supported = ray_likelihoods(self.graph, z[None], starts, own)
-        s, known = self.priors.predicted, supported & ~np.isnan(z)
+        found, _ = ray_likelihoods(self.graph, z[None], starts, own)
+        answered = self.graph.predict(self.graph_poses(poses), rays=own).answered
+        s, known = self.priors.predicted, answered & ~np.isnan(z)
         ratios = np.where(
             known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0
         )

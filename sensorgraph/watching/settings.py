@@ -75,14 +75,14 @@ class TrackingPriors:
     """[s] The same for a robot that stands."""
     max_speed: float = 3.0
     """[m/s] A faster step of the odometry is a jump."""
-    supported: float = 0.15
-    """Share of supported rays below which the graph does not know the surroundings."""
+    answered: float = 0.15
+    """Share of answered rays below which the graph does not know the surroundings."""
     alone: float = 5.0
     """[m] Distance driven outside what the graph knows after which the believed pose is as probable as ours."""
     confirmed: float = 3.0
-    """[m] Distance over which a mode must have been the probable one to go on where the graph does not support it."""
+    """[m] Distance over which a mode must have been the probable one to go on where the graph does not answer its rays."""
     unlike: float = 0.05
-    """Least probability that the graph does not know the surroundings of a scan; otherwise its share of unsupported rays."""
+    """Least probability that the graph does not know the surroundings of a scan; otherwise its share of unanswered rays."""
     alike: float = 0.25
     """Share of the usual evidence that a scan of another place has at the best pose of this one: walls resemble walls. It
     counts against a mode until this was followed over `confirmed`."""

@@ -6,7 +6,7 @@ anywhere in the place. A robot is carried away at a known rate. This is a hidden
 result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
 place could gain. A new mode has the prior of one among all places that can be told apart.
 
-A ray that the graph does not support at a mode says nothing against it: it counts as much there as at the best other
+A ray that the graph does not answer at a mode says nothing against it: it counts as much there as at the best other
 mode. So a robot that drives outside what the graph knows goes on by odometry, with a growing covariance.
 """
 
@@ -59,7 +59,7 @@ class PoseTracker:
         self.usable: Bools = np.ones(len(readings.rays), dtype=np.bool_)
         """Rays whose readings count; those of a blocked sector do not."""
         self.usual = readings.expected
-        """[nats] Usual evidence of a supported reading."""
+        """[nats] Usual evidence of an answered reading."""
         self.missing = 0.0
         """[nats] Evidence that another place could add since the scans fit less well than usual."""
         self.limit = 0.5 * self.log_places
