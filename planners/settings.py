@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ReachSettings:
-    """The raster of free space; set with `python benchmarks/coverage_planners.py` (clearance, coverage, memory)."""
+    """The raster of free space; set with `python -m benchmarks.coverage_planners` (clearance, coverage, memory)."""
 
     step: float = 0.02
     """[m] Upper bound of the node spacing; reduced so that a cell is a whole number of steps."""
@@ -28,7 +28,7 @@ class ReachSettings:
 class RoomSettings:
     """Division of a floor into rooms.
 
-    Set with `python benchmarks/coverage_planners.py --arena --random 10 --first 1`.
+    Set with `python -m benchmarks.coverage_planners --arena --random 10 --first 1`.
     """
 
     passage: float = 0.25
@@ -43,7 +43,7 @@ class RoomSettings:
 class TourSettings:
     """Effort spent on the order of lanes.
 
-    Set with `python benchmarks/coverage_planners.py --planner stop_and_spin` and
+    Set with `python -m benchmarks.coverage_planners --planner stop_and_spin` and
     `python -m benchmarks.large_floor`.
     """
 
@@ -91,7 +91,7 @@ class LogSettings:
 
     dwell_periods: float = 1.25
     """Minimum stay in a heading bin, in log periods. One period suffices for a log of any phase; the extra
-    quarter covers the sampling error of entry and exit times (`python benchmarks/coverage_planners.py`)."""
+    quarter covers the sampling error of entry and exit times (`python -m benchmarks.coverage_planners`)."""
     min_poses: float = 2.0
     """Logged poses per passage through a bin, below which a warning is given: one lost scan would lose the bin."""
 
@@ -100,7 +100,7 @@ class LogSettings:
 class StartSettings:
     """Checks of the start pose.
 
-    Set with `python benchmarks/coverage_planners.py --arena --random 10 --first 1`.
+    Set with `python -m benchmarks.coverage_planners --arena --random 10 --first 1`.
     """
 
     min_dubins_share: float = 0.05

@@ -14,7 +14,6 @@ from test_diagnosis_scan import drive
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.candidate_fits import searched
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.naming import is_measured
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
@@ -133,11 +132,10 @@ def test_the_end_of_a_part_that_is_the_end_of_its_wall_has_an_error(hall: Arena)
     assert 0 < errors["b"] < 0.1
 
 
-def test_a_size_that_the_run_does_not_tell_is_no_name() -> None:
+def test_a_size_that_the_run_does_not_determine_is_as_probably_material_as_not() -> None:
     pillar = EFFECTS["unmapped_obstacle"](x=1.0, y=2.0, r=3.0)
-    assert is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 0.1}))
-    assert not is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 31623.0}))
-    assert is_measured(replace(EFFECTS["max_range"](R=3.0), stderr={"R": 100.0}))  # it has no size
+    assert material_probability(pillar, {"x": 0.01, "y": 0.01, "r": 0.1}) > 0.999
+    assert material_probability(pillar, {"x": 0.01, "y": 0.01, "r": 31623.0}) == pytest.approx(0.5, abs=1e-3)
 
 
 def test_at_a_site_that_is_known_its_spread_from_run_to_run_is_part_of_the_error(hall: Arena) -> None:

@@ -1,6 +1,6 @@
 """Tuned parameters of cars, with the command that set each.
 
-All were set with `python benchmarks/coverage_planners.py --drive reeds_shepp` and `--drive dubins`, for the
+All were set with `python -m benchmarks.coverage_planners --drive reeds_shepp` and `--drive dubins`, for the
 arenas `square office` and for random offices (`--arena --random 10 --first 1`): driving time, coverage and
 processor time.
 

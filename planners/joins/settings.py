@@ -1,7 +1,7 @@
 """Tuned parameters of joins, with the command that set each.
 
 Unless stated otherwise they were set with
-`python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random offices for development, each
+`python -m benchmarks.coverage_planners --arena --random 10 --first 1` (random offices for development, each
 `--drive`), by failed joins and planning time. OMPL's processes import this module.
 """
 

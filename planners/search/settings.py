@@ -13,7 +13,7 @@ class SearchSettings:
     """Effort and preferences of one search.
 
     Set by driving time over reference time against processor time, as printed by
-    `python benchmarks/coverage_planners.py --arena --random 10 --first 1` (random offices for development)
+    `python -m benchmarks.coverage_planners --arena --random 10 --first 1` (random offices for development)
     and by `--arena square office`. The search is chaotic: differences below 3 % of the driving time are
     noise.
     """
@@ -79,7 +79,7 @@ shortened later."""
 class AreaSettings:
     """The area of a search.
 
-    Set with `python benchmarks/coverage_planners.py` and `benchmarks/tracking_error.py`.
+    Set with `python -m benchmarks.coverage_planners` and `python -m benchmarks.tracking_error`.
     """
 
     min_inner_share: float = 0.12
@@ -93,7 +93,7 @@ AREA = AreaSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class PrimitiveSettings:
-    """Resolution of the motion primitives; set with `python benchmarks/coverage_planners.py`."""
+    """Resolution of the motion primitives; set with `python -m benchmarks.coverage_planners`."""
 
     max_duration: float = 0.5
     """[s] maximum duration of a primitive of a robot that turns in place."""
@@ -116,7 +116,7 @@ PRIMITIVES = PrimitiveSettings()
 class KernelSettings:
     """Constants compiled into the kernels; no plan of the benchmarks reaches the limits of work.
 
-    See `python benchmarks/coverage_planners.py` and `python -m benchmarks.large_floor`.
+    See `python -m benchmarks.coverage_planners` and `python -m benchmarks.large_floor`.
     """
 
     samples: int = 8
@@ -147,7 +147,7 @@ KERNELS = KernelSettings()
 class HeuristicSettings:
     """Lattice of the cost-to-go map that guides a car to the nearest bin.
 
-    Set with `python benchmarks/coverage_planners.py --drive reeds_shepp --arena square office` (column `cpu`).
+    Set with `python -m benchmarks.coverage_planners --drive reeds_shepp --arena square office` (column `cpu`).
     """
 
     points_per_cell: int = 4

@@ -35,7 +35,6 @@ from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.effect import size_ratio
 
 AT_MOST = 0.99
 """Share of the maximum scale of map and poses, above which they count as widened to the limit."""
@@ -191,8 +190,6 @@ def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
         return Objection("blurred_corner", f"it is shorter than {length}, as a blurred corner is")
     if is_within_baseline(fitted, amendment):
         return Objection("site_baseline", "it is within what the known-good runs of the site show")
-    if not is_measured(amendment):
-        return Objection("undetermined_size", "the run does not determine its size")
     if is_map_error(fitted, amendment):
         return Objection("map_error", "it is within the errors of the map")
     if changes_too_few(fitted, amendment):
@@ -216,13 +213,6 @@ def _is_blurred_corner(amendment: Amendment) -> bool:
     """Tell whether a part of a wall is so short that it may be a blurred corner."""
     values = amendment.parameters
     return amendment.effect.on_part_of_wall and values["b"] - values["a"] < SCAN.naming.min_part
-
-
-def is_measured(amendment: Amendment) -> bool:
-    """Tell whether the run determines the size of an effect: the size exceeds its standard error."""
-    sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
-    error = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
-    return not sizes or error < size_ratio(amendment.effect, amendment.parameters)
 
 
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:

@@ -239,9 +239,10 @@ def set_up_of(data: ScanData) -> SetUp:
 def material_probability(amendment: Amendment, stderr: Mapping[str, float], slack: float = 1.0) -> float:
     """Return the probability that an effect's size is at least `slack` times its materiality; 1 without a limit.
 
-        Φ((ratio - slack) / error) + Φ((-ratio - slack) / error)
+        Φ((ratio - slack) / error)
 
-    The error is taken along the direction of the size: several sizes add as a vector, and either sign counts.
+    The error is taken along the direction of the size, since several sizes add as a vector. The other sign does not count:
+    a size that the run does not determine (error -> inf) is as probably material as not.
     """
     sizes = amendment.effect.sizes
     ratio = size_ratio(amendment.effect, amendment.parameters)
@@ -252,4 +253,4 @@ def material_probability(amendment: Amendment, stderr: Mapping[str, float], slac
     }
     along = sum((value * error) ** 2 for value, error in parts.values()) ** 0.5 / max(ratio, 1e-9)
     error = max(along, 1e-6)
-    return float(ndtr((ratio - slack) / error) + ndtr((-ratio - slack) / error))
+    return float(ndtr((ratio - slack) / error))
