@@ -344,9 +344,13 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--part", choices=("clean", "pose"), default="clean")
     parser.add_argument("--n", type=int, default=50)
+    parser.add_argument(
+        "--swapped", action="store_true", help="watch the first half in a graph of the second"
+    )
     options = parser.parse_args()
-    data = halves(options.log, options.work)
-    graph = sg.load(options.work / f"{options.log.name}.first.sensorgraph")
+    data = halves(options.log, options.work, swapped=options.swapped)
+    half = "second" if options.swapped else "first"
+    graph = sg.load(options.work / f"{options.log.name}.{half}.sensorgraph")
     rng = np.random.default_rng(0)
     print(
         f"{options.log.name}: {data.second.n_scans:,} scans, {data.covered.mean():.0%} covered by the graph",
