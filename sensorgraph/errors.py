@@ -12,7 +12,7 @@ from logs.errors import LogError
 from planners.errors import PlanError
 from robotmodic_ident.errors import IdentError
 
-MAX_TEXT = 1200
+MAX_TEXT = 2500
 """Maximum number of characters of a message; a longer one, from a hostile file, is cut in the middle."""
 P = ParamSpec("P")
 R = TypeVar("R")

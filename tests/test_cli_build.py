@@ -120,7 +120,6 @@ BAD = {
     ),
     "not a graph": (["show", "{folder}/poses.csv"], "not a sensorgraph"),
     "a folder as graph": (["show", "{folder}"], "is a folder, expected a *.sensorgraph"),
-    "name of a graph": (["build", "{folder}/run.mcap", "-o", "{tmp}/g.txt"], "name it g.sensorgraph"),
     "no such ray": (["show", "{folder}/g.sensorgraph", "--ray", "19"], "rays 0 to 18"),
     "bad point": (
         ["evaluate", "{folder}/g.sensorgraph", "{folder}/run.mcap", "--point", "max"],

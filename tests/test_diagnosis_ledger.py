@@ -233,7 +233,7 @@ def test_command_refuses_what_it_cannot_explain_in_one_line(
     (tmp_path / "text.json").write_text("glass")
     for words, said in {
         (tmp_path, "glas"): "did you mean glass?",
-        (tmp_path, "nothing like it"): "expected for example range_bias",
+        (tmp_path, "nothing like it"): "expected one of: range_bias",
         (tmp_path / "old.json", "glass"): "has no ledger, as of an older version",
         (tmp_path / "damaged.json", "glass"): "is damaged",
         (tmp_path / "other.json", "glass"): "is not a report",

@@ -86,7 +86,7 @@ def build(
     from sensorgraph.models import MODELS
 
     check_poses(poses)
-    check_output(output, *runs, suffix=".sensorgraph")
+    check_output(output, *runs)
     check_runs(runs)
     _check_model(model, MODELS, is_update=update is not None, with_arena=arena is not None)
     options = _options(calibrate, degree=degree, harmonics=harmonics, terms=terms, lags=lags)

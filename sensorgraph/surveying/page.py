@@ -20,13 +20,11 @@ WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:
 
 def fleet_page(fleet: Fleet) -> str:
     """Return fleet.html."""
-    robots = sorted({str(row["robot"]) for row in fleet.rows})
-    hours = sum(float(row["length_s"]) for row in fleet.rows) / 3600
     changes = [str(one) for one in fleet.changes]
     return page_shell(
         headline=changes[0] if len(changes) == 1 else f"{len(changes)} changes" if changes else "No robot changed",
         lead=[
-            f"{len(fleet.rows)} logs of {len(robots)} robots, {hours:.1f} h; {len(fleet.failures)} failed.",
+            f"{fleet.extent}; {len(fleet.failures)} failed.",
             *([] if len(changes) < 2 else [f"{one}." for one in changes[:12]]),
         ],
         eyebrow=f"sensorgraph fleet {__version__}",

@@ -55,14 +55,18 @@ class Fleet:
     walls: Mapping[str, Floats] = field(default_factory=dict, repr=False)
     """Place -> (n, 2, 2) [m] walls, for the map of changes."""
 
+    @property
+    def extent(self) -> str:
+        """Number of logs and robots, and the length of the logs, in words."""
+        n, robots = len(self.rows), len({str(row["robot"]) for row in self.rows})
+        hours = sum(float(row["length_s"]) for row in self.rows) / 3600
+        return (
+            f"{n:,} log{'' if n == 1 else 's'} of {robots} robot{'' if robots == 1 else 's'}, {hours:.1f} h"
+        )
+
     def lines(self) -> list[str]:
         """Return the summary as lines."""
-        robots = sorted({str(row["robot"]) for row in self.rows})
-        hours = sum(float(row["length_s"]) for row in self.rows) / 3600
-        out = [
-            f"{len(self.rows)} logs of {len(robots)} robots, {hours:.1f} h; {self.n_new} analysed now, "
-            f"{len(self.failures)} failed"
-        ]
+        out = [f"{self.extent}; {self.n_new} analysed now, {len(self.failures)} failed"]
         if self.n_outdated:
             out.append(
                 f"{self.n_outdated} logs had results of another version or of other settings, and were analysed again"

@@ -230,6 +230,7 @@ def load_policy(path: Path) -> WatchPolicy:
     except (KeyError, TypeError, ValueError, yaml.YAMLError, UnicodeDecodeError) as exc:
         if isinstance(exc, SensorgraphError):
             raise
+        reason = f"it has no key {exc}" if isinstance(exc, KeyError) else f"{type(exc).__name__}: {exc}"
         raise SensorgraphError(
-            f"{path} is no policy of watch ({type(exc).__name__}: {exc}); make one with watch GRAPH --init-policy RUN... -o FILE"
+            f"{path} is no policy of watch ({reason}); make one with watch GRAPH --init-policy RUN... -o FILE"
         ) from exc

@@ -19,7 +19,7 @@ def why(ledger: Ledger, name: str) -> str:
     Raises
     ------
     SensorgraphError
-        No entry has this name; the message has the nearest names.
+        No entry has this name; the message lists the known names.
     """
     check_known(name, ledger.names)
     found = ledger.of(name)
@@ -32,14 +32,13 @@ def check_known(name: str, known: Sequence[str]) -> None:
     Raises
     ------
     SensorgraphError
-        The message has the nearest names or, if none is near, an example.
+        The message lists the known names, the nearest ones first.
     """
     if as_name(name) in known:
         return
     near = difflib.get_close_matches(as_name(name), known, n=3, cutoff=0.5)
-    example = f"expected for example {known[0]}; the table of a report lists all"
-    hint = f"did you mean {' or '.join(near)}?" if near else example
-    raise SensorgraphError(f"{name!r} is no effect or family; {hint}")
+    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    raise SensorgraphError(f"{name!r} is no effect or family; {hint}expected one of: {', '.join(known)}")
 
 
 def paragraph(entry: Entry) -> str:
