@@ -6,14 +6,12 @@ import difflib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import ClassVar, ParamSpec, TypeVar
 
 from logs.errors import LogError
 from planners.errors import PlanError
 from robotmodic_ident.errors import IdentError
 
-MAX_TEXT = 2500
-"""Maximum number of characters of a message; a longer one, from a hostile file, is cut in the middle."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -25,9 +23,12 @@ class SensorgraphError(ValueError):
     `import sensorgraph` convert them into this error, with the original as `__cause__`.
     """
 
+    max_text: ClassVar[int] = 1200
+    """Maximum number of characters of a message; a longer one, from a hostile file, is cut in the middle."""
+
     def __str__(self) -> str:
-        text = " ".join(super().__str__().split())
-        return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 300]} ... {text[-290:]}"
+        text, most = " ".join(super().__str__().split()), self.max_text
+        return text if len(text) <= most else f"{text[: most - 300]} ... {text[-290:]}"
 
 
 def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:

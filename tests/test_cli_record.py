@@ -186,7 +186,7 @@ def test_another_robot_or_arena_than_the_plan_has_is_warned_of(
             "expected a list",
         ),
         (["review", "{run}", "-o", "{tmp}/a.png"], "name it a.rrd"),
-        (["review", "{run}", "--graph", "{run}", "-o", "{tmp}/a.rrd"], "not a sensorgraph"),
+        (["review", "{run}", "--graph", "{run}", "-o", "{tmp}/a.rrd"], "is a log (mcap) and no sensorgraph"),
         (["review", "{run}", "--ray", "181", "-o", "{tmp}/a.rrd"], "rays 0 to 180"),
         (["review", "{run}", "--plan", "{tmp}/none", "-o", "{tmp}/a.rrd"], "trajectory.csv"),
     ],

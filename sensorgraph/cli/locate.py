@@ -70,8 +70,6 @@ def locate(
     for path, suffix in ((out, ".mcap"), (csv, None), (json, None), (picture, ".png")):
         if path is not None:
             check_output(path, run, suffix=suffix)
-    if not any((out, csv, json, picture)):
-        typer.echo("note: no file will be written; give -o OUT.mcap, --csv, --json or --picture", err=True)
     place = None if arena is None else _place(arena)
     with reading_bar() as tick:
         log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
@@ -95,8 +93,11 @@ def locate(
                 f"{out} holds no pose, since no scan has the status ok; --csv lists the poses of all scans"
             )
     written = [str(path) for path in (csv, json, picture, out) if path is not None]
-    if written:
-        typer.echo(f"wrote {', '.join(written)}")
+    typer.echo(
+        f"wrote {', '.join(written)}"
+        if written
+        else "no file written; give -o OUT.mcap, --csv, --json or --picture"
+    )
 
 
 def _place(arena: str) -> Arena | Sensorgraph:

@@ -26,19 +26,27 @@ def why(ledger: Ledger, name: str) -> str:
     return "\n\n".join(paragraph(entry) for entry in found)
 
 
+class UnknownHypothesisError(SensorgraphError):
+    """A hypothesis with this name is not known; the message lists all names."""
+
+    max_text = 4000
+
+
 def check_known(name: str, known: Sequence[str]) -> None:
     """Refuse an unknown name.
 
     Raises
     ------
-    SensorgraphError
-        The message lists the known names, the nearest ones first.
+    UnknownHypothesisError
+        The message has the nearest names, and all.
     """
     if as_name(name) in known:
         return
     near = difflib.get_close_matches(as_name(name), known, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}? " if near else ""
-    raise SensorgraphError(f"{name!r} is no effect or family; {hint}expected one of: {', '.join(known)}")
+    raise UnknownHypothesisError(
+        f"{name!r} is no effect or family; {hint}expected one of: {', '.join(known)}"
+    )
 
 
 def paragraph(entry: Entry) -> str:
