@@ -95,6 +95,7 @@ def graphs() -> tuple[Sensorgraph, Sensorgraph]:
     return build([run_of(0)]), build([run_of(0, sweep_time=0.0)])
 
 
+@pytest.mark.slow
 def test_accuracy_with_a_sweep_is_that_without(graphs: tuple[Sensorgraph, Sensorgraph]) -> None:
     swept = evaluate(graphs[0], run_of(1)).all
     still = evaluate(graphs[1], run_of(1, sweep_time=0.0)).all

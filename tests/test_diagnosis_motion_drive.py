@@ -112,6 +112,7 @@ def test_wheel_effects_are_no_drive_effects(effect: dict[str, float]) -> None:
 @pytest.mark.parametrize(
     ("column", "least"), [(1, 0.3), *further((0, 0.2), (0, 0.4))], ids=["turns", "ways", "most ways"]
 )
+@pytest.mark.slow
 def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float, seed: int) -> None:
     """The run is driven by what the motors obey; the log shows what they were told beside it: 0.6 of `least`."""
     run = make_run(seed)

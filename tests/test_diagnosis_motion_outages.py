@@ -130,6 +130,7 @@ def heard(run: Run, silent: float, seed: int = 0) -> Run:
 
 
 @pytest.mark.parametrize("silent", [1.2, *further(0.0)])
+@pytest.mark.slow
 def test_a_link_that_loses_commands_is_no_lag(silent: float) -> None:
     result = diagnose_drive(heard(make_run(3), silent), ROBOT)
     assert result.effects == () and (result.unknown is not None) == (silent > 0)

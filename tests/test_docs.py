@@ -29,6 +29,7 @@ def test_the_recording_example_writes_a_run(tmp_path: Path, monkeypatch: pytest.
     assert (run.n_scans, len(run.poses), len(run.odometry), len(run.commands)) == (1, 1, 1, 1)
 
 
+@pytest.mark.slow
 def test_the_loop_in_the_readme_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -31,6 +31,7 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
     assert finding.unknown is None
 
 
+@pytest.mark.slow
 def test_ticks_of_a_slow_loop_that_beat_with_the_commands_are_no_changing_delay() -> None:
     """A base at 10 Hz, commands at 20 Hz: delays of stretches differ by 36 ms, which 96 nats had made unknown."""
     case = make(Spec(suite="none", kinds="report", index=10276, background="dirty"))

@@ -67,6 +67,7 @@ def test_absent_floors_are_said_in_one_line(tmp_path: Path, monkeypatch: pytest.
         command.main()
 
 
+@pytest.mark.slow
 def test_same_arguments_give_the_same_bytes(floors: None, tmp_path: Path) -> None:
     for folder, indices in (("one", (2, 3)), ("two", (3,))):
         _generate("floors", tmp_path / folder, *(Spec(suite="singles", index=k) for k in indices))
@@ -75,6 +76,7 @@ def test_same_arguments_give_the_same_bytes(floors: None, tmp_path: Path) -> Non
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_raster_map_has_the_walls_of_the_polygons(floors: None, tmp_path: Path) -> None:
     for world in ("pixels", "floors"):
         _generate(world, tmp_path / world, Spec(suite="none", index=0))

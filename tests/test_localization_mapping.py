@@ -343,6 +343,7 @@ def test_robot_that_was_carried_is_found_again_or_said_to_be_lost() -> None:
     assert not found.rivals
 
 
+@pytest.mark.slow
 def test_room_that_is_there_twice_is_ambiguous_and_names_both() -> None:
     """Through one room into its twin, then carried back into the first: nothing tells which of the two it is."""
     apart = 12.0

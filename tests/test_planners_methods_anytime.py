@@ -58,6 +58,7 @@ def test_an_anytime_plan_ends_complete_clear_and_within_limits(whole: Plan) -> N
     assert whole.report["order"] == "anytime"
 
 
+@pytest.mark.slow
 def test_a_budget_is_a_prefix_of_the_whole(whole: Plan) -> None:
     part = planned(budget=60.0)
     assert part.curve.duration <= 60.0 + 1e-6

@@ -19,6 +19,7 @@ from logs.live.keys import parse_token
 from sensorgraph.cli import run as cli
 
 
+@pytest.mark.slow
 def test_a_running_robot_is_watched_and_its_statements_are_published(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,6 +27,7 @@ def staircase(rng: np.random.Generator, n: int) -> Floats:
 
 @settings(max_examples=300, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_there_are_no_fewer_segments_and_none_that_fit_better(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = staircase(rng, int(rng.integers(3, 26)))
