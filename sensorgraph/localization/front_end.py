@@ -303,16 +303,16 @@ class Tracker:
     def _is_carried(self, k: int, deviations: Floats) -> bool:
         """Tell whether the odometry carries the pose to scan k: it is accurate enough, and the robot drove.
 
-        If the view changes while the wheels hardly turn, somebody may have carried the robot.
+        If the view changes while the wheels stand, somebody may have carried the robot.
         """
-        s, key = self.settings, self.state.key_frames[-1]
+        s, key, last = self.settings, self.state.key_frames[-1], self.state.last_matched
         if self.odometry is None or not self._is_odometry_whole(key, k):
             return False
         changes = [one for one in self.state.failures if not self.is_continuous[one]]
-        moved = compose(
-            invert(self.odometry[self.state.last_matched]), self.odometry[changes[-1] if changes else k]
-        )
-        drove = np.hypot(moved[0], moved[1]) > s.key_frame_distance or abs(moved[2]) > s.key_frame_turn
+        then = changes[-1] if changes else k
+        moved = compose(invert(self.odometry[last]), self.odometry[then])
+        still = max(self.stamps[then] - self.stamps[last], self.interval) / s.still_time
+        drove = np.hypot(*moved[:2]) > s.still_distance * still or abs(moved[2]) > s.still_turn * still
         limits = np.array([s.broken_place, s.broken_place, s.broken_turn])
         return bool(drove and (deviations < limits).all())
 

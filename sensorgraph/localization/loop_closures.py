@@ -1,5 +1,8 @@
 """Loop closures: find revisited places by branch and bound, validate them, and add them to the pose graph.
 
+Where the odometry carries the pose over a break of the track, other places are searched only if the submap contradicts the
+older ones near it. Else it may show what the robot has not seen yet, and similar places would take it away.
+
 A closure is kept only if it passes all tests. No other place fits equally well. Enough points lie on the
 older surfaces. No ray of either visit crosses a surface of the other. The closure agrees with the other
 closures.
@@ -122,13 +125,14 @@ class LoopCloser:
             breaks = np.diff(self.track.piece[last : submap.middle + 1]) > 0
             if breaks.any():  # the wheels alone measured the motion
                 window = max(window, drift)
-            hits = 0
-            if not (breaks & ~self.track.is_carried[last : submap.middle]).any():
+            hits, is_lost = 0, bool((breaks & ~self.track.is_carried[last : submap.middle]).any())
+            if not is_lost:
                 window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
-                near = self._candidates(b, s.reach + window)
+                near = list(self._candidates(b, s.reach + window))
                 found = [one for a in near for one in self._search_pair(a, b, window, turn)]
                 hits = self._keep(b, found, drift if breaks.any() else s.drift_per_metre * way)
-            if breaks.any() and not hits:
+                is_lost = bool(breaks.any()) and not hits and any(self._contradicts(a, b) for a in near)
+            if is_lost:
                 hits = self._search_everywhere(b)
             if hits:
                 last, new = submap.middle, new + hits
@@ -217,7 +221,7 @@ class LoopCloser:
                 inliers=found.inliers,
                 reason=self.objection(older, newer, found, guess, window, modes.rivalry),
             ),
-            information=self._information(found),
+            information=information_of(found, s),
             agreement=found.agreement,
             guess=guess,
             places=np.vstack([found.pose, modes.poses[1:]]),
@@ -277,33 +281,43 @@ class LoopCloser:
             return f"only {found.inliers:.0%} of the points lie on surfaces"
         if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
             return "the match left the search window"
-        if float(np.linalg.inv(self._information(found))[2, 2]) > s.weak_turn**2:
+        if float(np.linalg.inv(information_of(found, s))[2, 2]) > s.weak_turn**2:
             return "the visible surfaces do not determine the heading"
-        through = max(
-            newer.sees_through(older, invert(found.pose), s.margin),
-            older.sees_through(newer, found.pose, s.margin),
-        )
+        through = seen_through(older, newer, found.pose, s.margin)
         if through > s.see_through:
             return f"rays would cross {through:.0%} of the visible surfaces"
         return ""
 
-    def _information(self, found: Match) -> Floats:
-        """Return the information (3, 3) in the older submap's frame; none along a corridor."""
-        s = self.settings
-        information = found.information / s.correlation
-        lowest = float(np.linalg.eigvalsh(information)[0])
-        direction, sd = found.weak_direction
-        covariance: Floats = np.asarray(
-            np.linalg.inv(information + (1e-6 + max(-lowest, 0.0)) * np.eye(3)), dtype=np.float64
-        )
-        covariance = covariance + np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
-        if sd * np.sqrt(s.correlation) > s.weak:
-            along = np.append(direction, 0.0)
-            covariance = covariance + s.no_information**2 * np.outer(along, along)
-        return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    def _contradicts(self, a: int, b: int) -> bool:
+        """Tell whether submaps contradict each other where the odometry has them; then the robot may have been carried."""
+        older, newer, poses = self.submaps[a], self.submaps[b], self.graph.poses
+        relative = compose(invert(poses[older.middle]), poses[newer.middle])
+        return seen_through(older, newer, relative, self.settings.margin) > self.settings.see_through
 
     def _refuse(self, closure: Closure, reason: str) -> None:
         self.refused.append(replace(closure, reason=reason))
+
+
+def seen_through(older: Submap, newer: Submap, relative: Floats, margin: float) -> float:
+    """Return the share of the visible surfaces of one submap that rays of the other cross; `relative` is newer in older."""
+    return max(
+        newer.sees_through(older, invert(relative), margin), older.sees_through(newer, relative, margin)
+    )
+
+
+def information_of(found: Match, s: ClosureSettings) -> Floats:
+    """Return the information (3, 3) in the older submap's frame; none along a corridor."""
+    information = found.information / s.correlation
+    lowest = float(np.linalg.eigvalsh(information)[0])
+    direction, sd = found.weak_direction
+    covariance: Floats = np.asarray(
+        np.linalg.inv(information + (1e-6 + max(-lowest, 0.0)) * np.eye(3)), dtype=np.float64
+    )
+    covariance = covariance + np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
+    if sd * np.sqrt(s.correlation) > s.weak:
+        along = np.append(direction, 0.0)
+        covariance = covariance + s.no_information**2 * np.outer(along, along)
+    return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
 def close_loops(
