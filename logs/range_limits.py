@@ -41,6 +41,14 @@ def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> 
     return range_min, ""
 
 
+def median_text(ranges: Floats) -> str:
+    """Return what is wrong with the median of ranges (n_scans, n_rays), as a sentence; empty if they may be in metres."""
+    finite = ranges[np.isfinite(ranges)]
+    median = float(np.median(finite)) if len(finite) else 0.0
+    text = unit_text(median)
+    return f"the median range is {median:.0f}, which {text}" if text else ""
+
+
 def unit_text(median: float) -> str:
     """Return what is wrong with ranges of this median, and what to do; empty if they may be in metres."""
     if not median > MAX_METRES:

@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.jumps import JUMP_LIMITS
 from logs.notes import notes_of
-from logs.range_limits import unit_text
+from logs.range_limits import median_text
 from logs.run import Run
 from logs.sweep import sweep_warnings
 from logs.transforms import interpolate, wrap
@@ -58,10 +58,7 @@ def warnings_of(run: Run) -> list[str]:
         )
     out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
     finite = np.isfinite(run.ranges)
-    if finite.any():
-        middle = float(np.median(run.ranges[finite]))
-        if unit_text(middle):
-            out.append(f"the median range is {middle:.0f}, which {unit_text(middle)}")
+    out += filter(None, [median_text(run.ranges)])
     blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
     if len(blind):
         out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")

@@ -6,7 +6,7 @@ import numpy as np
 
 from logs.jumps import find_jumps
 from logs.notes import assumptions_of
-from logs.range_limits import BEYOND, unit_text
+from logs.range_limits import BEYOND, median_text
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
@@ -74,13 +74,11 @@ def check_unit(run: Run, name: str) -> None:
     ------
     SensorgraphError : The median range is that of millimetres or centimetres.
     """
-    finite = run.ranges[np.isfinite(run.ranges)]
     beyond = next((note for note in assumptions_of(run) if note.startswith(BEYOND)), "")
-    if beyond and not len(finite):
+    if beyond and not np.isfinite(run.ranges).any():
         raise SensorgraphError(f"{name}: {beyond}")
-    middle = float(np.median(finite)) if len(finite) else 0.0
-    if unit_text(middle):
-        raise SensorgraphError(f"{name}: the median range is {middle:.0f}, which {unit_text(middle)}")
+    if text := median_text(run.ranges):
+        raise SensorgraphError(f"{name}: {text}")
 
 
 def check_returns(run: Run, name: str = "the run") -> None:

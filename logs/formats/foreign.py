@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 
+from logs.formats.text import is_number
 from logs.inflation import LZ4_MAGIC, ZSTD_MAGIC
 from logs.types import Floats
 
@@ -23,7 +24,7 @@ PACKED: tuple[tuple[int, tuple[bytes, ...], str], ...] = (
     (0, (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x0a\x0d\x0d\x0a"),
      "a capture of network packets; replay it to the driver of the laser and record its topics, instead of"),
 )  # fmt: skip
-"""Files that hold or stand for a log: (offset, first bytes there, what such a file is and what to do with it)."""
+"""Files that contain or represent a log: (offset, first bytes there, what such a file is and what to do with it)."""
 ZIP_MAGIC = b"PK\x03\x04"
 GRAPH_HEADER = (30, b"header.json")
 """Offset and name of the first member of a sensorgraph in its zip file."""
@@ -100,8 +101,8 @@ def _described_table(lines: list[str]) -> str:
     if len(numbers) and _are_poses(numbers):
         return f"a trajectory ({TRAJECTORIES[numbers.shape[1]]}), without scans; {GIVE_LOG}"
     names, *cells = [[cell.strip() for cell in row] for row in csv.reader([*lines[:1], *lines[-1:]])] or [[]]
-    is_header = len(names) > 2 and all(names) and not any(map(_is_number, names))
-    if is_header and len(names) == len(cells[0]) and any(map(_is_number, cells[0])):
+    is_header = len(names) > 2 and all(names) and not any(map(is_number, names))
+    if is_header and len(names) == len(cells[0]) and any(map(is_number, cells[0])):
         more = ", ..." if len(names) > MAX_COLUMNS else ""
         return (
             f"a table without ranges (its columns are {', '.join(names[:MAX_COLUMNS])}{more}); give one with the columns "
@@ -116,11 +117,3 @@ def _are_poses(numbers: Floats) -> bool:
         return False
     rotations = numbers[:, 4:] if numbers.shape[1] == 8 else numbers.reshape(-1, 4)[:, :3]
     return bool((np.abs(np.linalg.norm(rotations, axis=1) - 1.0) < UNIT_TOLERANCE).all())
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

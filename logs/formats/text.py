@@ -72,3 +72,12 @@ def read_lines(path: Path) -> list[str]:
                 f"`{tool} {path} > {path.stem}`"
             ) from exc
     return decoded(data).splitlines()
+
+
+def is_number(text: str) -> bool:
+    """Tell whether a cell of a table is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

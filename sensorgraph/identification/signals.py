@@ -17,7 +17,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import table
-from logs.formats.text import first_bytes, read_lines
+from logs.formats.text import first_bytes, is_number, read_lines
 from logs.run import RangeSensor, Run, pair
 from planners.arena import wrap
 from robotmodic_ident import Record
@@ -239,7 +239,7 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not numbered:
         raise SensorgraphError(f"{path} is empty; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
-    if all(_is_number(cell) for cell in header):
+    if all(is_number(cell) for cell in header):
         raise SensorgraphError(
             f"{path}: the first line has numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
         )
@@ -261,14 +261,6 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not rows:
         raise SensorgraphError(f"{path} has a header but no rows; expected one row for each sample")
     return header, rows
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _numbers(path: Path, rows: Sequence[tuple[int, list[str]]], column: int, name: str) -> Floats:

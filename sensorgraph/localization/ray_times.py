@@ -83,9 +83,8 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
         if shifted is not run:
             run, scans = shifted, scan_points(shifted, motion)
             tracked = track(scans, run.stamps, odometry, progress)
-        elif (
-            lag is not None and more and odometry_motion is not None
-        ):  # the wheels are to be compared at equal times
+        elif lag is not None and more and odometry_motion is not None:
+            # the wheels are to be compared at equal times
             odometry = odometry_motion.at(run.stamps + lag.value)
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
 

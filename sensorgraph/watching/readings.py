@@ -90,8 +90,15 @@ class GraphReadings:
         _, side, known = crossed_cells(self.graph.model)
         return float(known.sum()) * side**2
 
-    def evidence(self, ranges: Floats, poses: Floats, which: Ints | None = None) -> ReadingEvidence:
-        """Return the evidence of a scan (n_rays,) [m] at poses (n_poses, 3), for `rays` or some positions among them."""
+    def evidence(
+        self, ranges: Floats, poses: Floats, which: Ints | None = None, *, answered: Bools | None = None
+    ) -> ReadingEvidence:
+        """Return the evidence of a scan (n_rays,) [m] at poses (n_poses, 3), for `rays` or some positions among them.
+
+        Parameters
+        ----------
+        answered : (n_poses, n_rays) Whether the graph answers these rays; None: it is asked.
+        """
         which = np.arange(len(self.rays)) if which is None else which
         z = ranges[self.rays[which]]
         z = np.where(
@@ -102,7 +109,8 @@ class GraphReadings:
         if self.graph.sensor.is_composite:
             starts = to_ray_starts(starts[:, None], self.graph.sensor, self.graph.pose_frame)[:, own]
         found, _ = ray_likelihoods(self.graph, z[None], starts, own)
-        answered = self.graph.predict(self.graph_poses(poses), rays=own).answered
+        if answered is None:
+            answered = self.graph.predict(self.graph_poses(poses), rays=own).answered
         s, known = self.priors.predicted, answered & ~np.isnan(z)
         ratios = np.where(
             known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0

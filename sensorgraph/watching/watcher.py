@@ -119,8 +119,8 @@ class Watcher:
         if main is None or not is_sure or np.sqrt(main.covariance[:2, :2].trace()) > PRECISE:
             self.robot.lose()
             return
-        found = self.readings.evidence(now.observation.ranges, main.pose[None])
         expected = self.readings.predict(main.pose)
+        found = self.readings.evidence(now.observation.ranges, main.pose[None], answered=expected.answered)
         self.place.update(now, main.pose, expected, found, self.tracker.usable)
         self.robot.update(now, main.pose, expected)
         self.tracker.usable = self.robot.usable
