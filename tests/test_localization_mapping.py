@@ -13,7 +13,7 @@ from localization_samples import ROOM, loop_poses, room_run
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.front_end import track
+from sensorgraph.localization.front_end import Tracker, track
 from sensorgraph.localization.locate import locate
 from sensorgraph.localization.loop_closures import LoopCloser
 from sensorgraph.localization.mapping import map_run
@@ -124,6 +124,24 @@ def test_scan_of_few_returns_lies_where_the_scans_beside_it_have_it() -> None:
     assert set(found.status) == {"ok"}
     assert np.hypot(off[few, 0], off[few, 1]).max() < 0.012  # 0.014 m and 0.28 deg by these scans alone
     assert np.abs(off[few, 2]).max() < np.radians(0.2)
+
+
+def test_scan_that_tracking_misses_while_the_wheels_slip_is_matched_from_the_scans_around_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    poses, matched = loop_poses(60), Tracker._match
+    run, missed = room_run(poses), 37
+    odometry = run.odometry.copy()
+    slip = compose(compose(odometry[missed], np.array([-0.1, 0.06, 0.05])), invert(odometry[missed]))
+    odometry[missed:] = compose(slip, odometry[missed:])
+    slipped = replace(run, odometry=odometry)
+    monkeypatch.setattr(
+        Tracker, "_match", lambda self, k, *of: matched(self, k, *of) if k != missed else None
+    )
+    found = map_run(slipped)
+    off, _ = aligned(found.poses, poses)
+    assert set(found.status) == {"ok"}
+    assert np.hypot(*off[missed - 2 : missed + 3, :2].T).max() < 0.01  # 0.1 m by the odometry
 
 
 def test_scans_that_see_nothing_are_lost_and_said() -> None:

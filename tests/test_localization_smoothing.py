@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from logs.transforms import compose, invert
-from sensorgraph.localization.smoothing import _banded, _inverse_blocks, smooth
+from sensorgraph.localization.scan_track import ScanTrack
+from sensorgraph.localization.smoothing import _banded, _inverse_blocks, smooth, steps_of
+from sensorgraph.localization.wheels import WheelEstimate
 
 
 def test_diagonal_blocks_of_the_inverse_are_those_of_the_dense_inverse() -> None:
@@ -69,3 +71,20 @@ def test_place_far_off_pulls_the_track_little() -> None:
         np.broadcast_to(np.diag([1e3, 1e3, 1e4]), (50, 3, 3)),
     )
     assert np.abs(found.poses - truth)[:, :2].max() < 0.005
+
+
+def test_steps_to_and_from_a_scan_that_the_odometry_placed_are_as_uncertain_as_the_odometry() -> None:
+    truth = drive(5, np.random.default_rng(3))
+    matched = np.array([True, True, False, True, True])
+    none = np.zeros((4, 3))
+    track = ScanTrack(
+        poses=truth, matched=matched, is_continuous=np.ones(5, dtype=bool), key_frames=np.arange(5), piece=np.zeros(5, dtype=int),
+        edge_information=np.zeros((4, 3, 3)), motion_deviations=none, is_carried=np.zeros(4, dtype=bool),
+        projections=np.zeros((5, 3, 3)), jumps=(), noise=np.full(5, np.nan), wheels=WheelEstimate(),
+    )  # fmt: skip
+    _, information = steps_of(track)
+    deviations = np.diagonal(information, axis1=1, axis2=2) ** -0.5
+    steps = compose(invert(truth[:-1]), truth[1:])
+    by_odometry = WheelEstimate().deviations(np.hypot(*steps[:, :2].T), steps[:, 2])
+    np.testing.assert_allclose(deviations[1:3], by_odometry[1:3])
+    assert (deviations[[0, 3]] < by_odometry[[0, 3]]).all()

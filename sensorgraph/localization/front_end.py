@@ -22,6 +22,7 @@ from sensorgraph.localization.scan_track import (
     ScanTrack,
     determines_all,
     information_at,
+    is_covered,
     points_in,
     turn_matrices,
 )
@@ -79,7 +80,7 @@ class Tracker:
     def _place(self, k: int) -> None:
         state, s = self.state, self.settings
         if not state.key_frames:
-            if not self._is_covered(k):
+            if not is_covered(self.scans, k):
                 self._add_key_frame(k)
             self.matched[k] = bool(state.key_frames)
             state.last_matched = k
@@ -146,7 +147,7 @@ class Tracker:
         """Return the best match, or None if none is good enough."""
         s = self.settings
         assert self.state.surfaces is not None
-        if self._is_covered(k):
+        if is_covered(self.scans, k):
             return None
         points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
         prior = None if deviations is None else information_at(predicted, deviations)
@@ -184,11 +185,6 @@ class Tracker:
         assert state.surfaces is not None
         recent = self._recent_key_frames()
         return contradicts(self.scans, k, predicted, state.surfaces.points, recent, self.poses[recent])
-
-    def _is_covered(self, k: int) -> bool:
-        """Tell whether all returns of a scan are within the match radius, as with a covered laser."""
-        ranges = self.scans.ranges[self.scans.of(k)]
-        return bool((ranges < MATCH.first_radius).all())
 
     def _other_starts(self, points: Floats, normals: Floats, predicted: Floats, first: Match) -> Match | None:
         """Return the best match from starts around the prediction and around the last pose."""
@@ -321,13 +317,13 @@ class Tracker:
         state, s = self.state, self.settings
         if not state.failures:  # later scans were placed by the wheels, assuming standstill
             self.matched[state.last_matched + 1 : k] = False
-        if not self._is_covered(k):
+        if not is_covered(self.scans, k):
             self._match_unplaced(k)
         state.failures.append(k)
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]
         is_long = self.stamps[k] - self.stamps[first] > s.patience or np.hypot(*moved) > s.patience_distance
-        if len(state.failures) >= s.patience_scans and is_long and not self._is_covered(k):
+        if len(state.failures) >= s.patience_scans and is_long and not is_covered(self.scans, k):
             self._begin_piece(k)
 
     def _is_unknown(self, k: int) -> bool:
@@ -335,7 +331,7 @@ class Tracker:
         s, last = self.settings, self.state.last_matched
         pause = self.stamps[k] - self.stamps[last]
         is_long = pause > max(s.patience, s.patience_scans * self.interval)
-        return bool(is_long and not self._is_odometry_whole(last, k) and not self._is_covered(k))
+        return bool(is_long and not self._is_odometry_whole(last, k) and not is_covered(self.scans, k))
 
     def _has_stayed(self, k: int) -> bool:
         """Tell whether scan k shows the view of the last matched scan, from the same place."""

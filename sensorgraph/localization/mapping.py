@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status
-from sensorgraph.localization.scan_track import ScanTrack, information_at, turn_matrices
+from sensorgraph.localization.scan_track import ScanTrack, is_covered, turn_matrices
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
@@ -29,6 +29,21 @@ NARROW_VIEW = float(np.radians(44.0))
 they were right within 6 cm."""
 MIN_VARIANCE = 1e-8
 """[m², rad²] Added to the independent variances of scans, since those of key frames are 0."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _PlacedScans:
+    """Scans matched to the refined map, each by itself."""
+
+    poses: Floats
+    """(n_scans, 3) [m, m, rad]"""
+    shared: Floats
+    """(n_scans, 3, 3) Covariances that neighbouring scans share, such as the errors of the map."""
+    own: Floats
+    """(n_scans, 3, 3) Independent covariances."""
+    matched: Bools
+    """(n_scans,) The scan fits the map."""
+    surfaces: LineMap
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -62,18 +77,20 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         refined = refine(frames, closed.poses, steps, (closed.steps, closed.closures), bar)
     maps = map_numbers(tracked, closed)
     with progress("placing scans", "scans") as bar:
-        poses, covariances, own, matched = _place_all(
-            scans, tracked, refined, maps[tracked.piece], np.random.default_rng(seed), bar
-        )
-    smoothed = _smoothed(tracked, poses, own, matched, has_odometry=odometry is not None)
-    covariances = covariances + np.where(matched[:, None, None], own, smoothed.covariances)
+        placed = _place_all(scans, tracked, refined, maps[tracked.piece], np.random.default_rng(seed), bar)
+    has_odometry = odometry is not None
+    smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
+    if not placed.matched.all():
+        placed = _placed_again(scans, tracked, placed, smoothed)
+        smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
+    matched = placed.matched
+    covariances = placed.shared + np.where(matched[:, None, None], placed.own, smoothed.covariances)
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(smoothed.poses, covariances, origin)
     seen = refined.system.projections
     if seen is not None:
         turn = turn_matrices(poses[0, 2] - smoothed.poses[0, 2])
         seen = turn @ seen @ turn.T
-    has_odometry = odometry is not None
     if not has_odometry:
         covariances = with_unknown_motion(covariances, run.stamps, tracked, seen)
     states = map_states(tracked, closed, poses, covariances, maps, matched, seen, has_odometry=has_odometry)
@@ -99,12 +116,11 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     )
 
 
-def _smoothed(
-    tracked: ScanTrack, poses: Floats, own: Floats, matched: Bools, *, has_odometry: bool
-) -> SmoothedPoses:
-    """Smooth the poses (n_scans, 3) of all scans; the track or the odometry carries those that fit nowhere."""
-    information = np.linalg.inv(own + MIN_VARIANCE * np.eye(3)).astype(np.float64)
-    information[~matched] = 0.0
+def _smoothed(tracked: ScanTrack, placed: _PlacedScans, *, has_odometry: bool) -> SmoothedPoses:
+    """Smooth the poses of all scans; the track or the odometry carries those that fit nowhere."""
+    poses = placed.poses
+    information = np.linalg.inv(placed.own + MIN_VARIANCE * np.eye(3)).astype(np.float64)
+    information[~placed.matched] = 0.0
     breaks = ~tracked.is_continuous
     if has_odometry:  # it measures the motion, except across its jumps and while the robot is carried
         is_lost = (np.diff(tracked.piece) > 0) & ~tracked.is_carried
@@ -121,11 +137,11 @@ def _place_all(
     maps: Ints,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return poses, shared covariances, independent covariances, and whether each scan fits the map, for all scans.
+) -> _PlacedScans:
+    """Match all scans to the refined map.
 
-    Errors that neighbouring scans share, such as those of the map, do not move one against another. Key
-    frames were already placed together with the odometry, so that their independent covariance is 0.
+    Errors that neighbouring scans share do not move one against another. Key frames were already placed together
+    with the odometry, so that their independent covariance is 0.
     """
     keys, n = tracked.key_frames, scans.n_scans
     key_covariances, shared = key_frame_covariances(refined, maps, rng)
@@ -139,23 +155,52 @@ def _place_all(
     share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
     covariances = (1 - share) * shared[left] + share * shared[right]
     covariances[keys] = key_covariances
-    own, matched = np.zeros((n, 3, 3)), tracked.matched.copy()
+    own, matched, settings = np.zeros((n, 3, 3)), tracked.matched.copy(), FINAL
     is_key = np.zeros(n, dtype=np.bool_)
     is_key[keys] = len(keys) > 1  # a single one is as uncertain as any other scan
+    between = np.diag(np.array([settings.place_sd, settings.place_sd, settings.turn_sd]) ** 2)
     for k in index[~is_key]:
-        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], matching)
+        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], between, matching)
         matched[k] &= fits
         if k % 50 == 0:
             progress(int(k), n)
-    return poses, covariances, own, matched
+    return _PlacedScans(poses=poses, shared=covariances, own=own, matched=matched, surfaces=surfaces)
+
+
+def _placed_again(
+    scans: ScanPoints, tracked: ScanTrack, placed: _PlacedScans, smoothed: SmoothedPoses
+) -> _PlacedScans:
+    """Match the scans that a track segment missed once more, from the poses that the scans around them give them.
+
+    Slip of the wheels keeps a scan from its neighbours before it; those after it show where it is.
+    """
+    poses, own, matched = placed.poses.copy(), placed.own.copy(), placed.matched.copy()
+    matching = MATCH.for_spacing(scans.spacing)
+    deviations = np.sqrt(np.einsum("nii->ni", smoothed.covariances)[:, :2].max(axis=1))
+    left = np.clip(np.searchsorted(tracked.key_frames, np.arange(len(poses))) - 1, 0, None)
+    is_between = np.append(np.diff(tracked.piece) == 0, False)[left]
+    for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)):
+        if is_covered(scans, k):
+            continue
+        pose, covariance, fits = _place(
+            scans, int(k), placed.surfaces, smoothed.poses[k], smoothed.covariances[k], matching
+        )
+        if fits:
+            poses[k], own[k], matched[k] = pose, covariance, True
+    return replace(placed, poses=poses, own=own, matched=matched)
 
 
 def _place(
-    scans: ScanPoints, k: int, surfaces: LineMap, prior: Floats, matching: LineMatchSettings
+    scans: ScanPoints,
+    k: int,
+    surfaces: LineMap,
+    prior: Floats,
+    prior_covariance: Floats,
+    matching: LineMatchSettings,
 ) -> tuple[Floats, Floats, bool]:
-    """Return pose, covariance from scan and wheels alone, and whether it fits, of one scan between key frames."""
+    """Return pose, covariance from scan and prior alone, and whether it fits, of one scan between key frames."""
     own, settings = scans.of(k), FINAL
-    information = information_at(prior, np.array([settings.place_sd, settings.place_sd, settings.turn_sd]))
+    information = np.linalg.inv(prior_covariance).astype(np.float64)
     found = match(
         scans.points[own],
         scans.normals[own],
@@ -166,7 +211,7 @@ def _place(
     )
     fits = found.inliers >= settings.inliers and found.overlap >= settings.overlap
     if not fits:
-        return prior, np.linalg.inv(information).astype(np.float64), False
+        return prior, prior_covariance, False
     covariance = np.linalg.inv(found.information + information)
     return found.pose, covariance.astype(np.float64), True
 

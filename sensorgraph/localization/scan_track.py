@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import MATCH
 from sensorgraph.localization.wheels import WheelEstimate
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -50,6 +51,11 @@ def points_in(scans: ScanPoints, chosen: list[int] | Ints, poses: Floats) -> tup
         points.append(scans.points[scans.of(scan)] @ turn + (x, y))
         normals.append(scans.normals[scans.of(scan)] @ turn)
     return np.concatenate(points), np.concatenate(normals)
+
+
+def is_covered(scans: ScanPoints, k: int) -> bool:
+    """Tell whether all returns of scan k are within the match radius, as with a covered laser."""
+    return bool((scans.ranges[scans.of(k)] < MATCH.first_radius).all())
 
 
 def turn_matrices(phi: Floats) -> Floats:

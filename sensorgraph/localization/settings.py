@@ -148,10 +148,10 @@ class FrontEndSettings:
     been carried, so that continuity is not known. Of 360 carried robots, all were below 0.75 except those set
     down at nearly the same pose. Of 11,383 scans of three logs, 8 were below (swapped halves of
     `benchmarks/localize_in_map.py`)."""
-    max_slip: float = 12.0
+    max_slip: float = 8.0
     """Deviation of a match from its odometry pose, in standard deviations of the odometry, beyond which it counts only if the
-    odometry is contradicted. Of 4,934 scans of fr079, a dozen right matches are 8 to 12 off; a narrow laser in a cave had wrong
-    ones from 8 on."""
+    odometry is contradicted: a narrow laser in a cave had wrong matches from 8 on. Of 4,934 scans of fr079, a dozen right ones
+    are 8 to 12 off; they are matched again from the poses of the scans around them (`mapping.py`)."""
     slip_reach: tuple[float, float, float] = (1.0, 1.0, 0.5)
     """[m, m, rad] Greatest slip ahead, to the left and in heading. After a gap in the scans, `max_slip` standard deviations are
     many metres, but a long way averages ..."""

@@ -53,7 +53,7 @@ def steps_of(
     steps = compose(invert(track.poses[:-1]), track.poses[1:])
     way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
-    unmatched = ~track.matched[1:]
+    unmatched = ~(track.matched[:-1] & track.matched[1:])
     if track.wheels is None:
         sd[unmatched] *= s.unmatched_factor
     else:
