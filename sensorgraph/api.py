@@ -30,7 +30,7 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
-from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for
+from sensorgraph.loading import arena_in, exported_arena, exported_robot, load_arena, read_poses, robot_for
 from sensorgraph.localization.locate import LocatedRun, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
@@ -41,7 +41,6 @@ from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
 from sensorgraph.world.described import with_robot
-from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, default_robot, load_robot
 
 __all__ = [
@@ -355,7 +354,7 @@ def export(
     source : Arena, sensorgraph of faces, or the file or name of one.
     target : `mujoco`, `irsim`, `gazebo` or `nav2`.
     folder : Folder to write. After an error, nothing is written.
-    robot : Robot to export. None: the shipped robot.
+    robot : Robot to export. None: that of the run, else the shipped robot with the laser of the sensorgraph.
     effects : Effects to build in, as far as the target supports them, or an effects.yaml.
     run : Run with poses from which the AMCL parameters are estimated (`nav2`).
     name : Name of the world.
@@ -364,12 +363,13 @@ def export(
     ------
     SensorgraphError : The target is unknown, the world has no walls, or the robot fits nowhere in it.
     """
-    walls = arena_of(source) if isinstance(source, Sensorgraph) else _arena(source)
-    machine = load_robot() if robot is None else _robot(robot)
+    walls, graph = exported_arena(source)
+    log = None if run is None else _run(run)
+    machine = exported_robot(robot, log, graph)
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else tuple(effects)
     effects_file.check_places(known, walls)
     world = ExportedWorld.of(walls, machine, known, name=name)
-    return write_world(world, target, Path(folder), run=None if run is None else _run(run))
+    return write_world(world, target, Path(folder), run=log)
 
 
 def _run(run: RunLike) -> Run:

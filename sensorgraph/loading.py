@@ -6,6 +6,7 @@ import csv
 import json
 import logging
 import math
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.quantities import ANGLE, is_number, pose_of, quantity, split_unit
 from sensorgraph.types import Floats
-from sensorgraph.world.described import completed
+from sensorgraph.world.described import completed, rays_text
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, default_robot, load_robot, parse_robot
 
@@ -184,3 +185,36 @@ def robot_for(run: Run, source: Robot | str | Path | None = None) -> Robot:
     else:
         robot = load_robot(source) if source is not None else robot_in(run) or default_robot()
     return completed(robot, run.sensor)
+
+
+def exported_arena(source: Arena | Sensorgraph | Path | str) -> tuple[Arena, Sensorgraph | None]:
+    """Return the arena of an export, and the sensorgraph that it is from; None if it is from none."""
+    if isinstance(source, Arena):
+        return source, None
+    if isinstance(source, Sensorgraph):
+        return arena_of(source), source
+    if Path(source).exists() and str(source).endswith(".sensorgraph"):
+        return exported_arena(Sensorgraph.load(Path(source)))
+    return load_arena(source), None
+
+
+def exported_robot(source: Robot | str | Path | None, run: Run | None, graph: Sensorgraph | None) -> Robot:
+    """Return the robot of an export: the given one, else that of a run, else the shipped one with the laser of a graph.
+
+    Raises
+    ------
+    SensorgraphError : A file is invalid or contradicts the run, or robot.yaml cannot describe the laser of the graph.
+    """
+    if run is not None:
+        return robot_for(run, source)
+    if isinstance(source, Robot):
+        return source
+    robot = load_robot(source)
+    if source is not None or graph is None:
+        return robot
+    if not rays_text(graph.sensor.bearings):
+        raise SensorgraphError(
+            "the rays of the graph are not evenly spaced, so that robot.yaml cannot describe them; give a robot"
+        )
+    of_base = frozenset(key for key in robot.stated if not key.startswith("sensor"))
+    return completed(replace(robot, stated=of_base), graph.sensor)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,9 +20,10 @@ from logs.stream import McapStream, open_log
 from sensorgraph.cli import run as command
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.loading import robot_for
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import exported_robot, robot_for
 from sensorgraph.world.described import completed, other_rays, rays_text, with_robot
-from sensorgraph.world.robot import default_robot, parse_robot
+from sensorgraph.world.robot import default_robot, load_robot, parse_robot
 from sensorgraph.world.sweep import sweep_warning, with_sweep_of
 
 SHORT = 20.0
@@ -252,3 +255,20 @@ def test_the_mount_and_the_base_count_only_if_stated(tmp_path: Path) -> None:
         )
     )
     np.testing.assert_array_equal(without.sensor.mount, np.zeros(3))
+
+
+def test_the_laser_of_a_sensorgraph_and_the_robot_of_a_run_are_exported() -> None:
+    sensor = RangeSensor(bearings=np.linspace(-2.0, 2.0, 41), range_max=6.0, sigma=0.02, rate=5.0)
+    graph = cast(Sensorgraph, SimpleNamespace(sensor=sensor))
+    shipped, found = load_robot(), exported_robot(None, None, graph)
+    for laser in (found.sensor, parse_robot(found.text).sensor):
+        np.testing.assert_allclose(laser.bearings, sensor.bearings)
+        assert (laser.range_max, laser.sigma, laser.rate) == (6.0, 0.02, 5.0)
+    assert (found.name, found.wheels, found.limits) == (shipped.name, shipped.wheels, shipped.limits)
+    assert exported_robot(found, None, graph) is found
+    nothing = np.zeros((1, 41))
+    run = Run(sensor=sensor, stamps=np.zeros(1), ranges=nothing, attachments={"robot.yaml": b"name: mover\n"})
+    assert exported_robot(None, run, graph).name == "mover"
+    uneven = replace(sensor, bearings=sensor.bearings**3)
+    with pytest.raises(SensorgraphError, match="not evenly spaced"):
+        exported_robot(None, None, cast(Sensorgraph, SimpleNamespace(sensor=uneven)))

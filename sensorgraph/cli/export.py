@@ -11,10 +11,10 @@ from sensorgraph.cli.options import (
     ExportEffects,
     ExportNoGo,
     ExportOut,
+    ExportRobot,
     ExportRun,
     ExportSource,
     ExportTarget,
-    RobotFile,
     WallHeight,
 )
 
@@ -27,7 +27,7 @@ def export(
     source: ExportSource,
     target: ExportTarget,
     out: ExportOut,
-    robot: RobotFile = None,
+    robot: ExportRobot = None,
     effects: ExportEffects = None,
     run: ExportRun = None,
     no_go: ExportNoGo = None,
@@ -53,8 +53,7 @@ def export(
     from sensorgraph.exporting.export import export as write_world
     from sensorgraph.exporting.nav2 import check_zones
     from sensorgraph.exporting.world import ExportedWorld
-    from sensorgraph.loading import load_arena
-    from sensorgraph.world.robot import load_robot
+    from sensorgraph.loading import exported_arena, exported_robot
 
     check_target(target)
     check_folder(out)
@@ -62,15 +61,17 @@ def export(
         raise SensorgraphError(f"--run and --no-go require --to nav2; leave them out for {target}")
     if wall_height is not None and not 0 < wall_height < 100:
         raise SensorgraphError(f"--wall-height is {wall_height:g} m, expected a height between 0 and 100 m")
-    arena, machine = load_arena(source), load_robot(robot)
+    arena, graph = exported_arena(source)
     amendments = () if effects is None else read_effects(effects, arena)
     forbidden = [zone for given in no_go or [] for zone in zones(given)]
     check_zones(forbidden, arena.bounds)
     driven = None if run is None else _located(run, arena, source)
+    machine = exported_robot(robot, driven, graph)
     world = ExportedWorld.of(arena, machine, amendments, name=Path(source).stem, wall_height=wall_height)
     left_out = write_world(world, target, out, no_go=forbidden, run=driven)
     typer.echo(
-        f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name}, {len(amendments)} effects"
+        f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name} with "
+        f"{machine.sensor.n_rays} rays, {len(amendments)} effects"
     )
     print_log_notes(*([] if driven is None else [driven]))
     for line in left_out:

@@ -597,6 +597,13 @@ ExportEffects = Annotated[
         metavar="FILE", help="effects.yaml: effects to build in, as far as the target supports them."
     ),
 ]
+ExportRobot = Annotated[
+    Path | None,
+    typer.Option(
+        "--robot",
+        help="robot.yaml; default: the robot of --run, else the shipped one with the laser of the sensorgraph.",
+    ),
+]
 ExportRun = Annotated[
     Path | None, typer.Option(help="nav2: run from which the AMCL parameters are estimated.")
 ]
