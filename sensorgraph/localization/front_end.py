@@ -88,14 +88,15 @@ class Tracker:
         predicted, deviations = self._predict(k, state.last_matched)
         if deviations is None:
             state.jumps.append(k)
-        if self._is_unknown(k) and not self._has_stayed(k):
+        if self._is_unknown(k) and not self._has_stayed(k, s.key_frame_distance, s.key_frame_turn):
             self.poses[k], self.matched[k], self.is_continuous[k] = predicted, True, False
             self._begin_piece(k)
             return
         moved = compose(invert(self.poses[state.last_matched]), predicted)
         since = self.stamps[k] - self.stamps[state.last_matched]
         is_still = np.hypot(moved[0], moved[1]) < s.still_distance and abs(moved[2]) < s.still_turn
-        if self.odometry is not None and is_still and since < s.still_time and deviations is not None:
+        is_known = self.odometry is not None and since < s.still_time and deviations is not None
+        if is_still and is_known and self._has_stayed(k, s.still_distance, s.still_turn):
             self.poses[k], self.matched[k] = predicted, self.matched[k - 1]
             return
         found = self._match(k, predicted, deviations)
@@ -110,6 +111,7 @@ class Tracker:
         self.noise[k] = found.noise
         if since > 0:
             state.velocity = compose(invert(self.poses[state.last_matched]), found.pose) / since
+            state.learn_slip(compose(invert(predicted), found.pose), deviations, since)
         state.last_matched = k
         state.failures.clear()
         state.last_unmatched = None
@@ -141,7 +143,8 @@ class Tracker:
         if way > limits.max_speed * took + 0.1 or abs(step[2]) > limits.max_turn_rate * took + 0.2:
             return compose(self.poses[last], state.velocity * dt), None
         corrected = state.wheels.corrected(step)
-        return compose(self.poses[last], corrected), state.wheels.deviations(way, float(corrected[2]))
+        deviations = state.wheels.deviations(way, float(corrected[2]))
+        return compose(self.poses[last], corrected), np.hypot(deviations, state.slip * dt)
 
     def _match(self, k: int, predicted: Floats, deviations: Floats | None) -> Match | None:
         """Return the best match, or None if none is good enough."""
@@ -270,14 +273,7 @@ class Tracker:
             *thinned(*points_in(self.scans, recent, self.poses[recent])), side=self.matching.first_radius
         )
         if found is None:  # the scan determines what a match to its own surfaces determines
-            own = self.scans.of(k)
-            found = match(
-                self.scans.points[own],
-                self.scans.normals[own],
-                state.surfaces,
-                self.poses[k],
-                settings=self.matching,
-            )
+            found = self._match_alone(k, self.poses[k])
         turn = turn_matrices(self.poses[k, 2])
         state.projections.append(turn.T @ found.projection @ turn)
         if determines_all(found.projection) or len(recent) == 1:
@@ -333,16 +329,19 @@ class Tracker:
         is_long = pause > max(s.patience, s.patience_scans * self.interval)
         return bool(is_long and not self._is_odometry_whole(last, k) and not is_covered(self.scans, k))
 
-    def _has_stayed(self, k: int) -> bool:
-        """Tell whether scan k shows the view of the last matched scan, from the same place."""
-        own, last, s = self.scans.of(k), self.poses[self.state.last_matched], self.settings
-        assert self.state.surfaces is not None
-        found = match(
-            self.scans.points[own], self.scans.normals[own], self.state.surfaces, last, settings=self.matching
-        )
+    def _has_stayed(self, k: int, distance: float, turn: float) -> bool:
+        """Tell whether scan k shows the view of the last matched scan, from within a distance [m] and a turn [rad]."""
+        last = self.poses[self.state.last_matched]
+        found = self._match_alone(k, last)
         moved = compose(invert(last), found.pose)
-        is_near = np.hypot(moved[0], moved[1]) < s.key_frame_distance and abs(moved[2]) < s.key_frame_turn
-        return bool(is_near and found.agreement >= s.min_continuity * self.state.agreement)
+        is_near = np.hypot(moved[0], moved[1]) < distance and abs(moved[2]) < turn
+        return bool(is_near and found.agreement >= self.settings.min_continuity * self.state.agreement)
+
+    def _match_alone(self, k: int, start: Floats) -> Match:
+        """Match scan k from a start pose (3,), without a prior."""
+        own, surfaces = self.scans.of(k), self.state.surfaces
+        assert surfaces is not None
+        return match(self.scans.points[own], self.scans.normals[own], surfaces, start, settings=self.matching)
 
     def _begin_piece(self, k: int) -> None:
         """Begin a new track segment with scan k."""

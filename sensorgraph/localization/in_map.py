@@ -10,6 +10,7 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_check import best_fit, looks, mirrored
@@ -73,14 +74,16 @@ def locate_in_map(
     covariances = covariances + _map_error(matches, steps.noise, settings)
     status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
+    wheels = WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames])
+    contrast = contrast_notes(run.stamps, poses, odometry, np.array(status) == "ok", wheels)
     return Localization(
         t=run.stamps,
         poses=poses,
         covariances=covariances,
         status=status,
-        wheels=WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames]),
+        wheels=wheels,
         rivals=found.rivals,
-        notes=(*notes, *followed.notes, *interval_notes(run.stamps, status, "lost", "ambiguous")),
+        notes=(*notes, *contrast, *followed.notes, *interval_notes(run.stamps, status, "lost", "ambiguous")),
         sensor=followed.run.sensor,
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import close_loops, spread
@@ -96,6 +97,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     states = map_states(tracked, closed, poses, covariances, maps, matched, seen, has_odometry=has_odometry)
     narrow = _narrow_view(run)
     uncertain: dict[Status, Status] = {"ok": "ambiguous"} if narrow else {}
+    wheels = steps.parameters(refined.poses)
     return Localization(
         t=run.stamps,
         poses=poses,
@@ -104,12 +106,13 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         maps=states.maps,
         kept=closed.kept,
         refused=closed.refused,
-        wheels=steps.parameters(refined.poses),
+        wheels=wheels,
         rivals=states.rivals,
         notes=(
             *narrow,
             *_notes(run, tracked, odometry is None),
             *state_notes(run.stamps, tracked, states),
+            *contrast_notes(run.stamps, poses, odometry, np.array(states.status) == "ok", wheels),
             *followed.notes,
         ),
         sensor=followed.run.sensor,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from logs.transforms import wrap
 from sensorgraph.localization.line_map import LineMap
 from sensorgraph.localization.wheels import WheelEstimate
 from sensorgraph.types import Floats
@@ -38,3 +39,17 @@ class TrackerState:
     """The last of these, and the surfaces that it observed."""
     velocity: Floats = field(default_factory=lambda: np.zeros(3))
     """[m/s, m/s, rad/s] Velocity in base_link from the last two matches."""
+    slip: Floats = field(default_factory=lambda: np.zeros(3))
+    """[m/s, m/s, rad/s] Error of the odometry's speed at the last match, if it slips; otherwise zero."""
+
+    def learn_slip(self, off: Floats, deviations: Floats | None, since: float) -> None:
+        """Take the error (3,) [m, m, rad] of a prediction over `since` [s] as slip, if it is beyond the odometry's noise.
+
+        Slip lasts, as of a robot that is pushed or that spins its wheels: the next prediction has this error as its deviation.
+        """
+        if deviations is None or self.wheels is None:
+            return
+        size = np.abs([off[0], off[1], wrap(off[2])])
+        noise = np.sqrt(np.maximum(deviations**2 - (self.slip * since) ** 2, 0.0))
+        is_slip = bool((size > self.wheels.settings.outlier * noise).any())
+        self.slip = size / since if is_slip else np.zeros(3)

@@ -1,0 +1,126 @@
+"""Notes on what scans and odometry of a located run contradict each other about: slip, pushes, and a laser that sways.
+
+From scan i to the first scan j that is `SPAN` later, the located poses move by a, and the odometry, corrected by the
+identified wheels, by b. The contrast is inv(b) ∘ a; its standard deviation is that of the odometry for the longer of the two
+motions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.result import WheelParameters, true_intervals
+from sensorgraph.localization.wheels import WheelEstimate, corrected_steps
+from sensorgraph.types import Bools, Floats, Ints
+
+SPAN = 1.0
+"""[s] Time over which motions are compared: long enough that slip is larger than the noise of two scans."""
+Z = 4.0
+"""Standard deviations of the odometry beyond which a contrast is none of its noise ..."""
+LEAST = (0.1, 0.1, 0.1)
+"""[m, m, rad] ... if it is also larger than this, ahead, left and in heading."""
+MEDIAN_OF_NORMAL = 0.6745
+"""Median size of a normal variable, in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contrast:
+    """Motions of a run by the scans and by the odometry."""
+
+    first: Ints
+    """(n,) Scan at the start of a motion."""
+    last: Ints
+    """(n,) Scan at its end."""
+    by_scans: Floats
+    """(n, 3) [m, m, rad] in base_link."""
+    by_odometry: Floats
+    """(n, 3) The same by the odometry, corrected by the wheels."""
+    z: Floats
+    """(n, 3) Difference of the two in standard deviations of the odometry."""
+    is_contradiction: Bools
+    """(n,) The difference is none of the odometry's noise."""
+
+    @classmethod
+    def of(
+        cls, stamps: Floats, poses: Floats, odometry: Floats, usable: Bools, wheels: WheelParameters
+    ) -> Contrast:
+        """Compare the motions.
+
+        Parameters
+        ----------
+        stamps : (n_scans,) [s]
+        poses, odometry : (n_scans, 3) [m, m, rad] Located poses, and the odometry at the scans.
+        usable : (n_scans,) The pose is known, in the first map.
+        """
+        after = np.searchsorted(stamps, stamps + SPAN)
+        first = np.flatnonzero(after < len(stamps))
+        last = np.maximum(after[first], first + 1)
+        both = usable[first] & usable[last]
+        first, last = first[both], last[both]
+        a = compose(invert(poses[first]), poses[last])
+        b = compose(invert(odometry[first]), odometry[last])
+        a[:, 2], b[:, 2] = wrap(a[:, 2]), wrap(b[:, 2])
+        b = corrected_steps(b, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
+        off = compose(invert(b), a)
+        off[:, 2] = wrap(off[:, 2])
+        longer, turn = (np.maximum(size(a), size(b)) for size in (_way, lambda one: np.abs(one[:, 2])))
+        z = np.abs(off) / WheelEstimate().deviations(longer, turn)
+        large = ((z > Z) & (np.abs(off) > LEAST)).any(axis=1)
+        return cls(first=first, last=last, by_scans=a, by_odometry=b, z=z, is_contradiction=large)
+
+    def notes(self, stamps: Floats) -> tuple[str, ...]:
+        """Return a note on the longest contradiction, and one on differences that the odometry's noise does not explain."""
+        notes = []
+        if self.is_contradiction.any():
+            notes.append(self._contradiction(stamps))
+        other = ~self.is_contradiction
+        if other.any() and np.median(self.z[other, :2], axis=0).max() > MEDIAN_OF_NORMAL:
+            off = compose(invert(self.by_odometry[other]), self.by_scans[other])
+            notes.append(
+                f"scans and odometry differ by {100 * np.median(_way(off)):.0f} cm within {SPAN:.0f} s (median), which wheels do "
+                "not explain: the laser moves on the robot, as on a mast that sways, or its stamps scatter; poses follow the laser"
+            )
+        return tuple(notes)
+
+    def _contradiction(self, stamps: Floats) -> str:
+        """Return the note on the longest stretch of contradictions."""
+        within = np.zeros(len(stamps), dtype=np.bool_)
+        for i, j in zip(self.first[self.is_contradiction], self.last[self.is_contradiction], strict=True):
+            within[i : j + 1] = True
+        stretches = true_intervals(within)
+        start, stop = max(stretches, key=lambda one: stamps[one[1] - 1] - stamps[one[0]])
+        scans, odometry = self._driven(start, stop - 1)
+        more = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
+        return (
+            f"scans and odometry contradict each other from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}: there "
+            f"the scans move by {scans[0]:.1f} m and {np.degrees(scans[1]):.0f}°, the odometry by {odometry[0]:.1f} m and "
+            f"{np.degrees(odometry[1]):.0f}°. The wheels slip or the robot is pushed, so that the scans are right; or the laser "
+            "sees what goes along with the robot (a trailer, the ground), so that the odometry is"
+        )
+
+    def _driven(self, start: int, stop: int) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return distance [m] and turn [rad] by the scans and by the odometry from one scan to another, in steps of `SPAN`."""
+        steps, k = [], int(np.searchsorted(self.first, start))
+        while k < len(self.first) and self.last[k] <= stop:
+            steps.append(k)
+            k = int(np.searchsorted(self.first, self.last[k]))
+        both = []
+        for moved in (self.by_scans[steps], self.by_odometry[steps]):
+            both.append((float(_way(moved).sum()), float(np.abs(moved[:, 2]).sum())))
+        return both[0], both[1]
+
+
+def _way(steps: Floats) -> Floats:
+    return np.hypot(steps[:, 0], steps[:, 1])
+
+
+def contrast_notes(
+    stamps: Floats, poses: Floats, odometry: Floats | None, usable: Bools, wheels: WheelParameters | None
+) -> tuple[str, ...]:
+    """Return the notes on a located run, by the parameters of `Contrast.of`; none without odometry."""
+    if odometry is None or wheels is None:
+        return ()
+    return Contrast.of(stamps, poses, odometry, usable, wheels).notes(stamps)

@@ -1,0 +1,79 @@
+"""Scans and odometry that contradict each other: a robot that is pushed, a trailer in view, a laser on a mast that sways."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from localization_samples import room_run
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.contrast import contrast_notes
+from sensorgraph.localization.locate import locate
+from sensorgraph.localization.result import WheelParameters
+
+PUSHED = slice(125, 155)
+
+
+def drive() -> np.ndarray:
+    """Return poses (200, 3) at 10 Hz around the box of the room."""
+    t = np.arange(0.0, 20.0, 0.1)
+    around = np.column_stack([3.2 + 1.5 * np.cos(0.25 * t), 2.6 + 1.5 * np.sin(0.25 * t)])
+    return np.column_stack([around, 0.25 * t + np.pi / 2 + np.sin(0.9 * t)])
+
+
+@cache
+def pushed() -> tuple[Run, np.ndarray]:
+    """Return a drive that looks about at up to 1.2 rad/s, with wheels that stand for 3 s, and its true poses."""
+    truth = drive()
+    run = room_run(truth, rate=10.0, n_rays=90)
+    odometry = run.odometry.copy()
+    odometry[PUSHED] = odometry[PUSHED.start]
+    missed = compose(odometry[PUSHED.start], invert(odometry[PUSHED.stop]))
+    odometry[PUSHED.stop :] = compose(missed, odometry[PUSHED.stop :])
+    return replace(run, odometry=odometry), truth
+
+
+def test_a_robot_that_is_pushed_keeps_its_pose() -> None:
+    run, truth = pushed()
+    found = locate(run)
+    off = compose(compose(truth[0], invert(found.poses[0])), found.poses) - truth
+    assert set(found.status) == {"ok"}
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.03
+    assert np.abs(wrap(off[:, 2])).max() < np.radians(1)
+    note = next(note for note in found.notes if "contradict" in note)
+    assert re.search(
+        r"from 1[12]\.\d s to 1[56]\.\d s: there the scans move by [12]\.\d m and \d+°, the odometry by 0\.\d m",
+        note,
+    )
+
+
+def notes_of(poses: np.ndarray, odometry: np.ndarray) -> tuple[str, ...]:
+    """Return the notes on located poses at 10 Hz and an odometry at the scans."""
+    usable = np.ones(len(poses), dtype=np.bool_)
+    return contrast_notes(0.1 * np.arange(len(poses)), poses, odometry, usable, WheelParameters())
+
+
+def test_scans_of_a_trailer_that_stand_while_the_odometry_drives_are_said() -> None:
+    odometry, poses = drive(), drive()
+    poses[:60] = poses[60] * [1, 1, 0] + poses[:60] * [0, 0, 1]
+    (note,) = notes_of(poses, odometry)
+    assert "the scans move by 0.0 m" in note and "trailer" in note
+
+
+def test_a_laser_that_sways_is_said() -> None:
+    t = 0.1 * np.arange(200)
+    sway = np.column_stack([0.07 * np.sin(4 * t), 0.07 * np.sin(5 * t), 0.02 * np.sin(5 * t)])
+    (note,) = notes_of(compose(drive(), sway), drive())
+    assert "mast that sways" in note
+
+
+def test_wheels_that_agree_with_the_scans_have_no_note() -> None:
+    noise = np.random.default_rng(0).normal(size=(200, 3)) * [0.01, 0.01, 0.005]
+    assert notes_of(drive() + noise, drive()) == ()
+    assert contrast_notes(np.zeros(0), np.zeros((0, 3)), None, np.zeros(0, dtype=np.bool_), None) == ()
+    one = np.zeros((1, 3))
+    assert contrast_notes(np.zeros(1), one, one, np.ones(1, dtype=np.bool_), WheelParameters()) == ()
