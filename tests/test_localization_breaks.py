@@ -238,3 +238,16 @@ def test_after_a_gap_in_a_corridor_a_similar_place_that_the_odometry_excludes_is
     ok = np.array(found.status) == "ok"
     assert ok.sum() > 30
     assert np.hypot(off[ok, 0], off[ok, 1]).max() < 0.5
+
+
+def test_late_odometry_in_a_round_room_does_not_bend_the_track_towards_its_lag() -> None:
+    box = [(0.8, 0.5, 1.2, 0.6), (1.2, 0.6, 1.1, 1.0), (1.1, 1.0, 0.8, 0.5)]
+    t = np.arange(0.0, 20.0, 0.1)
+    around = np.column_stack([1.6 * np.cos(0.25 * t), 1.6 * np.sin(0.25 * t)])
+    truth = np.column_stack([around, 0.25 * t + np.pi / 2 + 0.8 * np.sin(0.9 * t)])
+    run = room_run(truth, n_rays=90, rate=10.0, walls=ROUND + box)
+    found = locate(replace(run, odom_stamps=run.odom_stamps + 0.2))
+    (note,) = (note for note in found.notes if "lag of the scans" in note)
+    assert float(note.split("+")[1].split()[0]) == pytest.approx(200, abs=10)
+    assert found.wheels is not None
+    assert abs(found.wheels.turn_scale - 1.0) < 0.004 and abs(np.degrees(found.wheels.heading_bias)) < 0.3

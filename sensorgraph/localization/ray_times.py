@@ -22,11 +22,11 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.scan_lag import scan_lag, with_stamp_of
+from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END
-from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
+from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
 from sensorgraph.localization.turning_pieces import CLASSES, TurningPieces
 from sensorgraph.types import Floats, Progress
 
@@ -79,14 +79,42 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     if measured is not None and odometry is not None and not is_given:
         lag = scan_lag(run, measured, tracked)
         shifted, more = (run, ()) if lag is None else with_stamp_of(run, lag)
-        notes = (*notes, *more)
         if shifted is not run:
             run, scans = shifted, scan_points(shifted, motion)
             tracked = track(scans, run.stamps, odometry, progress)
         elif lag is not None and more and odometry_motion is not None:
-            # the wheels are to be compared at equal times
-            odometry = odometry_motion.at(run.stamps + lag.value)
+            lag, odometry, tracked = _at_equal_times(
+                run, measured, odometry_motion, lag, scans, tracked, progress
+            )
+            more = with_stamp_of(run, lag)[1]
+        notes = (*notes, *more)
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
+
+
+def _at_equal_times(
+    run: Run,
+    measured: Motion,
+    motion: Motion,
+    lag: ScanLag,
+    scans: ScanPoints,
+    tracked: ScanTrack,
+    progress: Progress,
+) -> tuple[ScanLag, Floats, ScanTrack]:
+    """Return the lag of the scans, the odometry at their times, and the track.
+
+    As a prior, late odometry bends the track towards its own lag. Beyond `latency`, the scans are tracked again with the
+    odometry at their times until the lag stays.
+
+    Parameters
+    ----------
+    measured, motion : The odometry without and with the stretches that the scans fill.
+    """
+    for _ in range(N_STEPS if abs(lag.value) > SCAN_LAG.latency else 0):
+        tracked = track(scans, run.stamps, motion.at(run.stamps + lag.value), progress)
+        last, lag = lag, scan_lag(run, measured, tracked) or lag
+        if abs(lag.value - last.value) < SCAN_LAG.min_lag:
+            break
+    return lag, motion.at(run.stamps + lag.value), tracked
 
 
 def _with_more_key_frames(
