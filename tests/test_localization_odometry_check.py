@@ -12,7 +12,9 @@ from localization_samples import loop_poses, room_run, seen
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.odometry_check import CHECK, _direction, with_checked_odometry
+from sensorgraph.localization.locate import locate
+from sensorgraph.localization.odometry_check import CHECK, _direction, check_turns, with_checked_odometry
+from sensorgraph.localization.result import WheelParameters
 
 TRUTH = loop_poses(90, laps=1.0)
 RUN = room_run(TRUTH, way_scale=0.97, heading_bias=0.02)
@@ -127,3 +129,13 @@ def test_jumps_that_add_up_to_a_unit_are_no_unit() -> None:
     jumped_run = replace(RUN, odometry=jumped)
     run, notes = with_checked_odometry(jumped_run)
     assert run is jumped_run and notes == ()
+
+
+def test_turns_that_only_the_whole_drive_shows_to_be_opposite_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A narrow laser cannot be followed by its scans alone, so that no stretch is compared before."""
+    monkeypatch.setattr("sensorgraph.localization.locate.with_checked_odometry", lambda run: (run, ()))
+    with pytest.raises(SensorgraphError, match="scans and odometry turn in opposite directions"):
+        locate(replace(RUN, ranges=np.roll(RUN.ranges[:, ::-1], 1, axis=1)))
+    check_turns(WheelParameters(turn_scale=-0.1, turn_scale_sd=0.1))

@@ -19,7 +19,7 @@ from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
-from sensorgraph.localization.odometry_check import with_checked_odometry
+from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization, true_intervals
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
@@ -49,8 +49,8 @@ def locate(
 
     Raises
     ------
-    SensorgraphError : There are too few scans, the rays are wide cones, or the scans fit nowhere in the
-        place.
+    SensorgraphError : There are too few scans, the rays are wide cones, the scans fit nowhere in the place,
+        or scans and odometry turn in opposite directions.
     """
     if run.n_scans < MIN_SCANS:
         raise SensorgraphError(
@@ -70,6 +70,7 @@ def locate(
     else:
         walls, normals, seen = place_of(place)
         found = locate_in_map(run, walls, seen=seen, normals=normals, name=name, progress=progress)
+    check_turns(found.wheels)
     return replace(found, t=given.stamps, notes=(*notes, *found.notes)) if notes else found
 
 

@@ -23,6 +23,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.result import WheelParameters
 from sensorgraph.types import Floats
 
 
@@ -173,6 +174,17 @@ def _opposite_text(direction: tuple[float, float] | None) -> str:
         "odometry counts turns to the right as positive (z down); state the laser in robot.yaml or in the transform, or "
         "correct the odometry"
     )
+
+
+def check_turns(wheels: WheelParameters | None) -> None:
+    """Refuse wheels whose turns the whole drive shows to be opposite, where no stretch of scans alone did.
+
+    Raises
+    ------
+    SensorgraphError : The turn scale is negative by `noted_errors` standard errors.
+    """
+    if wheels is not None and wheels.turn_scale < -CHECK.noted_errors * wheels.turn_scale_sd:
+        raise SensorgraphError(_opposite_text(None))
 
 
 def _has_stated_mount(run: Run) -> bool:
