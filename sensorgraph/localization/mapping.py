@@ -45,6 +45,8 @@ class _PlacedScans:
     matched: Bools
     """(n_scans,) The scan fits the map."""
     surfaces: LineMap
+    missed: Bools
+    """(n_scans,) The scan fits the map, but tracking missed it: the odometry before or after it slips."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -130,6 +132,8 @@ def _smoothed(tracked: ScanTrack, placed: _PlacedScans, *, has_odometry: bool) -
         left = np.clip(np.searchsorted(tracked.key_frames, np.arange(len(poses))) - 1, 0, None)
         breaks &= np.append(is_lost, False)[left]
         breaks[list(tracked.jumps)] = True
+    breaks |= placed.missed
+    breaks[1:] |= placed.missed[:-1]
     return smooth(poses, *steps_of(tracked, breaks), poses, information)
 
 
@@ -158,16 +162,18 @@ def _place_all(
     share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
     covariances = (1 - share) * shared[left] + share * shared[right]
     covariances[keys] = key_covariances
-    own, matched, settings = np.zeros((n, 3, 3)), tracked.matched.copy(), FINAL
+    own, matched = np.zeros((n, 3, 3)), tracked.matched.copy()
     is_key = np.zeros(n, dtype=np.bool_)
     is_key[keys] = len(keys) > 1  # a single one is as uncertain as any other scan
-    between = np.diag(np.array([settings.place_sd, settings.place_sd, settings.turn_sd]) ** 2)
     for k in index[~is_key]:
-        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], between, matching)
+        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], FINAL.covariance, matching)
         matched[k] &= fits
         if k % 50 == 0:
             progress(int(k), n)
-    return _PlacedScans(poses=poses, shared=covariances, own=own, matched=matched, surfaces=surfaces)
+    missed = np.zeros(n, dtype=np.bool_)
+    return _PlacedScans(
+        poses=poses, shared=covariances, own=own, matched=matched, surfaces=surfaces, missed=missed
+    )
 
 
 def _placed_again(
@@ -185,12 +191,11 @@ def _placed_again(
     for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)):
         if is_covered(scans, k):
             continue
-        pose, covariance, fits = _place(
-            scans, int(k), placed.surfaces, smoothed.poses[k], smoothed.covariances[k], matching
-        )
+        prior = smoothed.covariances[k] + FINAL.covariance  # slip is larger than the odometry's deviations
+        pose, covariance, fits = _place(scans, int(k), placed.surfaces, smoothed.poses[k], prior, matching)
         if fits:
             poses[k], own[k], matched[k] = pose, covariance, True
-    return replace(placed, poses=poses, own=own, matched=matched)
+    return replace(placed, poses=poses, own=own, matched=matched, missed=matched & ~placed.matched)
 
 
 def _place(

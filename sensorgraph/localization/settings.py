@@ -355,6 +355,11 @@ class FinalSettings:
     min_joining_closures: int = 2
     """Number of consistent loop closures that join a track segment to the map after a break."""
 
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (3, 3) of the track between two key frames."""
+        return np.diag([self.place_sd**2, self.place_sd**2, self.turn_sd**2])
+
 
 FINAL = FinalSettings()
 
