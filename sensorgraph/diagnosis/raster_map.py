@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -180,11 +181,10 @@ def _most_met(walls: Floats, wall: Ints) -> Corners:
     wall : (n_scans, n_rays) Index of the wall that each ray meets; -1 for none.
     """
     count = np.bincount(wall[wall >= 0], minlength=len(walls))
-    for least in range(1, int(count.max(initial=1)) + 1):
-        corners = Corners.of(walls, count >= least)
-        if corners.count <= SCAN.nuisance.max_pixel_corners:
-            break
-    return corners
+    numbers = range(1, int(count.max(initial=1)))
+    most = SCAN.nuisance.max_pixel_corners
+    k = bisect_left(numbers, True, key=lambda least: Corners.of(walls, count >= least).count <= most)
+    return Corners.of(walls, count >= k + 1)
 
 
 def known_and_unchanged(
