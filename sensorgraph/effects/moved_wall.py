@@ -17,21 +17,21 @@ SAME = 1e-6  # [m] distance below which two ends are one corner
 def transform(scene: Scene, a: Amendment) -> None:
     """Shift a wall along its outward normal, together with the ends of its neighbours."""
     (index,) = walls_of(scene, a.place)
-    shift = a["d"] * outward(scene.arena, index)
+    shift = a["d"] * outward(scene.arena, np.array([index]))[0]
     for end in scene.walls[index].copy():
         scene.walls[(np.abs(scene.walls - end) < SAME).all(axis=2)] += shift
 
 
 def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
     """Return the shift of the two corners of each outer wall along its normal."""
-    out = []
+    out, n_corners = [], int(ends.max()) + 1
     outline = arena.names[0].split("/")[0]
-    for index, name in enumerate(arena.names):
-        if name.split("/")[0] != outline:
-            continue
-        shift = np.zeros((int(ends.max()) + 1, 2, 1))
-        shift[ends[index], :, 0] = outward(arena, index)
-        out.append(CornerShift(shift=shift, place=name, xy=arena.walls[index].mean(axis=0)))
+    outer = np.array([k for k, name in enumerate(arena.names) if name.split("/")[0] == outline])
+    middles = arena.walls[outer].mean(axis=1)
+    for index, normal, middle in zip(outer, outward(arena, outer), middles, strict=True):
+        shift = np.zeros((n_corners, 2, 1))
+        shift[ends[index], :, 0] = normal
+        out.append(CornerShift(shift=shift, place=arena.names[index], xy=middle))
     return out
 
 

@@ -97,13 +97,14 @@ def ends_of_part(what: str) -> tuple[Parameter, Parameter]:
     return end("a", f"start of {what}, along the wall from its first end"), end("b", f"end of {what}")
 
 
-def outward(arena: Arena, index: int) -> Floats:
-    """Return the unit normal (2,) of a wall, pointing away from free space."""
-    a, b = arena.walls[index]
-    d = (b - a) / max(float(np.hypot(*(b - a))), 1e-12)
-    normal = np.array([d[1], -d[0]])
-    middle = (a + b) / 2
-    return normal if not arena.contains(middle + 1e-3 * normal) else -normal
+def outward(arena: Arena, indices: Ints) -> Floats:
+    """Return the unit normals (n, 2) of walls, pointing away from free space."""
+    a, b = arena.walls[indices].swapaxes(0, 1)
+    ahead = b - a
+    ahead /= np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), 1e-12)[:, None]
+    normals = np.column_stack([ahead[:, 1], -ahead[:, 0]])
+    inward = arena.contains((a + b) / 2 + 1e-3 * normals)
+    return np.where(inward[:, None], -normals, normals)
 
 
 def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:

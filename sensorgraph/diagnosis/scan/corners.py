@@ -22,8 +22,8 @@ class Corners:
     @classmethod
     def of(cls, walls: Floats, met: Bools | None = None) -> Corners:
         """Merge wall ends that coincide; corners that only end walls which no ray meets, by `met` (n_walls,), are fixed."""
-        points = np.round(walls.reshape(-1, 2), 6)
-        _, index = np.unique(points, axis=0, return_inverse=True)
+        x, y = np.round(walls.reshape(-1, 2), 6).T
+        _, index = np.unique(x + 1j * y, return_inverse=True)
         index = index.reshape(-1, 2)
         count = int(index.max()) + 1 if len(index) else 0
         if met is None:
