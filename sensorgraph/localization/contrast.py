@@ -68,7 +68,7 @@ class Contrast:
         off[:, 2] = wrap(off[:, 2])
         longer, turn = (np.maximum(size(a), size(b)) for size in (_way, lambda one: np.abs(one[:, 2])))
         z = np.abs(off) / WheelEstimate().deviations(longer, turn)
-        large = ((z > Z) & (np.abs(off) > LEAST)).any(axis=1)
+        large = np.asarray(((z > Z) & (np.abs(off) > LEAST)).any(axis=1))
         return cls(first=first, last=last, by_scans=a, by_odometry=b, z=z, is_contradiction=large)
 
     def notes(self, stamps: Floats) -> tuple[str, ...]:

@@ -188,11 +188,11 @@ def _placed_again(
     deviations = np.sqrt(np.einsum("nii->ni", smoothed.covariances)[:, :2].max(axis=1))
     left = np.clip(np.searchsorted(tracked.key_frames, np.arange(len(poses))) - 1, 0, None)
     is_between = np.append(np.diff(tracked.piece) == 0, False)[left]
-    for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)):
+    for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)).tolist():
         if is_covered(scans, k):
             continue
         prior = smoothed.covariances[k] + FINAL.covariance  # slip is larger than the odometry's deviations
-        pose, covariance, fits = _place(scans, int(k), placed.surfaces, smoothed.poses[k], prior, matching)
+        pose, covariance, fits = _place(scans, k, placed.surfaces, smoothed.poses[k], prior, matching)
         if fits:
             poses[k], own[k], matched[k] = pose, covariance, True
     return replace(placed, poses=poses, own=own, matched=matched, missed=matched & ~placed.matched)
