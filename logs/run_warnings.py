@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.alternating_scans import alternating_text
 from logs.jumps import JUMP_LIMITS
 from logs.notes import notes_of
 from logs.range_limits import median_text
@@ -58,7 +59,7 @@ def warnings_of(run: Run) -> list[str]:
         )
     out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
     finite = np.isfinite(run.ranges)
-    out += filter(None, [median_text(run.ranges)])
+    out += filter(None, [median_text(run.ranges), alternating_text(run.ranges)])
     blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
     if len(blind):
         out.append(f"{len(blind)} rays never return: {_spans(blind)}; check whether the sensor is obstructed")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.alternating_scans import alternating_text
 from logs.jumps import find_jumps
 from logs.notes import assumptions_of
 from logs.range_limits import BEYOND, median_text
@@ -67,28 +68,28 @@ def check_jumps(
     )
 
 
-def check_unit(run: Run, name: str) -> None:
-    """Refuse a run whose ranges are in another unit than metres.
+def check_ranges(run: Run, name: str) -> None:
+    """Refuse a run whose ranges are in another unit than metres, or of two scanners on one topic.
 
     Raises
     ------
-    SensorgraphError : The median range is that of millimetres or centimetres.
+    SensorgraphError : The median range is that of millimetres or centimetres, or the scans alternate between two views.
     """
     beyond = next((note for note in assumptions_of(run) if note.startswith(BEYOND)), "")
     if beyond and not np.isfinite(run.ranges).any():
         raise SensorgraphError(f"{name}: {beyond}")
-    if text := median_text(run.ranges):
+    if text := median_text(run.ranges) or alternating_text(run.ranges):
         raise SensorgraphError(f"{name}: {text}")
 
 
 def check_returns(run: Run, name: str = "the run") -> None:
-    """Refuse a run without a return, or with ranges in another unit than metres.
+    """Refuse a run without a return, and those of `check_ranges`.
 
     Raises
     ------
-    SensorgraphError : No ray ever returned, or the median range is that of millimetres or centimetres.
+    SensorgraphError : No ray ever returned, or as in `check_ranges`.
     """
-    check_unit(run, name)
+    check_ranges(run, name)
     if not np.isfinite(run.ranges).any():
         raise SensorgraphError(
             f"no ray of {name} ever returned; check the topic of the scans with `sensorgraph inspect`"

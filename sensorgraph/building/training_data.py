@@ -15,7 +15,7 @@ from logs.run_warnings import warnings_of
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps, check_unit
+from sensorgraph.intake import check_jumps, check_ranges
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.models.narmax.sequences import MAX_STEP, stretches
@@ -191,7 +191,7 @@ class _LogIntake:
 
     def _check_first_piece(self, run: Run) -> None:
         """Refuse ranges in another unit, and warn of a mirrored or turned scan, and of scans that contradict each other."""
-        check_unit(run, self.name)
+        check_ranges(run, self.name)
         oriented = orientation(run, None)
         if oriented is not None and oriented.best != "as logged":
             self.warnings["orientation"] = (

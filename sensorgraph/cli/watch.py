@@ -145,11 +145,11 @@ def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
     from logs import read
     from sensorgraph.cli.inputs import with_robot
     from sensorgraph.cli.progress import reading_bar
-    from sensorgraph.intake import check_unit
+    from sensorgraph.intake import check_ranges
 
     with reading_bar() as tick:
         run = read(path, **reading, progress=tick)
-    check_unit(run, path.name)
+    check_ranges(run, path.name)
     return with_robot(run, path.name, robot)
 
 

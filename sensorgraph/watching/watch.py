@@ -9,7 +9,7 @@ import logs
 from logs.run import Run
 from sensorgraph.errors import as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.intake import check_unit
+from sensorgraph.intake import check_ranges
 from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.policy import WatchPolicy, load_policy
 from sensorgraph.watching.status import WatchStatus
@@ -40,6 +40,6 @@ def watch(
     if isinstance(scans, str | Path):
         scans = logs.read(scans)
     if isinstance(scans, Run):
-        check_unit(scans, str(scans.meta.get("source", "the run")))
+        check_ranges(scans, str(scans.meta.get("source", "the run")))
         return watch_scans(model, observations(scans), scans.sensor, baseline=limits.baseline)
     return watch_scans(model, scans, baseline=limits.baseline)
