@@ -111,3 +111,20 @@ def test_such_a_log_is_never_read_in_pieces(tmp_path: Path, monkeypatch: pytest.
     log = stream.open_log(path)
     check(log.head if log.n_scans == 0 else next(iter(log.pieces())))
     assert log.n_scans == sum(len(piece.stamps) for piece in log.pieces())
+
+
+def test_full_turns_that_begin_elsewhere_once_are_scans_and_no_stream(tmp_path: Path) -> None:
+    """As after a reconfiguration of the driver: each scan is a turn, which begins where it ended, too."""
+    bag = [
+        scan(
+            0.1 * k,
+            1 + np.roll(np.arange(N), -30 * (k >= 20)) / 1000,
+            angle_min=low,
+            increment=STEP,
+            range_max=100.0,
+        )
+        for k, low in enumerate([-np.pi] * 20 + [0.0] * 20)
+    ]
+    run = read(tmp_path, bag)
+    assert run.n_scans == len(bag) and not run.sensor.has_ray_delays
+    assert "full turns" not in run.meta.get("notes", "")

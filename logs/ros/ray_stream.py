@@ -84,7 +84,8 @@ def full_turns(topic: Topic) -> tuple[Topic, list[str]]:
     n_rays = np.array([len(part) for part in stream.ranges])
     after = sign * wrap(stream.lows[1:] - stream.lows[:-1] - stream.step * n_rays[:-1])
     follows = np.abs(after) <= SLACK * step
-    if follows.mean() < SHARE:
+    elsewhere = np.abs(wrap(np.diff(stream.lows))) > 0.5 * step  # after a full turn, both are the same
+    if follows.mean() < SHARE or elsewhere.mean() < 0.5:
         return topic, []
     advance, seconds = n_rays[:-1] * step + after, np.diff(stream.stamps) / 1e9
     rate = float(np.median(advance[follows] / seconds[follows]))  # [rad/s]
