@@ -114,3 +114,15 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
     assert place.matching < 0.3 and not place.is_good
     assert "have the length that the arena predicts" in place.sentence()
     assert align(data_of(hall), np.random.default_rng(0)).matching > 0.95
+
+
+def test_poses_of_another_scale_than_the_ranges_are_not_blamed_on_the_map(hall: Arena) -> None:
+    run = drive(hall)
+    run = replace(run, poses=run.poses * [0.93, 0.93, 1.0])
+    data, _ = prepare_scans(run, hall, parse_robot("sensor: {n_rays: 61}"))
+    why = misalignment(align(data, np.random.default_rng(0)), run, data)
+    assert why is not None
+    assert (
+        "ranges 6.6 % shorter" in why.statement and "the scales of ranges and poses differ" in why.statement
+    )
+    assert "times as large as the place" not in why.statement

@@ -17,6 +17,7 @@ from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.raycast import cast_laser, laser_poses
+from sensorgraph.world.self_fit import self_fit
 
 SETTINGS = SCAN.alignment
 SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
@@ -65,7 +66,7 @@ class Alignment:
 
     def sentence(self) -> str:
         """Return a statement of the fit of arena and run, and of its correction."""
-        now = f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"
+        now = self.now()
         if self.is_good and self.share >= SETTINGS.good_share:
             return now
         if self.is_good:
@@ -93,6 +94,10 @@ class Alignment:
         if self.best_share < SETTINGS.good_share:
             return f"{lead}: {now}; it may belong to another place; even {mend}, it would be {100 * self.best_share:.0f} %"
         return f"{lead}: {now}; {mend}, it would be {100 * self.best_share:.0f} %"
+
+    def now(self) -> str:
+        """Return the share of the returns at walls in words."""
+        return f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"
 
     def _unit(self) -> str:
         near = [unit for scale, unit in UNITS.items() if abs(self.scale / scale - 1) < SETTINGS.scale_step]
@@ -131,9 +136,25 @@ def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | No
     if not statement and alignment.is_good:
         return None
     return Unknown(
-        statement=statement or alignment.sentence(),
+        statement=statement
+        or _contradiction(alignment, replace(run, sensor=data.sensor))
+        or alignment.sentence(),
         statistic=alignment.share,
         threshold=alignment.best_share,
+    )
+
+
+def _contradiction(alignment: Alignment, run: Run) -> str:
+    """Return a statement that no map fits, since ranges and poses differ in scale; empty if the scans agree.
+
+    Scans whose poses are 5 % too close together look like those of a place that is 2 % smaller.
+    """
+    found = None if alignment.scale == 1.0 else self_fit(run)
+    if found is None or found.name != "scale":
+        return ""
+    return (
+        f"the arena does not fit the run: {alignment.now()}. No map does, since {found.line()}; correct the unit or the scale of "
+        "the poses, or that of the ranges"
     )
 
 
