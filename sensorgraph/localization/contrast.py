@@ -93,12 +93,15 @@ class Contrast:
         stretches = true_intervals(within)
         start, stop = max(stretches, key=lambda one: stamps[one[1] - 1] - stamps[one[0]])
         scans, odometry = self._driven(start, stop - 1)
+        inside = (self.first >= start) & (self.last < stop)
+        off = compose(invert(self.by_odometry[inside]), self.by_scans[inside])
         more = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
         return (
-            f"scans and odometry contradict each other from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}: there "
-            f"the scans move by {scans[0]:.1f} m and {np.degrees(scans[1]):.0f}°, the odometry by {odometry[0]:.1f} m and "
+            f"scans and odometry contradict each other from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, by up to "
+            f"{_way(off).max():.1f} m and {np.degrees(np.abs(wrap(off[:, 2])).max()):.0f}° within {SPAN:.0f} s: there the scans move "
+            f"by {scans[0]:.1f} m and {np.degrees(scans[1]):.0f}°, the odometry by {odometry[0]:.1f} m and "
             f"{np.degrees(odometry[1]):.0f}°. The wheels slip or the robot is pushed, so that the scans are right; or the laser "
-            "sees what goes along with the robot (a trailer, the ground), so that the odometry is"
+            "sees what goes along with the robot (people, a trailer, the ground), so that the odometry is"
         )
 
     def _driven(self, start: int, stop: int) -> tuple[tuple[float, float], tuple[float, float]]:

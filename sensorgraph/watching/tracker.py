@@ -33,6 +33,7 @@ from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
+    missed_motion,
     moved_covariance,
     odometry_step,
     points_of,
@@ -109,7 +110,9 @@ class PoseTracker:
         if is_jump:
             self.missing = math.inf
         scan = points_of(self.readings.sensor, observation, self.velocity)
-        way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
+        missed = missed_motion(self._last, observation, step)
+        deviations = np.hypot(deviations, missed)
+        way, turn = float(np.hypot(*step[:2]) + np.hypot(*missed[:2])), float(abs(step[2]) + missed[2])
         weight = min(
             way / s.independent_distance + turn / s.independent_turn + dt / s.independent_period, 1.0
         )
@@ -197,7 +200,9 @@ class PoseTracker:
 
     def _evidence(self, now: ScanInput, poses: Floats) -> ReadingEvidence:
         """Return the evidence of the usable readings of a scan at poses (n, 3)."""
-        of_pose = self.readings.of_pose[self.usable[self.readings.of_pose]]
+        of_pose = self.readings.of_pose
+        if self.usable[of_pose].any():  # sectors that cover all rays tell no pose from another
+            of_pose = of_pose[self.usable[of_pose]]
         return self.readings.evidence(now.observation.ranges, poses, of_pose)
 
     def _share(self, now: ScanInput) -> float:
