@@ -14,7 +14,6 @@ from logs.run import Run
 from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
-from sensorgraph.watching.scan_input import missed_motion
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.tracker import PoseTracker
 from sensorgraph.watching.watcher import Watcher
@@ -127,15 +126,6 @@ def test_a_robot_that_is_pushed_and_believes_it_is_not_said_to_be_off() -> None:
     odometry[40:] = odometry[40]
     said = list(sg.watch(graph(), believing(replace(run, odometry=odometry), poses)))
     assert {status.pose.status for status in said} == {"ok"}
-
-
-def test_motion_that_the_odometry_misses_is_what_the_robot_believes_unless_it_jumps() -> None:
-    stands, sees = np.zeros(3), np.zeros(1)
-    first = Observation(stamp=0.0, ranges=sees, odometry=stands, believed=np.array([1.0, 1.0, np.pi / 2]))
-    for moved, missed in (([0.02, 0.1, 0.05], [0.1, 0.02, 0.05]), ([0.0, 0.5, 0.0], [0.0, 0.0, 0.0])):
-        then = replace(first, stamp=0.1, believed=first.believed + moved)
-        np.testing.assert_allclose(missed_motion(first, then, stands), missed, atol=1e-12)
-    assert not missed_motion(first, replace(first, believed=None), stands).any()
 
 
 def test_a_laser_all_of_whose_rays_count_as_covered_is_still_watched() -> None:

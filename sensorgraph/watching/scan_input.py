@@ -11,7 +11,6 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.global_search import LocalView, local_view
-from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.types import Floats, Ints
 from sensorgraph.watching.observation import Observation
@@ -80,20 +79,6 @@ def odometry_step(
         return dt, np.zeros(3), floor + 1.0, True
     scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
     return dt, step, floor + scale, False
-
-
-def missed_motion(last: Observation | None, now: Observation, step: Floats) -> Floats:
-    """Return the size (3,) [m, m, rad] of the motion that the robot believes beside that of the odometry (3,).
-
-    A robot that is pushed, or whose wheels slip, localizes itself all the same. 0 without beliefs, or if they jump.
-    """
-    if last is None or last.believed is None or now.believed is None:
-        return np.zeros(3)
-    off = compose(invert(step), compose(invert(last.believed), now.believed))
-    size = np.abs([off[0], off[1], wrap(off[2])])
-    s = MAP_TRACKING
-    is_jump = (size > [s.max_offset, s.max_offset, s.max_turn_offset]).any()
-    return np.zeros(3) if is_jump else size
 
 
 def apart(a: Floats, b: Floats) -> tuple[float, float]:

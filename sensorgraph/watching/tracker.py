@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.transforms import compose, invert
+from logs.transforms import compose, invert, wrap
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import find_places
@@ -26,6 +26,7 @@ from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.seen_space import seen_by_graph
+from sensorgraph.localization.settings import WHEELS
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.modes import Mode, corrected, matched, velocity_of, weighed
 from sensorgraph.watching.observation import Observation
@@ -33,7 +34,6 @@ from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
-    missed_motion,
     moved_covariance,
     odometry_step,
     points_of,
@@ -68,6 +68,8 @@ class PoseTracker:
         self.kept: deque[ScanInput] = deque(maxlen=priors.n_kept)
         self.drift = np.zeros(3)
         self.velocity = np.zeros(3)
+        self.slip = np.zeros(3)
+        """[m/s, m/s, rad/s] Error of the odometry's speed at the last match, if it slips; otherwise zero."""
         self.n_searches = 0
         self._last: Observation | None = None
         self._number = 0
@@ -90,7 +92,8 @@ class PoseTracker:
         if last.odometry is None or observation.odometry is None:
             return observation.stamp - last.stamp >= 0.5 * s.update_period
         way, turn = apart(observation.odometry, last.odometry)
-        return way > s.update_distance or turn > s.update_turn
+        slip = self.slip * (observation.stamp - last.stamp)
+        return way + float(np.hypot(*slip[:2])) > s.update_distance or turn + slip[2] > s.update_turn
 
     def ahead(self, observation: Observation) -> Floats:
         """Return the motion (3,) by the odometry since the last scan that was used."""
@@ -110,9 +113,8 @@ class PoseTracker:
         if is_jump:
             self.missing = math.inf
         scan = points_of(self.readings.sensor, observation, self.velocity)
-        missed = missed_motion(self._last, observation, step)
-        deviations = np.hypot(deviations, missed)
-        way, turn = float(np.hypot(*step[:2]) + np.hypot(*missed[:2])), float(abs(step[2]) + missed[2])
+        slip = self.slip * dt
+        way, turn = float(np.hypot(*step[:2]) + np.hypot(*slip[:2])), float(abs(step[2]) + slip[2])
         weight = min(
             way / s.independent_distance + turn / s.independent_turn + dt / s.independent_period, 1.0
         )
@@ -120,7 +122,9 @@ class PoseTracker:
         self._last, self.drift = observation, compose(self.drift, step)
         now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=1.0 if first else weight)
         before = self.main
-        self.modes = [self._moved(mode, step, deviations, dt, now) for mode in self.modes]
+        expected = np.hypot(deviations, slip)
+        self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
+        self._learn_slip(before, step, deviations, dt)
         if observation.believed is not None:
             self.modes = [mode.without_belief(observation.believed, s.tolerance) for mode in self.modes]
         self._add_belief(now)
@@ -144,6 +148,15 @@ class PoseTracker:
                 found = found or matched(self.place, other, wide, now)
         way = float(np.hypot(step[0], step[1]))
         return corrected(replace(mode, pose=pose, covariance=covariance, moved=way), found)
+
+    def _learn_slip(self, before: Mode | None, step: Floats, deviations: Floats, dt: float) -> None:
+        """Take the error of a step of the odometry as slip, if it is beyond the noise; slip lasts, as of a robot that is pushed."""
+        after = next((mode for mode in self.modes if before and mode.number == before.number), None)
+        if before is None or after is None or not after.is_matched or dt <= 0:
+            return
+        off = compose(invert(compose(before.pose, step)), after.pose)
+        size = np.abs([off[0], off[1], wrap(off[2])])
+        self.slip = size / dt if (size > WHEELS.outlier * deviations).any() else np.zeros(3)
 
     def _add_belief(self, now: ScanInput) -> None:
         """Add the pose that the robot believes, if no mode is there."""
