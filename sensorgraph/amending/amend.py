@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from sensorgraph.amending.mjcf import amend_mjcf
 from sensorgraph.amending.nav2 import amend_nav2
 from sensorgraph.amending.robot_yaml import amend_robot
 from sensorgraph.amending.sdf import amend_sdf
-from sensorgraph.amending.text import TextFile
+from sensorgraph.amending.text import TextFile, declared_encoding
 from sensorgraph.amending.urdf import amend_urdf
 from sensorgraph.amending.xacro import Document, expand
 from sensorgraph.amending.xml_tree import Element, parse_xml
@@ -73,18 +74,30 @@ class AmendedModel:
 
         Raises
         ------
-        SensorgraphError : Several files cannot be written to one file.
+        SensorgraphError : Several files cannot be written to one file, or a file is read-only.
         """
         is_folder = out is not None and (out.is_dir() or len(self.files) > 1)
         if out is not None and is_folder:
             if out.exists() and not out.is_dir():
                 raise SensorgraphError(f"{out} is a file; give a folder for {len(self.files)} files")
             out.mkdir(parents=True, exist_ok=True)
+        names = [file.path.name for file in self.files]
+        double = next((name for name in names if names.count(name) > 1), None)
+        if is_folder and double is not None:
+            raise SensorgraphError(
+                f"two files are named {double}, and {out} can hold one; amend them one at a time, or without --out"
+            )
+        if out is None:
+            targets = [file.path.resolve() for file in self.files]
+        else:
+            targets = [out / name if is_folder else out for name in names]
+        for target in targets:
+            if target.exists() and not os.access(target, os.W_OK):
+                raise SensorgraphError(f"{target} is read-only; make it writable, or give another --out")
         written = []
-        for file in self.files:
+        for file, target in zip(self.files, targets, strict=True):
             if out is None and not file.diff:
                 continue
-            target = file.path.resolve() if out is None else out / file.path.name if is_folder else out
             with atomic_file(target) as part:
                 part.write_bytes(file.text)
                 shutil.copymode(file.path, part)
@@ -182,10 +195,13 @@ def _read(path: Path) -> TextFile:
     if path.stat().st_size > MAX_BYTES:
         raise SensorgraphError(f"{path} has more than {MAX_BYTES // 10**6} MB; expected a model file")
     data = path.read_bytes()
+    encoding = declared_encoding(data)
     try:
-        data.decode("utf-8")
-    except UnicodeDecodeError as exc:
-        raise SensorgraphError(f"{path} is not UTF-8 text; expected a model file") from exc
+        data.decode(encoding)
+    except (UnicodeDecodeError, LookupError) as exc:
+        raise SensorgraphError(
+            f"{path} is not {encoding.upper()} text; expected a model file in the encoding that it declares"
+        ) from exc
     if not data.strip():
         raise SensorgraphError(f"{path} is empty; expected a URDF, xacro, SDF, MJCF or YAML file")
     is_xml = data.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
@@ -196,10 +212,10 @@ def _check_not_amended(file: TextFile, amendments: Sequence[Amendment]) -> None:
     """Refuse to add the same effect twice: changes are relative to the numbers of the file."""
     for a in amendments:
         for name, value in a.parameters.items():
-            cause = f"{a.name} {name} = {value:.4g}"
-            if file.holds(cause):
+            if file.holds(a.name, f"{name} = {value:.4g}"):
                 raise SensorgraphError(
-                    f"{file.path}: already amended with {cause}; amend the original file, or leave the effect out"
+                    f"{file.path}: already amended with {a.name} {name} = {value:.4g}; "
+                    "amend the original file, or leave the effect out"
                 )
 
 

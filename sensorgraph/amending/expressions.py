@@ -55,7 +55,7 @@ def names_in(expression: str) -> set[str]:
         tree = ast.parse(expression.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError):
         return set()
-    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - FUNCTIONS.keys()
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - FUNCTIONS.keys() - {"math"}
 
 
 def _value(node: ast.expr, name: Callable[[str], Any]) -> Any:
@@ -70,7 +70,7 @@ def _value(node: ast.expr, name: Callable[[str], Any]) -> Any:
             raise
     if isinstance(node, ast.BinOp) and type(node.op) in BINARY:
         left, right = _value(node.left, name), _value(node.right, name)
-        if isinstance(left, str) or isinstance(right, str):
+        if (isinstance(left, str) or isinstance(right, str)) and not isinstance(node.op, ast.Add):
             raise UnknownNameError(ast.unparse(node))
         return BINARY[type(node.op)](left, right)
     if isinstance(node, ast.UnaryOp) and type(node.op) in UNARY:
@@ -80,6 +80,11 @@ def _value(node: ast.expr, name: Callable[[str], Any]) -> Any:
     if isinstance(node, ast.BoolOp):
         values = [_value(one, name) for one in node.values]
         return all(values) if isinstance(node.op, ast.And) else any(values)
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS:
-        return FUNCTIONS[node.func.id](*(_value(one, name) for one in node.args))
+    if isinstance(node, ast.IfExp):
+        return _value(node.body if _value(node.test, name) else node.orelse, name)
+    if isinstance(node, ast.Attribute) and ast.unparse(node) == "math.pi":
+        return math.pi
+    if isinstance(node, ast.Call) and ast.unparse(node.func).removeprefix("math.") in FUNCTIONS:
+        function = FUNCTIONS[ast.unparse(node.func).removeprefix("math.")]
+        return function(*(_value(one, name) for one in node.args))
     raise UnknownNameError(ast.unparse(node))

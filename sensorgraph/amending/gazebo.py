@@ -28,9 +28,9 @@ SIGMAS = 3.0
 
 
 def is_diff_drive(plugin: Node) -> bool:
-    """Return whether a plugin is a differential drive of gz or of Gazebo classic."""
+    """Return whether a plugin is a differential or skid-steer drive of gz or of Gazebo classic."""
     name = plugin.get("filename") + plugin.get("name")
-    return "diff-drive" in name or "diff_drive" in name or "DiffDrive" in name
+    return any(one in name for one in ("diff-drive", "diff_drive", "DiffDrive", "skid_steer_drive"))
 
 
 def choose(
@@ -128,11 +128,24 @@ class GazeboSensor:
         if noise is None:
             self._added[tag] = (change(0.0), reason)
             return
+        if self._switch_on(noise, reason):
+            for one in ("mean", "stddev"):
+                self._leaf(noise, one, change(0.0) if one == tag else 0.0, reason)
+            return
         leaf = noise.child(tag)
         old = 0.0 if leaf is None or leaf.text is None else number(leaf.text)
         if old is None:
             raise CannotHoldError(f"`<{tag}>` uses names that no given file sets")
         self._leaf(noise, tag, change(old), reason)
+
+    def _switch_on(self, noise: Node, reason: Why) -> bool:
+        """Make noise of type none gaussian; return whether it was of type none."""
+        kind = noise.child("type")
+        value = noise.attributes.get("type") if kind is None else kind.text
+        if value is None or value.text.strip() != "none":
+            return False
+        value.file.replace(value.span, "gaussian", note("none", Why(cause=reason.cause)), value.anchor)
+        return True
 
     def _leaf(self, parent: Node | None, tag: str, value: float, reason: Why) -> None:
         """Write the number of a child, which is added if it is missing."""
@@ -200,7 +213,7 @@ class DiffDrive:
 
     def _scale(self, tags: Sequence[str], a: Amendment) -> None:
         plugin = self._plugin()
-        leaves = [leaf for tag in tags if (leaf := plugin.child(tag)) is not None and leaf.text is not None]
+        leaves = [leaf for leaf in plugin.children if leaf.tag in tags and leaf.text is not None]
         if not leaves:
             raise CannotHoldError(f"the plugin has no `<{tags[0]}>`")
         for leaf in leaves:

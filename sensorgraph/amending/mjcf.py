@@ -13,7 +13,14 @@ import numpy as np
 
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import choose
-from sensorgraph.amending.mjcf_frames import add_attribute, numbers_of, own_rotation, turn_frame
+from sensorgraph.amending.mjcf_defaults import default_of
+from sensorgraph.amending.mjcf_frames import (
+    ORIENTATIONS,
+    add_attribute,
+    numbers_of,
+    own_rotation,
+    turn_frame,
+)
 from sensorgraph.amending.numbers import number, put
 from sensorgraph.amending.place import known, shift, shift_of
 from sensorgraph.amending.text import Why, note, number_text
@@ -80,7 +87,11 @@ class _MjcfModel:
         self.sites = {node.get("name"): node for node in document.all("site")}
         self.rangefinders = list(document.all("rangefinder"))
         self.angle = 1.0 if self._option("compiler", "angle") == "radian" else math.pi / 180
+        self.order = self._option("compiler", "eulerseq") or "xyz"
         self.frames = self._laser_frames(laser, file)
+        below = {id(site) for frame in self.frames for site in frame.all("site")}
+        own = [one for one in self.rangefinders if id(self._site(one.get("site"))) in below]
+        self.rangefinders = own or self.rangefinders
 
     def _laser_frames(self, laser: str | None, file: str) -> list[Node]:
         """Return the body of the laser, or its sites if it has no body for itself."""
@@ -111,6 +122,7 @@ class _MjcfModel:
         self._check_laser()
         for frame in self.frames:
             parent = self._parent_rotation(frame)
+            self._check_own(frame, ("pos",))
             if "pos" in frame.attributes:
                 shift(self.document, numbers_of(frame, "pos", 3), a, parent)
             else:
@@ -120,9 +132,9 @@ class _MjcfModel:
     def turn(self, a: Amendment) -> None:
         """Turn the laser."""
         self._check_laser()
-        order = self._option("compiler", "eulerseq") or "xyz"
         for frame in self.frames:
-            turn_frame(self.document, frame, a, self._parent_rotation(frame), self.angle, order)
+            self._check_own(frame, ORIENTATIONS)
+            turn_frame(self.document, frame, a, self._parent_rotation(frame), self.angle, self.order)
 
     def radius(self, a: Amendment) -> None:
         """Write the true radius of both wheels."""
@@ -145,12 +157,19 @@ class _MjcfModel:
 
     def lag(self, a: Amendment) -> None:
         """Increase the time constant of the actuators."""
-        for actuator in self._actuators():
-            if "timeconst" in actuator.attributes:
-                value = actuator.attributes["timeconst"]
+        done: set[tuple[int, int]] = set()
+
+        def slower(value: Value) -> None:
+            if value.span not in done:  # a default class may set several actuators
+                done.add(value.span)
                 put(self.document, value, max(known(value) + a["tau"], 0.0), why(a, "tau"))
+
+        for actuator in self._actuators():
+            constant = default_of(self.document, actuator, "timeconst")
+            if constant is not None:
+                slower(constant)
                 continue
-            kind = actuator.get("dyntype") or "none"
+            kind = str(default_of(self.document, actuator, "dyntype") or "none")
             if actuator.tag == "position" and a["tau"] > 0:
                 add_attribute(actuator, "timeconst", number_text(a["tau"]), note(None, why(a, "tau")))
             elif actuator.tag != "general" or kind not in ("none", "filter", "filterexact"):
@@ -163,8 +182,10 @@ class _MjcfModel:
                     text = f'filterexact" dynprm="{number_text(a["tau"])}'
                     add_attribute(actuator, "dyntype", text, note(None, why(a, "tau")))
             else:
-                value = numbers_of(actuator, "dynprm", 1)[0]
-                put(self.document, value, max(known(value) + a["tau"], 0.0), why(a, "tau"))
+                prm = default_of(self.document, actuator, "dynprm")
+                if prm is None or not prm.tokens():
+                    raise CannotHoldError(f"an actuator with dyntype {kind} has no dynprm")
+                slower(prm.tokens()[0])
 
     def delay(self, a: Amendment) -> None:
         """Delay the actuators, with a history of as many time steps."""
@@ -178,15 +199,19 @@ class _MjcfModel:
 
     def _delay(self, nodes: list[Node], a: Amendment, parameter: str) -> None:
         step = float(self._option("option", "timestep") or DEFAULT_STEP)
+        done: set[tuple[int, int]] = set()
         for node in nodes:
-            value = node.attributes.get("delay")
+            value = default_of(self.document, node, "delay")
+            if value is not None and value.span in done:
+                continue
             total = (0.0 if value is None else known(value)) + a[parameter]
             steps = math.ceil(total / step) + 1
             if not total >= 0 or steps > MAX_DELAY_STEPS:
                 raise CannotHoldError(f"the delay would be {total:.3g} s; expected 0 or more")
             if value is not None:
+                done.add(value.span)
                 put(self.document, value, total, why(a, parameter))
-                history = node.attributes.get("nsample")
+                history = default_of(self.document, node, "nsample")
                 if history is not None and (number(history) or 0) < steps:
                     put(self.document, history, steps, Why(cause=f"history of {number_text(total)} s"))
             else:
@@ -225,7 +250,7 @@ class _MjcfModel:
         """Return the radii of the round geoms of a wheel."""
         found = []
         for geom in _own(wheel, "geom"):
-            size, kind = self._default(geom, "size"), self._default(geom, "type")
+            size, kind = default_of(self.document, geom, "size"), default_of(self.document, geom, "type")
             name = "sphere" if kind is None else str(kind)
             values = [] if size is None else size.tokens()
             found += [values[k] for k in ROUND.get(name, ()) if k < len(values)]
@@ -233,11 +258,8 @@ class _MjcfModel:
 
     def _wheels(self) -> list[tuple[bool, Node]]:
         """Return (is left, body) of the wheels: the bodies of driven hinges."""
-        joints = {node.get("name"): node for node in self.document.all("joint") if node.get("name")}
-        driven = [joints[one.get("joint")] for one in self._actuators() if one.get("joint") in joints]
-        wheels = [
-            body for joint in driven if (body := _above(joint)) is not None and "pos" in body.attributes
-        ]
+        driven = [self._body_of(one) for one in self._actuators()]
+        wheels = [body for body in driven if body is not None and "pos" in body.attributes]
         sided = [(number(numbers_of(body, "pos", 3)[1]) or 0.0, body) for body in wheels]
         if len([1 for y, _ in sided if y > 0]) == 0 or len([1 for y, _ in sided if y < 0]) == 0:
             raise CannotHoldError("no actuators drive a left and a right wheel")
@@ -252,22 +274,28 @@ class _MjcfModel:
         ]
         if not nodes:
             raise CannotHoldError("it has no actuator of a joint")
-        return nodes
+        robots = {id(robot): robot for one in nodes if (robot := _robot(self._body_of(one))) is not None}
+        own = _robot(self.frames[0]) if self.frames else None
+        if len(robots) > 1 and (own is None or id(own) not in robots):
+            names = ", ".join(f"`{one.get('name')}`" for one in robots.values())
+            raise CannotHoldError(
+                f"it has {len(robots)} robots, {names}; choose the laser's body or site of one with `laser`"
+            )
+        return [one for one in nodes if len(robots) < 2 or _robot(self._body_of(one)) is own]
 
-    def _default(self, node: Node, name: str) -> Value | None:
-        """Return an attribute of a geom, or that of its default class."""
-        if name in node.attributes:
-            return node.attributes[name]
-        wanted = node.get("class")
-        above = node.parent
-        while above is not None and not wanted:
-            wanted, above = above.get("childclass"), above.parent
-        for group in self.document.all("default"):
-            if (group.get("class") or "main") == (wanted or "main"):
-                inner = group.child(node.tag)
-                if inner is not None and name in inner.attributes:
-                    return inner.attributes[name]
-        return None
+    def _body_of(self, actuator: Node) -> Node | None:
+        """Return the body that an actuator's joint moves."""
+        joints = self.document.all("joint", "freejoint")
+        bodies = (_above(one) for one in joints if one.get("name") == actuator.get("joint"))
+        return next((body for body in bodies if body is not None), None)
+
+    def _check_own(self, frame: Node, names: tuple[str, ...]) -> None:
+        """Check that no default class places a site: its number would be that of other sites, too."""
+        if any(name in frame.attributes for name in names):
+            return
+        for name in names:
+            if default_of(self.document, frame, name) is not None:
+                raise CannotHoldError(f"a default class sets `{name}` of the site `{frame.get('name')}`")
 
     def _option(self, tag: str, name: str) -> str:
         return next((node.get(name) for node in self.document.all(tag) if name in node.attributes), "")
@@ -285,7 +313,7 @@ class _MjcfModel:
             if any(True for _ in _own(above, "freejoint", "joint")):
                 break
             if above.tag != "replicate":
-                matrix = own_rotation(above, self.angle) @ matrix
+                matrix = own_rotation(above, self.angle, self.order) @ matrix
             above = above.parent
         return matrix
 
@@ -301,3 +329,12 @@ def _above(node: Node) -> Node | None:
     while above is not None and above.tag != "body":
         above = above.parent
     return above
+
+
+def _robot(node: Node | None) -> Node | None:
+    """Return the outermost body around a node, or the node itself."""
+    robot, above = node, node
+    while above is not None:
+        robot = above if above.tag == "body" else robot
+        above = above.parent
+    return robot

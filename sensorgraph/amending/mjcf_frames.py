@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, why
 from sensorgraph.amending.numbers import put
-from sensorgraph.amending.place import about_z, known, rotation, triple, turned
+from sensorgraph.amending.place import known, turned
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
+
+ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+"""Attributes of which one states an orientation."""
+SMALL = 1e-9
+"""Part of a rotation below which it is zero."""
 
 
 def turn_frame(
@@ -24,82 +31,104 @@ def turn_frame(
     ----------
     parent : (3, 3) Rotation of its parent in base_link.
     unit : [rad] Unit of angles in the file.
-    order : Order of Euler angles.
+    order : Axes of Euler angles: small letters turn with the body, capital ones stay.
 
     Raises
     ------
-    CannotHoldError : Its orientation is written in a way that is not supported.
+    CannotHoldError : Its orientation uses unknown names, or mixes both kinds of Euler angles.
     """
     reason, delta = why(a, "delta"), a["delta"]
-    if "zaxis" in frame.attributes or "xyaxes" in frame.attributes:
-        name = "zaxis" if "zaxis" in frame.attributes else "xyaxes"
+    matrix = turned(own_rotation(frame, unit, order), delta, parent)
+    name = next((one for one in ORIENTATIONS if one in frame.attributes), "")
+    if name in ("zaxis", "xyaxes"):
         values = numbers_of(frame, name, 3 if name == "zaxis" else 6)
-        around = parent.T @ about_z(delta) @ parent
+        around = turned(np.eye(3), delta, parent)
         for k in range(0, len(values), 3):
             old = np.array([known(value) for value in values[k : k + 3]])
             for value, new in zip(values[k : k + 3], around @ old, strict=True):
                 put(document, value, float(new), Why(cause=reason.cause))
-        return
-    matrix = turned(own_rotation(frame, unit), delta, parent)
-    name = next((one for one in ("quat", "axisangle", "euler") if one in frame.attributes), "")
-    if not name:
-        text = number_text(delta / unit)
-        if not np.allclose(parent, about_z(math.atan2(parent[1, 0], parent[0, 0])), atol=1e-9):
-            raise CannotHoldError("the body of the laser is tilted and has no orientation to change")
-        angles = ["0", "0", "0"]
-        angles[order.lower().index("z")] = text
-        add_attribute(frame, "euler", " ".join(angles), note(None, reason))
     elif name == "quat":
-        for value, new in zip(numbers_of(frame, "quat", 4), _quaternion(matrix), strict=True):
-            put(document, value, new, Why(cause=reason.cause))
-    elif name == "euler":
-        if order.lower() != "xyz":
-            raise CannotHoldError("its angles are in another order than xyz")
-        values = numbers_of(frame, "euler", 3)
-        for value, new in zip(values, _euler(frame, matrix, delta, unit), strict=True):
-            put(document, value, new / unit, why(a, "delta", per=1 / unit))
+        x, y, z, w = Rotation.from_matrix(matrix).as_quat(canonical=True)
+        for value, new in zip(numbers_of(frame, "quat", 4), (w, x, y, z), strict=True):
+            put(document, value, float(new), Why(cause=reason.cause))
+    elif name == "axisangle":
+        _put_axisangle(document, frame, a, matrix, unit)
     else:
-        values = numbers_of(frame, "axisangle", 4)
-        axis = np.array([known(value) for value in values[:3]])
-        if not np.allclose(np.abs(axis), [0, 0, 1]) or not np.allclose(parent, np.eye(3)):
-            raise CannotHoldError("the laser turns about an axis other than z")
-        new = known(values[3]) + float(axis[2]) * delta / unit
-        put(document, values[3], new, why(a, "delta", per=1 / unit))
+        angles = _euler(matrix, order)
+        if not name:
+            text = " ".join(number_text(one / unit) for one in angles)
+            add_attribute(frame, "euler", text, note(None, reason))
+            return
+        for value, angle in zip(numbers_of(frame, "euler", 3), angles, strict=True):
+            before = known(value) * unit
+            change = math.remainder(angle - before, 2 * math.pi)
+            put(document, value, (before + change) / unit, why(a, "delta", per=1 / unit))
 
 
-def _euler(frame: Node, matrix: Floats, delta: float, unit: float) -> list[float]:
-    """Return intrinsic angles x, y, z [rad] of a matrix (3, 3)."""
-    if np.allclose(matrix[2, :2], 0.0) and np.allclose(matrix[:2, 2], 0.0) and matrix[2, 2] > 0:
-        old = known(numbers_of(frame, "euler", 3)[2]) * unit
-        return [0.0, 0.0, old + delta]
-    return [
-        math.atan2(-matrix[1, 2], matrix[2, 2]),
-        math.asin(max(-1.0, min(1.0, float(matrix[0, 2])))),
-        math.atan2(-matrix[0, 1], matrix[0, 0]),
-    ]
+def _put_axisangle(document: Document, frame: Node, a: Amendment, matrix: Floats, unit: float) -> None:
+    """Write a rotation (3, 3) as axis and angle; only the angle if the axis stays."""
+    values = numbers_of(frame, "axisangle", 4)
+    *axis, before = (known(value) for value in values)
+    vector = Rotation.from_matrix(matrix).as_rotvec()
+    along = float(np.dot(vector, axis)) / (float(np.linalg.norm(axis)) or 1.0)
+    if np.linalg.norm(np.cross(vector, axis)) > SMALL:
+        along = float(np.linalg.norm(vector))
+        for value, new in zip(values[:3], vector / along, strict=True):
+            put(document, value, float(new), Why(cause=why(a, "delta").cause))
+        before = along / unit
+    change = math.remainder(along - before * unit, 2 * math.pi)
+    put(document, values[3], before + change / unit, why(a, "delta", per=1 / unit))
 
 
-def own_rotation(frame: Node, unit: float) -> Floats:
-    """Return the rotation (3, 3) of a body or a site in its parent."""
-    if "quat" in frame.attributes:
-        w, x, y, z = (known(one) for one in numbers_of(frame, "quat", 4))
-        n = math.sqrt(w * w + x * x + y * y + z * z) or 1.0
-        w, x, y, z = w / n, x / n, y / n, z / n
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-    if "euler" in frame.attributes:
-        x, y, z = (unit * value for value in triple(numbers_of(frame, "euler", 3)))
-        return np.asarray(rotation([x, 0, 0]) @ rotation([0, y, 0]) @ about_z(z))
-    if "axisangle" in frame.attributes:
-        values = [known(one) for one in numbers_of(frame, "axisangle", 4)]
-        if np.allclose(np.abs(values[:3]), [0, 0, 1]):
-            return about_z(values[2] * values[3] * unit)
-        raise CannotHoldError("a parent of the laser turns about an axis other than z")
+def _euler(matrix: Floats, order: str) -> list[float]:
+    """Return the angles (3,) [rad] of a rotation (3, 3).
+
+    Raises
+    ------
+    CannotHoldError : The order mixes turning and fixed axes.
+    """
+    if order not in (order.lower(), order.upper()):
+        raise CannotHoldError(f"its angles are in the mixed order {order}")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")  # the third angle is then zero
+        angles = Rotation.from_matrix(matrix).as_euler(order.swapcase())  # SciPy's capitals turn
+    return [0.0 if abs(one) < SMALL else float(one) for one in angles]
+
+
+def own_rotation(frame: Node, unit: float, order: str) -> Floats:
+    """Return the rotation (3, 3) of a body, frame or site in its parent.
+
+    Parameters
+    ----------
+    unit : [rad] Unit of angles in the file.
+    order : Axes of Euler angles: small letters turn with the body, capital ones stay.
+    """
+    name = next((one for one in ORIENTATIONS if one in frame.attributes), "")
+    sizes = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
+    values = np.array([known(one) for one in numbers_of(frame, name, sizes[name])] if name else [])
+    if name and not np.any(values[:3] if name != "euler" else 1.0) and name != "quat":
+        raise CannotHoldError(f"`{name}` of `{frame.get('name')}` is zero")
+    if name == "quat":
+        return Rotation.from_quat(np.roll(values, -1)).as_matrix() if values.any() else np.eye(3)
+    if name == "axisangle":
+        return Rotation.from_rotvec(values[:3] / np.linalg.norm(values[:3]) * values[3] * unit).as_matrix()
+    if name == "euler":
+        matrix = np.eye(3)
+        for axis, angle in zip(order, values * unit, strict=True):
+            one = Rotation.from_euler(axis.lower(), angle).as_matrix()
+            matrix = matrix @ one if axis.islower() else one @ matrix
+        return matrix
+    if name == "xyaxes":
+        x = values[:3] / np.linalg.norm(values[:3])
+        z = np.cross(x, values[3:])
+        z = z / np.linalg.norm(z)
+        return np.column_stack([x, np.cross(z, x), z])
+    if name == "zaxis":  # the shortest turn from z to the axis
+        z = values / np.linalg.norm(values)
+        axis = np.array([-z[1], z[0], 0.0])
+        length = float(np.linalg.norm(axis))
+        axis = axis / length if length > SMALL else np.array([1.0, 0.0, 0.0])
+        return Rotation.from_rotvec(axis * math.atan2(length, z[2])).as_matrix()
     return np.eye(3)
 
 
@@ -114,22 +143,6 @@ def numbers_of(node: Node, name: str, n: int) -> list[Value]:
     if len(values) < n:
         raise CannotHoldError(f"`{name}` of `{node.get('name')}` has {len(values)} numbers; expected {n}")
     return values[:n]
-
-
-def _quaternion(matrix: Floats) -> tuple[float, float, float, float]:
-    """Return w, x, y, z of a rotation (3, 3)."""
-    m = matrix
-    four = [
-        1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2],
-        1 - m[0, 0] + m[1, 1] - m[2, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2],
-    ]  # fmt: skip
-    w, x, y, z = (math.sqrt(max(float(one), 0.0)) / 2 for one in four)
-    return (
-        w,
-        math.copysign(x, m[2, 1] - m[1, 2]),
-        math.copysign(y, m[0, 2] - m[2, 0]),
-        math.copysign(z, m[1, 0] - m[0, 1]),
-    )
 
 
 def add_attribute(node: Node, name: str, text: str, phrase: str) -> None:

@@ -16,8 +16,10 @@ from sensorgraph.effects.min_range import MIN_RANGE
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.exporting.amcl import BootstrapEstimate, LaserModelChoice
 
+AMCL_KEYS = ("laser_model_type", "laser_max_range", "laser_min_range", "alpha1")
+"""Keys by which the parameters of all nodes, `/**`, are recognized as AMCL's."""
 WHAT = "Nav2's parameter file"
-TOP_SPEEDS = ("desired_linear_vel", "max_vel_x", "max_speed_xy", "vx_max")
+TOP_SPEEDS = ("desired_linear_vel", "max_vel_x", "max_speed_xy", "vx_max", "v_linear_max")
 """Keys of controllers that limit the speed ahead [m/s]."""
 
 
@@ -43,9 +45,10 @@ def amend_nav2(
     if amcl is None:
         return [*lines, f"{file}: AMCL's parameters: give a run with poses (--run) to estimate them"]
     estimates, model = amcl
-    section = _section(data)
-    if section is None:
-        return [*lines, f"{file}: AMCL's parameters: it has no `amcl: ros__parameters:`"]
+    try:
+        section = _section(data)
+    except CannotHoldError as exc:
+        return [*lines, f"{file}: AMCL's parameters: {exc}"]
     if any(a.effect is MAX_RANGE for a in amendments):  # found, and not only stated by the log
         estimates = {name: found for name, found in estimates.items() if name != "laser_max_range"}
     for name, found in estimates.items():
@@ -55,7 +58,9 @@ def amend_nav2(
             data.add(section, (name,), decimal(float(f"{found.value:.3g}")), reason)
             continue
         old = as_number(node)
-        if old is None or not found.low <= old <= found.high:
+        if old is None:
+            lines.append(f"{file}: AMCL's `{name}` is not a number; estimated {found}")
+        elif not found.low <= old <= found.high:
             data.put(node, float(f"{found.value:.3g}"), reason)
     node = child(section, "laser_model_type")
     if model is not None and node is not None and node.value.strip() != model.name:
@@ -64,19 +69,36 @@ def amend_nav2(
 
 
 def _section(data: YamlFile) -> Any:
-    """Return the parameters of the node amcl, below any namespace."""
-    return next((child(value, "ros__parameters") for key, value in _pairs(data.root) if key == "amcl"), None)
+    """Return the parameters of the node amcl, below any namespace, or those of all nodes, `/**`.
+
+    Raises
+    ------
+    CannotHoldError : There is no such node, or there are several.
+    """
+    nodes = [(key, child(value, "ros__parameters")) for key, value in _pairs(data.root)]
+    found = [(key, node) for key, node in nodes if key.rsplit("/", 1)[-1] == "amcl" and node is not None]
+    if not found:
+        found = [
+            (key, node) for key, node in nodes
+            if key.endswith("*") and any(child(node, one) is not None for one in AMCL_KEYS)
+        ]  # fmt: skip
+    if not found:
+        raise CannotHoldError("it has no `amcl: ros__parameters:`")
+    if len(found) > 1:
+        raise CannotHoldError(f"it has {len(found)} nodes {found[0][0]}; give a file with one")
+    return found[0][1]
 
 
 def _amcl(data: YamlFile, key: str, value: float, reason: Why) -> None:
     section = _section(data)
-    if section is None:
-        raise CannotHoldError("it has no `amcl: ros__parameters:`")
     node = child(section, key)
     if node is None:
         data.add(section, (key,), decimal(value), reason)
+    elif as_number(node) is None:
+        raise CannotHoldError(f"`{key}` is not a number")
     else:
         data.put(node, value, reason)
+    data.check_anchors()
 
 
 def _top_speed(data: YamlFile, a: Amendment) -> None:
@@ -91,6 +113,7 @@ def _top_speed(data: YamlFile, a: Amendment) -> None:
         raise CannotHoldError(
             f"it limits the speed nowhere: no velocity_smoother, and no {', '.join(TOP_SPEEDS)}"
         )
+    data.check_anchors()
 
 
 def _lower(data: YamlFile, node: Any, a: Amendment) -> int:

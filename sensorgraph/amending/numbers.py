@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Sequence
 
 from sensorgraph.amending.expressions import PARTS, UnknownNameError, names_in
+from sensorgraph.amending.findings import CannotHoldError
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Value
 
@@ -12,6 +15,8 @@ ALONE = re.compile(r"\$\{\s*(-?)\s*([A-Za-z_]\w*)\s*\}|\$\(\s*(arg\s+\w+)\s*\)")
 """A value that is one name, possibly with a minus."""
 PROPORTION = 1e-9
 """Relative deviation up to which an expression is proportional to a name."""
+RATIOS = (1.0, 0.5, 2.0)
+"""Size over a property that states it: radius or diameter, distance of the wheels or half of it."""
 CHANGE = 1e-9
 """Change of a number below which it is not written."""
 
@@ -25,7 +30,12 @@ def number(value: Value) -> float | None:
 
 
 def put(document: Document, value: Value, new: float, why: Why) -> None:
-    """Write a number. A name is changed where it is set if this is its only use, else the use is changed."""
+    """Write a number. A name is changed where it is set if this is its only use, else the use is changed.
+
+    Raises
+    ------
+    CannotHoldError : The text is expanded several times, and so sets the number of other elements, too.
+    """
     old = number(value)
     if old is not None and abs(new - old) <= CHANGE * max(1.0, abs(old)):
         return
@@ -36,6 +46,10 @@ def put(document: Document, value: Value, new: float, why: Why) -> None:
         if bound is not None and _uses(document, name, bound) == 1:
             _put_at(document, bound, -new if alone.group(1) else new, why)
             return
+    if document.is_shared(value):
+        raise CannotHoldError(
+            f"`{value.text.strip()}` is in a macro with several calls; make it a parameter of the macro"
+        )
     if PARTS.search(value.text) and old is not None:
         text = value.text.strip()
         inner = text[2:-1] if PARTS.fullmatch(text) and text.startswith("${") else None
@@ -51,22 +65,59 @@ def put(document: Document, value: Value, new: float, why: Why) -> None:
     value.file.replace(value.span, number_text(new), note(_shown(value, old), why), value.anchor)
 
 
-def scale(document: Document, value: Value, factor: float, why: Why) -> None:
-    """Multiply a number; a property to which it is proportional is changed instead, for all its uses."""
-    old = number(value)
-    if old is None or old == 0:
-        return
+def scale(document: Document, values: Sequence[Value], factor: float, why: Why) -> None:
+    """Multiply numbers, once for all expansions of a text.
+
+    A property that states a number, its half or its double is changed instead, for all its uses.
+
+    Parameters
+    ----------
+    why : Reason, with the standard error of the factor.
+
+    Raises
+    ------
+    CannotHoldError : A text also sets a number that is not among the values.
+    """
+    uses = Counter((id(value.file), value.span) for value in values)
+    done: set[tuple[int, tuple[int, int]]] = set()
+    for value in values:
+        old = number(value)
+        if old is None or old == 0:
+            continue
+        if (
+            value.element is not None
+            and document.copies.get(value.element, 0) > uses[id(value.file), value.span]
+        ):
+            raise CannotHoldError(f"`{value.text.strip()}` is in a macro with calls for other parts, too")
+        target = _property_of(value, old) or value
+        if (id(target.file), target.span) in done:
+            continue
+        done.add((id(target.file), target.span))
+        base = number(target)
+        assert base is not None
+        found = PARTS.fullmatch(target.text.strip())
+        new = number_text(factor * base)
+        if found and found.group(1):
+            new = f"${{({found.group(1).strip()}) * {number_text(factor)}}}"
+        target.file.replace(target.span, new, note(_shown(target, base), why.scaled(base)), target.anchor)
+
+
+def _property_of(value: Value, old: float) -> Value | None:
+    """Return the property or argument that states a number; None if there is none, or no single one."""
     part = PARTS.fullmatch(value.text.strip())
-    names = names_in(part.group(1)) if part and part.group(1) else set()
-    bound = [found for name in sorted(names) if (found := value.scope.find(name)) is not None]
-    if len(bound) == 1:
-        if why.cause in "; ".join(bound[0].file.notes.get(bound[0].anchor, [])):
-            return  # another use of the same property has changed it
-        base = number(bound[0])
-        if base and _is_proportional(value, bound[0], base, old):
-            put(document, bound[0], factor * base, why)
-            return
-    put(document, value, factor * old, why)
+    if part is None:
+        return None
+    names = names_in(part.group(1)) if part.group(1) else {" ".join(part.group(2).split())}
+    found = []
+    for name in sorted(names):
+        bound = value.scope.find(name)
+        base = None if bound is None else number(bound)
+        if bound is None or not base or (bound.owner is not None and abs(base) == 1):
+            continue  # a macro's parameter of 1 or -1 states the side
+        is_ratio = any(abs(abs(old / base) - ratio) <= PROPORTION for ratio in RATIOS)
+        if is_ratio and _is_proportional(value, bound, base, old):
+            found.append(bound)
+    return found[0] if len(found) == 1 else None
 
 
 def _is_proportional(value: Value, bound: Value, base: float, old: float) -> bool:

@@ -14,7 +14,7 @@ from sensorgraph.amending.xacro import Document, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
 
-SAME = 1e-9
+SAME = 1e-6
 """[m, rad] Change of a coordinate below which it is not written."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import yaml
@@ -23,6 +24,7 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.world.robot import Robot, parse_robot
+from sensorgraph.world.robot_values import value_of
 
 WHAT = "robot.yaml"
 
@@ -49,7 +51,9 @@ def amend_robot(
         MOUNT_XY: writer.mount_xy,
         MOUNT_YAW: lambda a: writer.mount(2, a["delta"], why(a, "delta")),
         LATENCY: lambda a: writer.put("sensor", "first_ray_delay", lambda old: old - a["tau"], why(a, "tau")),
-        SCAN_SKEW: lambda a: writer.put("sensor", "sweep_time", lambda old: old + a["T"], why(a, "T")),
+        SCAN_SKEW: lambda a: writer.put(
+            "sensor", "sweep_time", lambda old: _longer(old, a["T"]), why(a, "T")
+        ),
         MAX_RANGE: lambda a: writer.put(
             "sensor", "range_max", lambda _: a["R"], why(a, "R"), sensor.range_max
         ),
@@ -92,6 +96,11 @@ def why_inverse(size: float) -> Callable[[Amendment], Why]:
     return lambda a: why(a, "s", per=size)
 
 
+def _longer(sweep: float, by: float) -> float:
+    """Return a sweep time [s] with more time; a negative one takes the last ray first."""
+    return math.copysign(abs(sweep) + by, sweep)
+
+
 class _RobotFile:
     """Changes of keys, which are added if they are missing."""
 
@@ -107,7 +116,10 @@ class _RobotFile:
             self.data.add(self.data.find(section), (section, key), f"{new(default):.6g}", reason)
             return
         old = as_number(node)
-        self.data.put(node, new(default if old is None else old), reason)
+        if old is None:  # with a unit, as in 20 ms
+            old = value_of(self.data.file.path.name, f"{section}.{key}", node.value, default)
+        self.data.put(node, new(old), reason)
+        self.data.check_anchors()
 
     def mount_xy(self, a: Amendment) -> None:
         """Move the laser."""

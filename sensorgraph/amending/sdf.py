@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -95,7 +97,6 @@ class _SdfModel:
     def __init__(self, document: Document, laser: str | None, file: str) -> None:
         self.document = document
         self.links = {node.get("name"): node for node in document.all("link")}
-        self.frames = self.links | {node.get("name"): node for node in document.all("joint", "frame")}
         found = [node for node in document.all("sensor") if node.get("type") in LASERS]
         chosen = choose([(one.get("name"), one) for one in found], laser, self.links, file)
         self.sensor = None if chosen is None else GazeboSensor(document, chosen)
@@ -123,10 +124,18 @@ class _SdfModel:
         """Change the radii of the wheels' collision shapes: the driver assumes equal wheels."""
         if len(self.plugins) != 1:
             raise CannotHoldError("it has no DiffDrive plugin, which names the wheels")
-        for side, sign in (("left", 1.0), ("right", -1.0)):
-            name = self.plugins[0].content(f"{side}_joint") or self.plugins[0].content(f"{side}Joint")
-            joint = next((one for one in self.document.all("joint") if one.get("name") == name), None)
-            link = None if joint is None else self.links.get(joint.content("child"))
+        plugin = self.plugins[0]
+        wheels = [
+            (side, sign, joint.content())
+            for side, sign in (("left", 1.0), ("right", -1.0))
+            for joint in plugin.children
+            if re.fullmatch(f"{side}.*joint", joint.tag, re.IGNORECASE)
+        ]
+        if len({side for side, _, _ in wheels}) < 2:
+            raise CannotHoldError("its DiffDrive plugin does not name a left and a right joint")
+        for side, sign, name in wheels:
+            joint = _frame(name, plugin)
+            link = None if joint is None else _frame(joint.content("child"), joint)
             shapes = [] if link is None else list(link.all("collision"))
             leaves = [
                 leaf.text
@@ -151,16 +160,18 @@ class _SdfModel:
         link = node.parent
         while link is not None and link.tag != "link":
             link = link.parent
-        base = self._rotation(self.links.get("base_link") or next(iter(self.links.values()), None))
+        origin = _base_link(node)
+        base = self._rotation(origin)
         own = node.child("pose")
-        is_base = link is None or link is self.links.get("base_link") or len(list(link.all("sensor"))) > 1
+        is_base = link is None or link is origin or len(list(link.all("sensor"))) > 1
         placed = None if link is None else link.child("pose")
         if own is None and not is_base and placed is not None:
-            return placed, base.T @ self._rotation(self.frames.get(placed.get("relative_to")))
+            outer = _frame(placed.get("relative_to"), link) or _nested_model(link)
+            return placed, base.T @ self._rotation(outer)
         return own, base.T @ self._rotation(link)
 
     def _rotation(self, frame: Node | None, depth: int = 0) -> Floats:
-        """Return the rotation (3, 3) of a link, joint or frame in its model."""
+        """Return the rotation (3, 3) of a link, joint, frame or nested model in the robot's model."""
         pose = None if frame is None else frame.child("pose")
         if frame is None or depth > 20:
             return np.eye(3)
@@ -169,7 +180,7 @@ class _SdfModel:
             outer = frame.content("child")
         if not outer and frame.tag == "frame":
             outer = frame.get("attached_to")
-        parent = self.frames.get(outer) if outer else None
+        parent = _frame(outer, frame) or _nested_model(frame)
         turned = np.eye(3)
         if pose is not None and pose.text is not None:
             unit = math.pi / 180 if pose.get("degrees") == "true" else 1.0
@@ -183,6 +194,38 @@ class _SdfModel:
             raise CannotHoldError("its laser is empty")
         file = first.file
         file.insert(first.end, f"{file.newline}{file.indent(first.start)}<pose>{text}</pose>", phrase)
+
+
+def _models(node: Node) -> Iterator[Node]:
+    """Yield the models around a node, from the inside out."""
+    above = node.parent
+    while above is not None:
+        if above.tag == "model":
+            yield above
+        above = above.parent
+
+
+def _nested_model(node: Node) -> Node | None:
+    """Return the model around a node if it is nested; the world's models are placed anywhere."""
+    around = list(_models(node))
+    return around[0] if len(around) > 1 else None
+
+
+def _frame(name: str, near: Node) -> Node | None:
+    """Return the link, joint, frame or model of a name, such as `lidar::link`, in the models around a node."""
+    last = name.rsplit("::", 1)[-1]
+    for model in _models(near):
+        for one in model.all("link", "joint", "frame", "model"):
+            if last and one.get("name") == last and one is not near:
+                return one
+    return None
+
+
+def _base_link(sensor: Node) -> Node | None:
+    """Return the link `base_link` of the robot with a sensor, or its first link."""
+    robot = next(reversed(list(_models(sensor))), None)
+    links = [] if robot is None else list(robot.all("link"))
+    return next((one for one in links if one.get("name") == "base_link"), links[0] if links else None)
 
 
 def _six(pose: Node) -> list[Value]:

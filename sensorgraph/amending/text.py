@@ -43,6 +43,11 @@ class TextFile:
     notes: dict[int, list[str]] = field(default_factory=dict)
     """Offset of a comment -> its phrases."""
 
+    @property
+    def encoding(self) -> str:
+        """Encoding of the file."""
+        return declared_encoding(self.data)
+
     def text(self, span: tuple[int, int]) -> str:
         """Return the text of a span, as edited so far."""
         return self.edits.get(span) or self.data[span[0] : span[1]].decode("utf-8", "replace")
@@ -83,10 +88,13 @@ class TextFile:
         """Line break of the file."""
         return "\r\n" if b"\r\n" in self.data else "\n"
 
-    def holds(self, cause: str) -> bool:
-        """Return whether a comment of an earlier amendment contains a cause."""
+    def holds(self, effect: str, parameter: str) -> bool:
+        """Return whether a comment of an earlier amendment contains a parameter of an effect."""
+        # a comment of mount_xy names both of its parameters
+        cause = re.compile(rf"\b{effect} (\w+ = [^,;]+, )*{re.escape(parameter)}(?![\d.e])")
         return any(
-            MARK in line and cause in line for line in self.data.decode("utf-8", "replace").splitlines()
+            MARK in line and cause.search(line)
+            for line in self.data.decode(self.encoding, "replace").splitlines()
         )
 
     def amended(self) -> bytes:
@@ -102,7 +110,7 @@ class TextFile:
 
     def diff(self, new: bytes) -> str:
         """Return the unified diff between the file and a new text."""
-        before, after = (part.decode("utf-8", "replace").splitlines() for part in (self.data, new))
+        before, after = (part.decode(self.encoding, "replace").splitlines() for part in (self.data, new))
         return "\n".join(
             difflib.unified_diff(before, after, f"{self.path}", f"{self.path} (amended)", lineterm="")
         )
@@ -118,10 +126,15 @@ class TextFile:
             return ""
         if not self.is_xml:
             return f"  # {text}"
-        declared = re.match(rb"<\?xml[^>]*encoding=[\"']([^\"']+)", self.data)
-        if declared and declared.group(1).lower() not in (b"utf-8", b"utf8"):
+        if self.encoding.lower() not in ("utf-8", "utf8"):
             text = text.replace("±", "+/-").encode("ascii", "replace").decode()
         return f" <!-- {text.replace('--', '- -')} -->"
+
+
+def declared_encoding(data: bytes) -> str:
+    """Return the encoding that an XML declaration names; UTF-8 without one."""
+    declared = re.match(rb"<\?xml[^>]*encoding\s*=\s*[\"']([\w.\-]+)", data)
+    return declared.group(1).decode() if declared else "utf-8"
 
 
 def number_text(value: float) -> str:

@@ -125,18 +125,19 @@ class _UrdfModel:
 
     def radius(self, a: Amendment) -> None:
         """Write the true radius of the wheels: without a plugin, only the geometry has one."""
-        for _, value in self._radii():
-            old = known(value)
-            scale(self.document, value, 1 / (1 + a["s"]), why(a, "s", per=old / (1 + a["s"]) ** 2))
+        self._divide([value for _, value in self._radii()], a)
 
     def base(self, a: Amendment) -> None:
         """Write the true distance of the wheels."""
-        for joint in self._wheels():
-            origin = joint.child("origin")
-            if origin is None or "xyz" not in origin.attributes:
-                raise CannotHoldError(f"the wheel joint `{joint.get('name')}` has no origin")
-            value = _three(origin, "xyz")[1]
-            scale(self.document, value, 1 / (1 + a["s"]), why(a, "s", per=known(value)))
+        origins = [origin for joint in self._wheels() if (origin := joint.child("origin")) is not None]
+        self._divide([_three(origin, "xyz")[1] for origin in origins], a)
+
+    def _divide(self, values: list[Value], a: Amendment) -> None:
+        """Divide sizes by 1 + s."""
+        for value in values:
+            known(value)
+        factor = 1 / (1 + a["s"])
+        scale(self.document, values, factor, why(a, "s", per=factor**2))
 
     def radius_difference(self, a: Amendment) -> None:
         """Write different radii of the left and right wheels."""

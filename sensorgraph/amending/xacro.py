@@ -17,6 +17,8 @@ from sensorgraph.amending.xml_tree import Element
 from sensorgraph.errors import SensorgraphError
 
 PARAMETER = re.compile(r"(\*{0,2})([\w.\-]+)(?:\s*:?=\s*(\^\|?)?('[^']*'|\"[^\"]*\"|\$\{[^}]*\}|[^\s]*))?")
+ARGUMENT = re.compile(r"\$\(\s*arg\s+(\w+)\s*\)")
+"""A substitution inside an expression, as in `${'$(arg side)' == 'left'}`."""
 OPTIONAL = re.compile(r"\s*\$\(\s*optenv\s+\w+\s+([^()]*)\)\s*")
 MAX_CALLS = 2000
 """Maximum number of macro calls, which bounds recursive macros."""
@@ -68,6 +70,8 @@ class Value:
     call: Element | None = None
     """For a default of a macro's parameter: the call that does not state it."""
     name: str = ""
+    element: Element | None = None
+    """Element that holds the text."""
 
     @property
     def text(self) -> str:
@@ -95,7 +99,10 @@ class Value:
 
     def _part(self, part: re.Match[str], depth: int) -> Any:
         if part.group(1) is not None:
-            return evaluate(part.group(1), lambda name: self._bound(name, depth))
+            inner = ARGUMENT.sub(
+                lambda found: _plain(self._bound(f"arg {found.group(1)}", depth)), part.group(1)
+            )
+            return evaluate(inner, lambda name: self._bound(name, depth))
         words = part.group(2).split(maxsplit=2)
         if len(words) == 2 and words[0] == "arg":
             return self._bound(f"arg {words[1]}", depth)
@@ -134,6 +141,7 @@ class Value:
                 self.scope,
                 self.owner,
                 self.call,
+                element=self.element,
             )
             for found in re.finditer(r"(?:\$\{[^{}]*\}|\$\([^()]*\)|[^\s$]|\$)+", base)
         ]
@@ -196,6 +204,12 @@ class Document:
     """Macro -> number of its calls."""
     unknown: list[str]
     """Macros that are called, and that no given file defines."""
+    copies: dict[Element, int]
+    """Element -> number of its expansions."""
+
+    def is_shared(self, value: Value) -> bool:
+        """Return whether a text is expanded several times, as in a macro with several calls."""
+        return value.element is not None and self.copies.get(value.element, 0) > 1
 
     def all(self, *tags: str) -> Iterator[Node]:
         """Yield all nodes with one of these tags."""
@@ -223,6 +237,7 @@ class _Expansion:
         self.calls: dict[str, int] = {}
         self.unknown: list[str] = []
         self.including: set[str] = set()
+        self.copies: dict[Element, int] = {}
 
     def document(self) -> Document:
         """Expand every file that no other includes."""
@@ -235,11 +250,13 @@ class _Expansion:
         scope = Scope()
         tops = [one for one in self.elements if one.file.path.name not in included] or [self.elements[0]]
         roots = [node for one in tops for node in self.nodes(one, scope)]
-        return Document(roots, [one.file for one in self.elements], self.calls, self.unknown)
+        return Document(roots, [one.file for one in self.elements], self.calls, self.unknown, self.copies)
 
     def nodes(self, element: Element, scope: Scope) -> list[Node]:
         """Expand one element."""
         tag = element.tag
+        if scope.parent is not None or tag not in ("xacro:property", "xacro:arg"):
+            self.copies[element] = self.copies.get(element, 0) + 1  # files that define names may come twice
         if tag in ("xacro:include", "include"):
             return self._include(element, scope)
         if not tag.startswith("xacro:"):
@@ -266,7 +283,11 @@ class _Expansion:
 
     def _node(self, element: Element, scope: Scope) -> Node:
         values = {name: _value_of(element, name, scope) for name in element.attributes}
-        text = None if element.text is None else Value(element.file, element.text, element.end, scope)
+        text = (
+            None
+            if element.text is None
+            else Value(element.file, element.text, element.end, scope, element=element)
+        )
         node = Node(element.tag, element, values, text, scope, self._children(element, scope))
         for child in node.children:
             child.parent = node
@@ -338,7 +359,7 @@ def _attribute(element: Element, *names: str) -> str:
 
 def _value_of(element: Element, name: str, scope: Scope) -> Value:
     span = element.attributes.get(name, (element.start, element.start))
-    return Value(element.file, span, element.head_end, scope, name=name)
+    return Value(element.file, span, element.head_end, scope, name=name, element=element)
 
 
 def _truth(value: Value) -> bool | None:
