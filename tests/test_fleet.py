@@ -5,8 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import time
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +17,15 @@ import pytest
 import logs
 import sensorgraph as sg
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.surveying.cluster import cluster
-from sensorgraph.surveying.limited import TaskError, TaskLimits, run_limited
+from sensorgraph.surveying.building import changed_places
+from sensorgraph.surveying.cluster import cluster, task
+from sensorgraph.surveying.limited import (
+    TaskError,
+    TaskKilledError,
+    TaskLimitError,
+    TaskLimits,
+    run_limited,
+)
 from sensorgraph.surveying.quantities import LABELS
 from sensorgraph.surveying.store import ResultStore, find_logs
 from sensorgraph.surveying.trends import SPREAD, SURE, odd_robots, steps_of
@@ -159,6 +169,58 @@ def test_a_fleet_is_one_table_and_a_second_call_analyses_only_new_logs(tmp_path:
     second = sg.fleet(bags, out, places="square", workers=1)
     assert second.n_new == 0 and second.rows == found.rows
     assert json.loads((out / "fleet.json").read_text())["rows"][0]["robot"] == "radix"
+
+
+def test_only_failures_that_stay_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log that took too long is analysed again with another limit, and one whose process was killed always."""
+    errors = {b"slow": TaskLimitError, b"killed": TaskKilledError, b"bad": TaskError}
+    for content in errors:
+        (tmp_path / f"{content.decode()}.mcap").write_bytes(content)
+
+    def fails(_: str, arguments: dict[str, str], __: TaskLimits) -> None:
+        raise errors[Path(arguments["path"]).read_bytes()]("fails")
+
+    def here(_: None, jobs: Iterable[tuple[str, dict[str, str]]], limits: TaskLimits) -> Iterator[Any]:
+        return ((key, task(arguments, limits)) for key, arguments in jobs)
+
+    monkeypatch.setattr("sensorgraph.surveying.cluster.run_limited", fails)
+    monkeypatch.setattr("sensorgraph.surveying.fleet.surveyed", here)
+    monkeypatch.setattr("sensorgraph.surveying.fleet.cluster", lambda *_: nullcontext())
+
+    def n_new(seconds: float) -> int:
+        return sg.fleet(tmp_path, tmp_path / "out", limits=TaskLimits(seconds=seconds)).n_new
+
+    assert [n_new(1.0), n_new(1.0), n_new(2.0)] == [3, 1, 2]
+
+
+def test_what_fails_every_log_is_refused_and_an_unreadable_log_is_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"x")
+    with pytest.raises(SensorgraphError, match="is not a regular expression"):
+        sg.fleet(tmp_path, tmp_path / "out", pattern="(amr")
+    with pytest.raises(FileNotFoundError):
+        sg.fleet(tmp_path, tmp_path / "out", robot=tmp_path / "robot.yaml")
+
+    def denied(*_: object) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(ResultStore, "key", denied)
+    [(log, reason)] = sg.fleet(tmp_path, tmp_path / "out").failures
+    assert log.endswith("x.mcap") and reason == "cannot be read: Permission denied"
+
+
+def test_a_located_pose_does_not_absorb_an_offset_of_the_ranges() -> None:
+    """A laser that looks ahead and measures 8.7 cm too long seems to stand 11 cm further back."""
+    run = sg.record(sg.plan("square", views=4))
+    arena = sg.load_arena("square")
+    phi = run.poses[:, 2]
+    back = run.poses - 0.11 * np.column_stack([np.cos(phi), np.sin(phi), np.zeros(len(phi))])
+    for poses, offset in ((run.poses, 0.0), (back, 0.087)):
+        worn = replace(run, ranges=run.ranges + offset, poses=poses)
+        found = changed_places(worn, arena.walls).offset
+        assert found is not None
+        assert abs(found[0] - offset) < max(4 * found[1], 0.004)
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
 from sensorgraph.localization.likelihood_field import points_on
+from sensorgraph.surveying.range_offset import range_offset
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
@@ -37,9 +38,8 @@ class ChangedPlaces:
     """(n, 2) [m] Centres of cells with a wall that is no longer there."""
     share: float
     """Share of the returns that the map does not explain."""
-    offset: float | None
-    """[m] Median of measured minus expected range over the returns from walls; None without any."""
-    offset_error: float
+    offset: tuple[float, float] | None
+    """[m] Offset of all ranges, with its standard error; None without scans that show it."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the cells as plain data."""
@@ -58,7 +58,7 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     index = index[np.unique(np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp))]
     sensor, ranges = run.sensor, run.ranges[index]
     lasers = laser_poses(pairing.poses[index], sensor.mount)
-    expected, _ = cast_laser(walls, lasers, sensor.bearings, sensor.range_max)
+    expected, wall = cast_laser(walls, lasers, sensor.bearings, sensor.range_max)
     angle = lasers[:, 2:] + sensor.bearings
     hit = np.isfinite(ranges)
     ends = lasers[:, None, :2] + np.where(hit, ranges, 0.0)[..., None] * np.stack(
@@ -72,19 +72,15 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     at_wall = lasers[:, None, :2] + np.where(np.isfinite(expected), expected, 0.0)[..., None] * np.stack(
         [np.cos(angle), np.sin(angle)], axis=-1
     )
-    off = np.where(
-        hit & np.isfinite(expected) & (np.abs(ranges - expected) < CLEAR), ranges - expected, np.nan
-    )
-    per_scan = np.array([np.nanmedian(one) for one in off if np.isfinite(one).any()])
+    usable = hit & np.isfinite(expected)
+    off = np.where(usable, ranges - np.where(usable, expected, 0.0), 0.0)
+    offset = range_offset(off, expected, angle, walls, wall, usable & (np.abs(off) < CLEAR))
     stamps = run.stamps[index]
     return ChangedPlaces(
         new=_lasting_cells(ends, is_new, stamps),
         gone=_lasting_cells(at_wall, is_gone, stamps),
         share=float((is_new | is_gone).sum() / max(hit.sum(), 1)),
-        offset=float(np.median(per_scan)) if len(per_scan) else None,
-        offset_error=float(1.25 * np.std(per_scan) / np.sqrt(max(len(per_scan) / 10, 1.0)))
-        if len(per_scan)
-        else 0.0,
+        offset=offset,
     )
 
 

@@ -9,7 +9,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.surveying.limited import TaskError, TaskLimits, run_limited
+from sensorgraph.surveying.limited import (
+    TaskError,
+    TaskKilledError,
+    TaskLimitError,
+    TaskLimits,
+    run_limited,
+)
 
 CONNECT_TIMEOUT = 10.0
 """[s]"""
@@ -20,11 +26,16 @@ WORK = "sensorgraph.surveying.survey:survey"
 
 
 def task(arguments: dict[str, Any], limits: TaskLimits) -> dict[str, Any]:
-    """Survey one log in a process with limits; a failure becomes the `error` of its result."""
+    """Survey one log in a process with limits; a failure becomes the `error` of its result.
+
+    An error of the limits names them in `limits`. An error that may pass, as of a killed process, has `is_passing`.
+    """
     try:
         result: dict[str, Any] = run_limited(WORK, arguments, limits)
+    except TaskLimitError as exc:
+        return {"error": str(exc), "limits": limits.as_list()}
     except TaskError as exc:
-        return {"error": str(exc)}
+        return {"error": str(exc), "is_passing": isinstance(exc, TaskKilledError)}
     return result
 
 
@@ -103,7 +114,8 @@ def surveyed(
         try:
             result = future.result()
         except Exception as exc:
-            result = {"error": f"its worker was lost: {type(exc).__name__}: {' '.join(str(exc).split())}"}
+            text = " ".join(str(exc).split())
+            result = {"error": f"its worker was lost: {type(exc).__name__}: {text}", "is_passing": True}
         yield keys.pop(future.key), result
         del future
         n_waiting += submit()

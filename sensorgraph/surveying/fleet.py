@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +29,7 @@ from sensorgraph.surveying.store import ResultStore, find_logs
 from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, TrendStep, level, odd_robots, steps_of
 from sensorgraph.types import Floats, Progress
 from sensorgraph.version import __version__
+from sensorgraph.world.robot import load_robot
 
 COLUMNS = (
     "log", "robot", "kind", "day", "length_s", "way_m", "n_scans", "place", "place_fit", "ok_share", "no_return",
@@ -81,22 +83,25 @@ def fleet(
     walls = {Path(name).name: _walls_of(name) for name in known}
     if len(walls) < len(known):
         raise SensorgraphError("two places have the same file name; rename one of them")
-    folder = Path(out)
+    _check(robot, pattern)
+    folder, bounds = Path(out), limits or TaskLimits()
     shared = _shared(known, robot, pattern, topics or {})
     store = ResultStore.open(folder, _settings(shared))
-    keys = {path: store.key(path) for path in paths}
-    store.keep_contents()
+    keys, unreadable = _keys(store, paths)
     first: dict[str, Path] = {}
-    for path in paths:
+    for path in keys:
         first.setdefault(keys[path], path)
     done = {key: result for key in first if (result := store.get(key)) is not None}
+    # a log that took too long or too much memory is analysed again with other limits
+    done = {key: row for key, row in done.items() if row.get("limits") in (None, bounds.as_list())}
     jobs = {key: {**shared, "path": str(path.absolute())} for key, path in first.items() if key not in done}
     n_outdated = store.others(jobs)
     if jobs:
         try:
             with cluster(scheduler, workers) as client:
-                for key, result in surveyed(client, jobs.items(), limits or TaskLimits()):
-                    store.put(key, result)
+                for key, result in surveyed(client, jobs.items(), bounds):
+                    if not result.get("is_passing"):
+                        store.put(key, result)
                     done[key] = result
                     if progress is not None:
                         progress(len(done), len(first))
@@ -107,14 +112,41 @@ def fleet(
         rows,
         walls=walls,
         failures=tuple(
-            sorted((str(first[key]), row["error"]) for key, row in done.items() if "error" in row)
+            sorted(
+                unreadable + [(str(first[key]), row["error"]) for key, row in done.items() if "error" in row]
+            )
         ),
-        same=tuple((str(path), str(first[keys[path]])) for path in paths if first[keys[path]] != path),
+        same=tuple((str(path), str(first[key])) for path, key in keys.items() if first[key] != path),
         n_new=len(jobs),
         n_outdated=n_outdated,
     )
     save(found, folder)
     return found
+
+
+def _check(robot: Path | str | None, pattern: str | None) -> None:
+    """Refuse a robot.yaml and a pattern that would make every log fail."""
+    if robot is not None:
+        load_robot(robot)
+    try:
+        re.compile(pattern or "")
+    except re.error as exc:
+        raise SensorgraphError(
+            f"{pattern!r} is not a regular expression: {exc}; expected one such as '(amr[0-9]+)'"
+        ) from exc
+
+
+def _keys(store: ResultStore, paths: Iterable[Path]) -> tuple[dict[Path, str], list[tuple[str, str]]]:
+    """Return the hash of each log's content, and the logs that cannot be read, with the reason."""
+    keys: dict[Path, str] = {}
+    unreadable = []
+    for path in paths:
+        try:
+            keys[path] = store.key(path)
+        except OSError as exc:
+            unreadable.append((str(path), f"cannot be read: {exc.strerror or exc}"))
+    store.keep_contents()
+    return keys, unreadable
 
 
 def _compared(rows: list[dict[str, Any]], **facts: Any) -> Fleet:

@@ -34,9 +34,21 @@ class TaskLimits:
     megabytes: float = 4000.0
     """[MB] Data of the process, with its libraries."""
 
+    def as_list(self) -> list[float]:
+        """Return both limits as plain data."""
+        return [self.seconds, self.megabytes]
+
 
 class TaskError(Exception):
     """A task failed; the message is one line."""
+
+
+class TaskLimitError(TaskError):
+    """A task needs more time or memory than its limits."""
+
+
+class TaskKilledError(TaskError):
+    """The process of a task was killed from outside, as by a system without memory."""
 
 
 class _Worker:
@@ -74,7 +86,9 @@ class _Worker:
         try:
             return self.lines.get(timeout=seconds)
         except queue.Empty:
-            raise TaskError(f"takes more than {seconds:g} s; raise the limit or shorten the log") from None
+            raise TaskLimitError(
+                f"takes more than {seconds:g} s; raise the limit or shorten the log"
+            ) from None
 
     def end(self) -> None:
         """Kill the process."""
@@ -124,12 +138,14 @@ def run_limited(work: str, arguments: Mapping[str, Any], limits: TaskLimits) -> 
     if not line:
         code = worker.process.wait()
         _drop(worker)
-        raise TaskError(_crash(code))
+        raise (TaskKilledError if code == -signal.SIGKILL else TaskError)(_crash(code))
     answer = json.loads(line)
     if "error" in answer:
         if answer.get("is_memory"):
             _drop(worker)
-            raise TaskError(f"needs more than {limits.megabytes:g} MB; raise the limit or shorten the log")
+            raise TaskLimitError(
+                f"needs more than {limits.megabytes:g} MB; raise the limit or shorten the log"
+            )
         raise TaskError(answer["error"])
     return answer["result"]
 

@@ -24,7 +24,7 @@ from sensorgraph.localization.locate import locate, located_run, place_of
 from sensorgraph.localization.map_check import best_fit, looks
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.result import Localization
-from sensorgraph.surveying.building import ChangedPlaces, changed_places
+from sensorgraph.surveying.building import changed_places
 from sensorgraph.types import Floats
 from sensorgraph.world.described import with_robot
 from sensorgraph.world.robot import Robot, load_robot
@@ -63,7 +63,8 @@ def survey(arguments: dict[str, Any]) -> dict[str, Any]:
     if place is not None:
         changes = changed_places(located, _walls(place))
         row["changes"] = changes.to_dict()
-        row["quantities"] |= _laser(changes, run)
+        if changes.offset is not None:
+            row["quantities"] |= {"range_offset": list(changes.offset)}
     else:
         row["changes"] = {}
     row["seconds"] = time.process_time() - begin
@@ -187,10 +188,3 @@ def _each_wheel(found: DrivingCalibration, base: float) -> dict[str, list[float]
         # the error of the distance is common to both wheels
         "wheel_difference": [bias * base, bias_error * base],
     }
-
-
-def _laser(changes: ChangedPlaces, run: Run) -> dict[str, list[float]]:
-    """Return the offset of the ranges from the map, with the standard error of its median over scans."""
-    if changes.offset is None:
-        return {}
-    return {"range_offset": [changes.offset, changes.offset_error]}
