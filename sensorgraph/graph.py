@@ -26,14 +26,13 @@ from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.sensor_model import (
     GraphRays,
     Unanswered,
-    check_poses,
-    check_readings,
     each_ray,
     likelihood_of,
     near_of,
     sample_of,
     warn_of_sweep,
 )
+from sensorgraph.sensor_model_input import check_poses, check_readings, numbers_of, rays_of
 from sensorgraph.show.figures.model_figure import model_figure
 from sensorgraph.types import Floats, Progress
 
@@ -54,9 +53,10 @@ class Sensorgraph:
     memory: ResidualMemory | None = None
     """Correlation of the residuals between places and times, for draws and likelihoods; None: not identified."""
 
+    @as_sensorgraph_error
     def predict(
         self,
-        poses: Floats,
+        poses: ArrayLike,
         *,
         rays: Sequence[int] | NDArray[np.integer] | None = None,
         point: Point = "mode",
@@ -66,9 +66,9 @@ class Sensorgraph:
 
         Parameters
         ----------
-        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map; or (n_poses, n_rays, 3), one pose for each ray,
+        poses : (n_poses, 3) or (3,) [m, m, rad] of `pose_frame` in map; or (n_poses, n_rays, 3), one pose for each ray,
             as while a laser sweeps on a moving robot (`logs.motion.ray_poses`).
-        rays : Indices of the predicted rays. None: all rays.
+        rays : Indices of the predicted rays, or a mask (n_rays,) of bool. None: all rays.
         point : Point value of the mixture that `Prediction.ranges` holds.
         progress : Called with the number of poses done and the total.
 
@@ -82,17 +82,18 @@ class Sensorgraph:
         SensorgraphError : A pose is not finite or too far away, a ray or point value is unknown, or headings are in degrees
             (above 100 rad, or above a turn where all are whole numbers).
         """
-        poses, index = self._asked(poses, rays)
+        where, index = self._asked(poses, rays)
         if point not in POINTS:
             raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         parts = []
-        for first in range(0, max(len(poses), 1), POSES_AT_A_TIME):
+        for first in range(0, max(len(where), 1), POSES_AT_A_TIME):
             if progress is not None:
-                progress(first, len(poses))
-            parts.append(self._predict_some(poses[first : first + POSES_AT_A_TIME], index, point))
+                progress(first, len(where))
+            parts.append(self._predict_some(where[first : first + POSES_AT_A_TIME], index, point))
         found = parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
-        return replace(found, rays=GraphRays(graph=self, poses=poses, rays=index))
+        return replace(found, rays=GraphRays(graph=self, poses=where, rays=index))
 
+    @as_sensorgraph_error
     def log_likelihood(
         self,
         ranges: ArrayLike,
@@ -125,7 +126,7 @@ class Sensorgraph:
         ------
         SensorgraphError : The ranges are of another sensor or unit, or all poses are outside the map.
         """
-        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        where, index = self._asked(poses, rays)
         if where.ndim == 2 and self.sensor.scan_duration > 0:
             warn_of_sweep(self.sensor.scan_duration)
         readings = check_readings(ranges, len(where), index, self.sensor)
@@ -133,6 +134,7 @@ class Sensorgraph:
             self, readings, where, index, correlated=correlated, per_ray=per_ray, unanswered=unanswered
         )
 
+    @as_sensorgraph_error
     def near(
         self, ranges: ArrayLike, poses: ArrayLike, *, rays: Sequence[int] | NDArray[np.integer] | None = None,
         correlated: bool = True, unanswered: Unanswered = "broad",
@@ -146,10 +148,11 @@ class Sensorgraph:
         ------
         SensorgraphError : As for `log_likelihood`, or the rays start at several points.
         """
-        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        where, index = self._asked(poses, rays)
         readings = check_readings(ranges, 1, index, self.sensor)
         return near_of(self, readings, where, index, correlated=correlated, unanswered=unanswered)
 
+    @as_sensorgraph_error
     def sample(
         self,
         poses: ArrayLike,
@@ -168,7 +171,7 @@ class Sensorgraph:
         seed : Random seed; the same seed gives the same scans.
         residual_memory : Draw readings that end near each other with correlated errors, as the log had them.
         """
-        where, index = self._asked(np.atleast_2d(np.asarray(poses, dtype=np.float64)), rays)
+        where, index = self._asked(poses, rays)
         return sample_of(self, where, n, seed, index, residual_memory=residual_memory)
 
     def lasers(self, poses: Floats) -> Floats:
@@ -177,18 +180,17 @@ class Sensorgraph:
         return poses if self.pose_frame == "laser" else np.asarray(compose(poses, mount))
 
     def _asked(
-        self, poses: Floats, rays: Sequence[int] | NDArray[np.integer] | None
+        self, poses: ArrayLike, rays: Sequence[int] | NDArray[np.integer] | None
     ) -> tuple[Floats, NDArray[np.intp]]:
         """Return checked poses, one for each ray where the rays start at several points, and the indices of rays."""
-        poses = np.asarray(poses, dtype=np.float64)
-        index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
-        self._check_rays(index)
-        check_poses(poses, len(index))
-        if poses.ndim == 3 and poses.shape[1] == 1:
-            poses = poses[:, 0]
-        if poses.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
-            poses = to_ray_starts(poses[:, None], self.sensor, self.pose_frame)[:, index]
-        return poses, index
+        where = np.atleast_2d(numbers_of(poses, "poses"))
+        index = rays_of(rays, self.sensor.n_rays)
+        check_poses(where, len(index))
+        if where.ndim == 3 and where.shape[1] == 1:
+            where = where[:, 0]
+        if where.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
+            where = to_ray_starts(where[:, None], self.sensor, self.pose_frame)[:, index]
+        return where, index
 
     def _predict_some(self, poses: Floats, index: NDArray[np.intp], point: Point) -> Prediction:
         """Predict the rays `index` at one batch of poses, (n, 3) or (n, n_rays, 3)."""
@@ -250,15 +252,8 @@ class Sensorgraph:
 
     def equation(self, ray: int) -> str:
         """Return the explicit equation of one ray, given by index."""
-        self._check_rays(np.array([ray]))
+        rays_of([ray], self.sensor.n_rays)
         return self.model.equation(ray)
-
-    def _check_rays(self, rays: NDArray[np.integer]) -> None:
-        n_rays = self.sensor.n_rays
-        if rays.ndim != 1 or len(rays) == 0 or rays.min() < 0 or rays.max() >= n_rays:
-            raise SensorgraphError(
-                f"ray {', '.join(map(str, rays.ravel().tolist()))} does not exist; this sensor has rays 0 to {n_rays - 1}"
-            )
 
     def save(self, path: Path | str) -> None:
         """Write one file; the same graph gives the same bytes.

@@ -7,7 +7,6 @@ one pose for each ray, as while a laser sweeps on a moving robot.
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -40,12 +39,6 @@ POSES_PER_MIXTURE = 16
 """Number of poses whose mixtures are in memory at once."""
 POSES_PER_TASK = 64
 """Number of poses whose likelihood one thread computes at a time."""
-MAX_LONG_SHARE = 0.5
-"""Share of finite readings beyond range_max above which they are taken to be in another unit."""
-MAX_POSE_DISTANCE = 1e8
-"""[m] Largest accepted distance of a pose from the origin of map."""
-MAX_HEADING = 100.0
-"""[rad] Largest accepted heading: unwrapped ones grow by full turns, and larger ones are probably degrees."""
 
 
 class Graph(Protocol):
@@ -131,7 +124,7 @@ def likelihood_of(
     else:
         found = np.where(supported, found, 0.0)
         counts = known & supported
-    if not supported.any():
+    if len(poses) and not supported.any():
         _check_place(graph, poses)
     found *= _shares(graph, ranges, rays, correlated=correlated)[:, None]
     return found if per_ray else np.where(counts, found, 0.0).sum(axis=1)
@@ -272,7 +265,15 @@ def draw(graph: Graph, poses: Floats, uniform: Floats, normal: Floats, rays: Int
 
 
 def sample_of(graph: Graph, poses: Floats, n: int, seed: int, rays: Ints, *, residual_memory: bool) -> Floats:
-    """Compute `Sensorgraph.sample`: (n, n_poses, n_rays) [m]."""
+    """Compute `Sensorgraph.sample`: (n, n_poses, n_rays) [m].
+
+    Raises
+    ------
+    SensorgraphError : n or seed is not a whole number from 0 on.
+    """
+    for name, value in (("n", n), ("seed", seed)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+            raise SensorgraphError(f"{name} is {value!r}, expected a whole number from 0 on")
     out = np.empty((n, len(poses), len(rays)))
     memory = graph.memory if residual_memory else None
     places = None
@@ -289,62 +290,3 @@ def sample_of(graph: Graph, poses: Floats, n: int, seed: int, rays: Ints, *, res
                 uniform[i], normal[i] = memory.numbers(world, 0.0, places[i], uniform[i], normal[i])
         out[k] = apply_range_limits(draw(graph, poses, uniform, normal, rays), graph.sensor)
     return out
-
-
-def check_readings(ranges: ArrayLike, n_poses: int, rays: Ints, sensor: RangeSensor) -> Floats:
-    """Return readings (n_poses or 1, n_rays) [m]; those beyond range_max are no return, those below range_min too close.
-
-    Raises
-    ------
-    SensorgraphError : The readings are of other rays or poses, or in another unit.
-    """
-    given = np.asarray(ranges, dtype=np.float64)
-    known = np.atleast_2d(given)
-    if known.ndim != 2 or len(known) not in (1, n_poses):
-        raise SensorgraphError(
-            f"ranges has shape {given.shape}, expected (n_rays,) for one scan or ({n_poses}, n_rays): one scan for each pose"
-        )
-    if known.shape[1] == sensor.n_rays:
-        known = known[:, rays]
-    elif known.shape[1] != len(rays):
-        raise SensorgraphError(
-            f"a scan has {known.shape[1]} ranges, expected the {sensor.n_rays} rays of the graph's sensor; "
-            "name those that you have with rays="
-        )
-    finite = known[np.isfinite(known)]
-    if len(finite) and (finite > sensor.range_max).mean() > MAX_LONG_SHARE:
-        median = float(np.median(finite))
-        raise SensorgraphError(
-            f"most ranges exceed range_max {sensor.range_max:g} m (median {median:g}); expected metres"
-            + (": divide millimetres by 1000" if 1e-3 * median < sensor.range_max else "")
-        )
-    known = np.where(known > sensor.range_max, np.inf, known)
-    return np.where(known < sensor.range_min, -np.inf, known)
-
-
-def check_poses(poses: Floats, n_rays: int) -> None:
-    """Check the shape, the numbers and the unit of poses.
-
-    Raises
-    ------
-    ValueError : The poses have another shape.
-    SensorgraphError : A pose is not finite or too far away, or headings are in degrees.
-    """
-    if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (1,), (n_rays,)):
-        raise ValueError(
-            f"poses has shape {poses.shape}, expected (n_poses, 3) for x, y, phi or (n_poses, {n_rays}, 3)"
-        )
-    flat = poses.reshape(len(poses), -1, 3)
-    if not np.isfinite(poses).all():
-        row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
-        raise SensorgraphError(f"pose {row} is not finite; remove such poses")
-    phi = poses[..., 2]
-    if (most := np.abs(phi).max(initial=0.0)) > 2 * math.pi and (
-        most > MAX_HEADING or (phi == phi.round()).all()
-    ):
-        raise SensorgraphError(f"a pose has the heading {most:g}; radians expected: use np.radians(degrees)")
-    if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
-        row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
-        raise SensorgraphError(
-            f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_POSE_DISTANCE:g} m from the origin"
-        )

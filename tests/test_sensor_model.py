@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -282,6 +283,54 @@ def test_bad_input_is_one_line(graphs: dict[str, Sensorgraph], kind: str) -> Non
         graphs["faces"].log_likelihood(change(scan), np.array([pose]))  # type: ignore[no-untyped-call]
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_one_pose_no_pose_and_masked_numbers(graphs: dict[str, Sensorgraph]) -> None:
+    scan, pose = np.full(61, 1.0), np.array([1.0, 1.0, 0.3])
+    for graph in graphs.values():
+        np.testing.assert_array_equal(graph.predict(pose).ranges, graph.predict(pose[None]).ranges)
+        nowhere = np.zeros((0, 3))
+        assert graph.predict(nowhere).quantile(0.5).shape == graph.predict(nowhere).ranges.shape == (0, 61)
+        assert graph.log_likelihood(scan, nowhere).shape == (0,)
+        assert graph.sample(nowhere, 2).shape == (2, 0, 61)
+    hidden = np.ma.masked_array(np.where(np.arange(61) < 30, 0.2, scan), mask=np.arange(61) < 30)
+    found = graphs["faces"].log_likelihood(hidden, pose)
+    np.testing.assert_allclose(found, graphs["faces"].log_likelihood(hidden.filled(np.nan), pose))
+
+
+def test_a_mask_chooses_rays_and_other_indices_are_refused(graphs: dict[str, Sensorgraph]) -> None:
+    graph, pose = graphs["faces"], np.array([1.0, 1.0, 0.3])
+    mask = np.isin(np.arange(61), [3, 9])
+    np.testing.assert_array_equal(
+        graph.predict(pose, rays=mask).ranges, graph.predict(pose, rays=[3, 9]).ranges
+    )
+    for rays, words in (
+        ([1.5], "whole numbers from 0 to 60"), ([], "whole numbers"), (3, "whole numbers"), ([61], "ray 61 does not exist"),
+        ([-1], "ray -1"), (mask[:10], "chooses 2 of 10"), (["a"], "whole numbers"),
+    ):  # fmt: skip
+        with pytest.raises(SensorgraphError, match=words):
+            graph.predict(pose, rays=rays)  # type: ignore[arg-type]
+
+
+def test_wrong_arguments_are_one_line(graphs: dict[str, Sensorgraph]) -> None:
+    graph, pose = graphs["faces"], np.array([[1.0, 1.0, 0.3]])
+    found = graph.predict(pose)
+    calls: dict[str, Callable[[], object]] = {
+        "q is 2, expected": lambda: found.quantile(2.0),
+        "n is -1, expected a whole number": lambda: graph.sample(pose, -1),
+        "n is 1.5": lambda: graph.sample(pose, 1.5),  # type: ignore[arg-type]
+        "seed is -1": lambda: graph.sample(pose, 1, -1),
+        "did you mean `correlated`": lambda: graph.log_likelihood(np.ones(61), pose, corelated=False),  # type: ignore[call-arg]
+        "did you mean `rays`": lambda: graph.predict(pose, ray=[1]),  # type: ignore[call-arg]
+        "ranges of type list holds no real numbers": lambda: graph.log_likelihood(["a"] * 61, pose),
+        "poses of type str": lambda: graph.predict("here"),  # type: ignore[arg-type]
+    }
+    for words, call in calls.items():
+        with pytest.raises(ValueError, match=words) as error:
+            call()
+        assert "\n" not in str(error.value)
+    for function in (found.cdf, found.pdf):
+        assert np.isnan(function(np.nan)).all()
 
 
 def test_broken_readings_count_nothing(graphs: dict[str, Sensorgraph]) -> None:

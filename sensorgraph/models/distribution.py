@@ -86,7 +86,8 @@ class Mixture:
         """
         wanted = np.asarray(q, dtype=np.float64)
         if not ((wanted > 0) & (wanted < 1)).all():
-            raise ValueError(f"q is {q!r}, expected numbers above 0 and below 1")
+            wrong = wanted[~((wanted > 0) & (wanted < 1))].flat[0]
+            raise ValueError(f"q is {wrong:g}, expected numbers above 0 and below 1")
         return self._each(_quantile, wanted)
 
     def _each(self, of_ray: object, values: ArrayLike) -> Floats:
@@ -94,6 +95,7 @@ class Mixture:
         each = np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=np.float64), shape))
         out = np.empty(shape)
         of_ray(self.means, self.weights, self.widths, each, out)  # type: ignore[operator]
+        out[np.isnan(each)] = np.nan
         return out
 
 
