@@ -37,6 +37,12 @@ def expected_topics(good: Sequence[Inspection]) -> dict[str, Any]:
             limits["rate_hz"] = {level: round(share * min(rates), 3) for level, share in RATE_SHARES.items()}
         if len(gaps) == len(each):
             limits["gap_s"] = {level: round(factor * max(gaps), 3) for level, factor in GAP_FACTORS.items()}
+        silences = [
+            _silence(topic, end_of(one))[0] for one in good for topic in one.topics if topic.name == name
+        ]
+        if len(gaps) == len(each):
+            longest = max(*silences, *gaps)
+            limits["silent_s"] = {level: round(factor * longest, 3) for level, factor in GAP_FACTORS.items()}
         limits["n_back"] = max(topic.n_back for topic in each)
         out[name] = limits
     return out
@@ -59,7 +65,7 @@ def deviations(found: Inspection, expected: Mapping[str, Any]) -> list[TopicDevi
                     TopicDeviation(level="error", text=f"{name} is missing, expected {limits['type']}")
                 )
                 continue
-            out += _of_topic(known[name], limits)
+            out += _of_topic(known[name], limits, end_of(found))
     except (KeyError, TypeError, AttributeError) as exc:
         raise LogError(
             f"the limits of topics are not readable ({type(exc).__name__}: {exc}); make the policy again with "
@@ -68,7 +74,19 @@ def deviations(found: Inspection, expected: Mapping[str, Any]) -> list[TopicDevi
     return out
 
 
-def _of_topic(topic: TopicInfo, limits: Mapping[str, Any]) -> list[TopicDeviation]:
+def end_of(found: Inspection) -> float:
+    """Return the time [s] of the last message of a log, from its start."""
+    return max((topic.last for topic in found.topics if topic.last is not None), default=0.0)
+
+
+def _silence(topic: TopicInfo, end: float) -> tuple[float, str]:
+    """Return the longer time [s] without messages at the start or the end of a log, and which one it is."""
+    if topic.first is None or topic.last is None:
+        return 0.0, "start"
+    return max((topic.first, "start"), (end - topic.last, "end"))
+
+
+def _of_topic(topic: TopicInfo, limits: Mapping[str, Any], end: float) -> list[TopicDeviation]:
     out = []
     if topic.type != limits["type"]:
         out.append(
@@ -91,6 +109,14 @@ def _of_topic(topic: TopicInfo, limits: Mapping[str, Any]) -> list[TopicDeviatio
                     level=level,
                     text=f"{topic.name} has a gap of {topic.longest_gap:.2f} s, expected at most {gap:g} s",
                 )
+            )
+            break
+    silent, side = _silence(topic, end)
+    for level in ("error", "warning"):
+        if "silent_s" in limits and silent > limits["silent_s"][level]:
+            text = f"{topic.name} is silent for {silent:.2f} s at the {side} of the log"
+            out.append(
+                TopicDeviation(level=level, text=f"{text}, expected at most {limits['silent_s'][level]:g} s")
             )
             break
     if topic.n_back > limits["n_back"]:

@@ -102,7 +102,7 @@ def watch(
     model = Sensorgraph.load(graph)
     if show and out is None:
         raise SensorgraphError("--show needs -o OUT.mcap; OUT.rrd is written to the same folder")
-    output = _Output(model, limits, graph.name, out, json, show=show)
+    output = _Output(model, limits, graph, None if live or not runs else runs[0], out, json, show=show)
     if live:
         level = _watch_live(output, topic, router, domain, duration, wait)
     else:
@@ -110,7 +110,7 @@ def watch(
         run = _read(runs[0], reading, robot)
         level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
         print_log_notes(run)
-        output.print(runs[0].name)
+        output.print()
     if policy is not None and level != "ok":
         raise typer.Exit(LEVELS.index(level))
 
@@ -136,7 +136,7 @@ def _watch_live(
         level = output.take(
             watched.statuses(duration), watched.epoch_ns, "live", partial(watched.publish, network)
         )
-    output.print("live")
+    output.print()
     typer.echo(f"{watched.n_used:,} scans watched, {watched.n_dropped:,} left out")
     return level
 
@@ -154,10 +154,9 @@ def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
 
 
 def _statuses(model: Any, run: Run, limits: WatchPolicy) -> Iterator[WatchStatus]:
-    from sensorgraph.watching.observation import observations
-    from sensorgraph.watching.watcher import watch_scans
+    from sensorgraph.watching.watcher import watch_run
 
-    return watch_scans(model, observations(run), run.sensor, baseline=limits.baseline)
+    return watch_run(model, run, baseline=limits.baseline)
 
 
 class _Output:
@@ -167,7 +166,8 @@ class _Output:
         self,
         model: Any,
         limits: WatchPolicy,
-        graph_name: str,
+        graph: Path,
+        run: Path | None,
         out: Path | None,
         json: Path | None,
         *,
@@ -175,9 +175,9 @@ class _Output:
     ) -> None:
         from sensorgraph.watching.summary import WatchSummary
 
-        self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph_name, out, json
+        self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph.name, out, json
         self.rrd = out.with_suffix(".rrd") if show and out is not None else None
-        self.summary = WatchSummary()
+        self.summary = WatchSummary(run, graph, can_update=model.model.name == "faces")
 
     def take(
         self,
@@ -225,7 +225,7 @@ class _Output:
                 part.write_text(page, encoding="utf-8")
         return summary.level
 
-    def print(self, name: str) -> None:
+    def print(self) -> None:
         """Print the result."""
         summary = self.summary
         for span in summary.spans["pose"]:
@@ -235,7 +235,7 @@ class _Output:
             typer.echo(text)
         for note in summary.notes:
             typer.echo(f"note: {note}")
-        if step := summary.next_step(name):
+        if step := summary.next_step():
             typer.echo(step)
         typer.echo(f"{summary.level}{': ' + summary.reason if summary.reason else ''}")
         if self.out is not None:

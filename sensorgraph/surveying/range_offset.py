@@ -8,6 +8,8 @@ expected range by -(n·Δp + r Δφ n·t) / (n·u).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sensorgraph.types import Bools, Floats, Ints
@@ -68,7 +70,7 @@ def range_offset(
     middle = float(fit[order, 0][np.searchsorted(share, 0.5)])
     spread = float(np.sqrt(np.average((fit[:, 0] - middle) ** 2, weights=information)))
     n = float(information.sum() ** 2 / (information**2).sum())
-    return middle, 1.25 * spread / np.sqrt(max(n / INDEPENDENT, 1.0))
+    return middle, 1.25 * spread / math.sqrt(max(n / INDEPENDENT, 1.0))
 
 
 def _scale(off: Floats, usable: Bools) -> Floats:

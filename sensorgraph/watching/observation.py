@@ -16,6 +16,8 @@ from sensorgraph.watching.settings import TRACKING
 
 logger = logging.getLogger(__name__)
 
+MAX_SILENCE = 1.0
+"""[s] after the last odometry, and before the first, from which on it is unknown."""
 MAX_AGE = 5.0
 """[s] An older pose is no longer believed."""
 
@@ -62,8 +64,12 @@ def observations(run: Run, *, after: float = -np.inf) -> Iterator[Observation]:
         logger.warning("the odometry moves by %.3g m/s and is not used; check that it is in metres", speed)
         motion = odometry = None
     belief = believed_poses(run)
+    first, last_known = -np.inf, np.inf
+    if motion is not None and len(motion.stamps):
+        first, last_known = motion.stamps[0] - MAX_SILENCE, motion.stamps[-1] + MAX_SILENCE
     for k in np.flatnonzero(run.stamps > after):
-        stamp, now = float(run.stamps[k]), None if odometry is None else odometry[k]
+        stamp = float(run.stamps[k])
+        now = odometry[k] if odometry is not None and first <= stamp <= last_known else None
         believed = None
         if belief is not None:
             last = int(np.searchsorted(belief[0], stamp, side="right")) - 1

@@ -8,6 +8,7 @@ minute have an exponential tail (Pickands 1975); above their upper quartile u, w
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -216,6 +217,10 @@ def load_policy(path: Path) -> WatchPolicy:
                 f"{path} has version {data['version']}, expected {VERSION}; make it again with --init-policy"
             )
         robot = data.get("robot", {})
+        unknown = {*robot.get("baseline", {})} - FAULTS.keys()
+        if unknown:
+            near = difflib.get_close_matches(str(min(unknown)), FAULTS, n=1, cutoff=0.0)[0]
+            raise SensorgraphError(f"{path}: there is no fault `{min(unknown)}`; did you mean `{near}`?")
         return WatchPolicy(
             hours=float(data["hours"]),
             p_wrong={level: float(data["pose"]["p_wrong"][level]) for level in LEVELS[1:]},

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -71,9 +73,19 @@ class PageData:
 
 
 class WatchSummary:
-    """Collects statements in constant memory."""
+    """Collects statements in constant memory.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    run : File of the run; None: a live robot, of which the next step records a run.
+    graph : File of the graph.
+    can_update : Whether `build --update` takes the graph.
+    """
+
+    def __init__(
+        self, run: Path | None = None, graph: Path | None = None, *, can_update: bool = True
+    ) -> None:
+        self.run, self.graph, self.can_update = run, graph, can_update
         self.spans: dict[str, list[Span]] = {row: [] for row in ROWS}
         self.points: list[tuple[float, str, Floats, float, float]] = []
         self.notes: list[str] = []
@@ -125,21 +137,36 @@ class WatchSummary:
         if len(spans) < MOST_POINTS:
             spans.append(Span(first=t, last=t + 1.0, word=word, text=text))
 
-    def next_step(self, run_name: str) -> str:
-        """Return what to do next: update the graph, or a run that settles a doubt."""
+    def next_step(self) -> str:
+        """Return what to do next, with a command to paste: update the graph, or a run that settles a doubt."""
         if self.last is None:
             return ""
         told = []
+        record = "sensorgraph record --live -o run.mcap && " if self.run is None else ""
         lasting = [change for change in self.last.changes if change.p > 0.9]
         if lasting and self.last.pose.status == "ok":
             told.append(
-                f"{len(lasting)} change{'s' * (len(lasting) > 1)} may be for good: sensorgraph build {run_name} --update GRAPH"
+                f"{len(lasting)} change{'s' * (len(lasting) > 1)} may be for good: {self._build(record)}"
             )
         if self.last.faults:
             told.append(
-                f"to settle {self.last.faults[0].name}: sensorgraph diagnose {run_name} --arena MAP names the next run"
+                f"the next run that settles {self.last.faults[0].name} is named by: "
+                f"{record}sensorgraph diagnose {self._run()} -o diagnosis"
             )
         return "; ".join(told)
+
+    def _run(self) -> str:
+        return shlex.quote("run.mcap" if self.run is None else str(self.run))
+
+    def _build(self, record: str) -> str:
+        """Return the command that adds the run to the graph, or why there is none."""
+        if not self.can_update:
+            return (
+                f"build the graph again from its runs and {self._run()}; --update takes graphs of faces only"
+            )
+        old = Path("graph.sensorgraph") if self.graph is None else self.graph
+        new = old.with_name(f"{old.stem}_updated.sensorgraph")
+        return f"{record}sensorgraph build {self._run()} --update {shlex.quote(str(old))} -o {shlex.quote(str(new))}"
 
     def page(self, run_name: str, graph_name: str, walls: Floats) -> PageData:
         """Return what the page shows."""
@@ -150,7 +177,7 @@ class WatchSummary:
         return PageData(
             run_name=run_name, graph_name=graph_name, duration=self.last.t - self.first, level=self.level,
             headline=f"{self.level}: {self.reason}" if self.reason else "ok: pose, place and robot as expected",
-            next_step=self.next_step(run_name), last=self.last, pose_spans=self.spans["pose"],
+            next_step=self.next_step(), last=self.last, pose_spans=self.spans["pose"],
             place_spans=self.spans["place"], robot_spans=self.spans["robot"],
             path=np.array(path), path_pieces=pieces, walls=walls,
             times=np.array(times), words=words, p_wrong=np.array(p_wrong), shares=np.array(shares),

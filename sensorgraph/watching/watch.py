@@ -10,10 +10,10 @@ from logs.run import Run
 from sensorgraph.errors import as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_ranges
-from sensorgraph.watching.observation import Observation, observations
+from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.policy import WatchPolicy, load_policy
 from sensorgraph.watching.status import WatchStatus
-from sensorgraph.watching.watcher import watch_scans
+from sensorgraph.watching.watcher import watch_run, watch_scans
 
 
 @as_sensorgraph_error
@@ -41,5 +41,5 @@ def watch(
         scans = logs.read(scans)
     if isinstance(scans, Run):
         check_ranges(scans, str(scans.meta.get("source", "the run")))
-        return watch_scans(model, observations(scans), scans.sensor, baseline=limits.baseline)
+        return watch_run(model, scans, baseline=limits.baseline)
     return watch_scans(model, scans, baseline=limits.baseline)

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.run import RangeSensor
+from logs.run import RangeSensor, Run
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
-from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.place import Place
 from sensorgraph.watching.pose import PoseJudge, PoseStatement
 from sensorgraph.watching.readings import GraphReadings
@@ -63,7 +63,7 @@ class Watcher:
         self._last_scan, self._last_said = -math.inf, -math.inf
         self._before: PoseStatement | None = None
         self._notes: list[str] = []
-        self._has_belief = False
+        self._has_belief = self._has_odometry = False
 
     def note(self, line: str) -> None:
         """Add a fault of the input to the next status."""
@@ -109,7 +109,10 @@ class Watcher:
             self.robot.lose()
         if self._has_belief and observation.believed is None:
             self.note(f"the robot states no pose since {stamp:.1f} s")
+        if self._has_odometry and observation.odometry is None:
+            self.note(f"no odometry since {stamp:.1f} s")
         self._has_belief = observation.believed is not None
+        self._has_odometry = observation.odometry is not None
         return True
 
     def _learn(self, now: ScanInput) -> None:
@@ -151,6 +154,22 @@ def watch_scans(
         status = watcher.add(observation)
         if status is not None:
             yield status
+
+
+def watch_run(
+    graph: Sensorgraph, run: Run, *, baseline: Mapping[str, Baseline] | None = None
+) -> Iterator[WatchStatus]:
+    """Yield a status once a second of a run; the last one notes scans that stop before the run ends."""
+    ends = [part[-1] for part in (run.odom_stamps, run.pose_stamps, run.cmd_stamps) if len(part)]
+    silent = max(ends, default=-math.inf) - float(run.stamps[-1]) if run.n_scans else 0.0
+    last: WatchStatus | None = None
+    for status in watch_scans(graph, observations(run), run.sensor, baseline=baseline):
+        if last is not None:
+            yield last
+        last = status
+    if last is not None:
+        text = f"no scan in the last {silent:.1f} s of the run"
+        yield replace(last, notes=(*last.notes, text)) if silent > LONGEST_GAP else last
 
 
 def path_of(statuses: Iterable[WatchStatus]) -> Floats:
