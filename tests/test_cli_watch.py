@@ -9,7 +9,7 @@ import subprocess
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ from watching_samples import believing, graph
 
 import logs
 from sensorgraph.cli import run as cli
+from sensorgraph.termination import Terminated
 from sensorgraph.watching.policy import load_policy
+from sensorgraph.watching.watcher import watch_run
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +57,33 @@ def entities_of(recording: Path) -> set[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return {str(chunk.entity_path) for chunk in RrdReader(recording).stream().to_chunks()}
+
+
+@pytest.mark.parametrize(("end", "code"), [(KeyboardInterrupt, 0), (Terminated, 143)])
+def test_a_live_watch_that_is_stopped_has_complete_files(
+    end: type[BaseException], code: int, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C and SIGTERM are its normal end."""
+
+    class Stopped:
+        epoch_ns, n_used, n_dropped = 0, 1, 0
+
+        def __init__(self, model: Any, *_: Any, **__: Any) -> None:
+            self.model = model
+
+        def statuses(self, _: None) -> Iterator[Any]:
+            run = logs.read(folder / "off.mcap").take_scans(slice(0, 12))
+            yield from watch_run(self.model, run)
+            raise end
+
+        def publish(self, *_: Any) -> None: ...
+
+    monkeypatch.setattr("logs.live.network.RosNetwork", lambda *_, **__: nullcontext())
+    monkeypatch.setattr("logs.live.watching.LiveScans", lambda *_, **__: None)
+    monkeypatch.setattr("sensorgraph.watching.live.LiveWatch", Stopped)
+    out = ["-o", str(tmp_path / "w.mcap"), "--json", str(tmp_path / "w.jsonl")]
+    assert cli(["watch", str(folder / "room.sensorgraph"), "--live", *out]) == code
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["w.html", "w.jsonl", "w.mcap"]
 
 
 def test_statements_page_and_messages_of_a_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +13,7 @@ import typer
 
 from sensorgraph.cli.options import GraphFile, NoReturn, RunRobot, Slice, TopicsByExample
 from sensorgraph.cli.record_live import RecordDomain, RecordDuration, RecordRouter, RecordWait
+from sensorgraph.termination import TERMINATED, Terminated, allow_to_finish
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -111,6 +112,8 @@ def watch(
         level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
         print_log_notes(run)
         output.print()
+    if output.is_terminated:
+        raise typer.Exit(TERMINATED)
     if policy is not None and level != "ok":
         raise typer.Exit(LEVELS.index(level))
 
@@ -177,6 +180,7 @@ class _Output:
 
         self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph.name, out, json
         self.rrd = out.with_suffix(".rrd") if show and out is not None else None
+        self.is_terminated = False
         self.summary = WatchSummary(run, graph, can_update=model.model.name == "faces")
 
     def take(
@@ -186,7 +190,7 @@ class _Output:
         name: str,
         publish: Callable[[WatchStatus], None] | None = None,
     ) -> str:
-        """Take all statements until the end or Ctrl-C, and write them; return the level."""
+        """Take all statements until the end, or of a live robot until Ctrl-C or SIGTERM; return the level."""
         import json as as_text
 
         from logs.files import atomic_file
@@ -203,7 +207,7 @@ class _Output:
             file = None if self.out is None else stack.enter_context(WatchFile(self.out, epoch_ns))
             recording = None if self.rrd is None else stack.enter_context(_recording(walls, self.rrd))
             stack.callback(line.end)
-            with suppress(*(() if publish is None else (KeyboardInterrupt,))):
+            with self._until_stopped(is_live=publish is not None):
                 for status in statuses:
                     level, reason = self.limits.level(status)
                     summary.add(status, level, reason)
@@ -224,6 +228,20 @@ class _Output:
             with atomic_file(self.out.with_suffix(".html")) as part:
                 part.write_text(page, encoding="utf-8")
         return summary.level
+
+    @contextmanager
+    def _until_stopped(self, *, is_live: bool) -> Iterator[None]:
+        """End a live watch normally at Ctrl-C and SIGTERM, so that its files are complete."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not is_live:
+                raise
+        except Terminated:
+            if not is_live:
+                raise
+            allow_to_finish()
+            self.is_terminated = True
 
     def print(self) -> None:
         """Print the result."""

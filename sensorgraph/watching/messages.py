@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from types import TracebackType
 
@@ -25,6 +26,7 @@ from sensorgraph.watching.policy import WatchPolicy
 from sensorgraph.watching.status import WatchStatus
 
 DIAGNOSTICS_TOPIC, MARKERS_TOPIC, POSE_TOPIC = "/diagnostics", "/watch/changes", "/watch/pose"
+logger = logging.getLogger(__name__)
 COLOURS = {"new": (0.82, 0.2, 0.36), "gone": (0.16, 0.36, 0.82)}
 LEVEL_OF_POSE = {"ok": OK, "ambiguous": WARN, "off": ERROR, "lost": ERROR}
 
@@ -97,7 +99,9 @@ class WatchFile:
         self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._file is not None:
-            self._file.finish(interrupted=exc is not None)
+            kept = self._file.finish(interrupted=exc is not None)
+            if exc is not None:
+                logger.warning("watching was interrupted; the statements so far are in %s", kept)
 
     def _put(self, topic: str, msgtype: str, ns: int, message: bytes) -> None:
         if self._file is None:
