@@ -175,6 +175,25 @@ def test_a_nested_model_turns_its_laser(amended: Callable[..., str]) -> None:
     assert "<pose>0 -0.01 0.05 0 0 0</pose>" in new
 
 
+def test_a_pose_that_a_file_lacks_is_added_once(amended: Callable[..., str]) -> None:
+    """The laser hangs upside down: a turn to the left is one about -z there, and left is -y."""
+    effects = effect("mount_xy", dx=0.01, dy=0.002), effect("mount_yaw", delta=0.02)
+    urdf = (
+        '<robot name="r"><link name="base_link"/><link name="plate"/><link name="laser"/>'
+        '<joint name="a" type="fixed"><parent link="base_link"/><child link="plate"/><origin rpy="3.1415926535898 0 0"/></joint>'
+        '<joint name="b" type="fixed"><parent link="plate"/><child link="laser"/></joint></robot>'
+    )
+    new = amended("r.urdf", urdf, *effects)
+    assert new.count("<origin") == 2 and '<origin xyz="0.01 -0.002 0" rpy="0 0 -0.02"/>' in new
+    sensor = SDF_LASER.replace("<pose>0 0 0.05 0 0 0</pose>", "<topic>scan</topic>").replace("NOISE", "")
+    sdf = (
+        '<sdf version="1.8"><model name="m"><link name="base_link"/><link name="laser"><pose>0 0 0 3.1415926535898 0 0</pose>'
+        f"{sensor}{sensor.replace('gpu_lidar', 'camera')}</link></model></sdf>"
+    )
+    new = amended("m.sdf", sdf, *effects)
+    assert new.count("<pose>") == 2 and "<pose>0.01 -0.002 0 0 0 -0.02</pose>" in new
+
+
 @pytest.mark.parametrize("sequence", ["xyz", "zyx", "XYZ"])
 @pytest.mark.parametrize("mast", ["", 'xyaxes="0 1 0 -1 0 0"', 'zaxis="1 0 0"', 'axisangle="1 0 0 3.1415926"', 'euler="0.5 0.2 0.3"'])  # fmt: skip
 def test_mounts_on_any_mast_and_with_any_angles(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.amending.findings import CannotHoldError, why
 from sensorgraph.amending.numbers import number, put
-from sensorgraph.amending.text import Why
+from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
@@ -62,6 +62,34 @@ def shift_of(a: Amendment, parent: Floats) -> list[tuple[float, Why]]:
         change = float(row[0] * a["dx"] + row[1] * a["dy"])
         out.append((change, Why(cause=cause, sigma=sigma or None)))
     return out
+
+
+class NewPose:
+    """A pose that a file lacks, and that effects move and turn."""
+
+    def __init__(self) -> None:
+        self.xyz: list[float] | None = None
+        self.rpy: list[float] | None = None
+        self.phrases: list[str] = []
+
+    def shift(self, a: Amendment, parent: Floats) -> None:
+        """Move it by `mount_xy`; `parent` (3, 3) is the rotation of its parent in base_link."""
+        moved = shift_of(a, parent)
+        old = self.xyz or [0.0, 0.0, 0.0]
+        self.xyz = [before + change for before, (change, _) in zip(old, moved, strict=True)]
+        self.phrases.append(
+            note(None, max((reason for _, reason in moved), key=lambda one: one.sigma or 0.0))
+        )
+
+    def turn(self, a: Amendment, parent: Floats) -> None:
+        """Turn it by `mount_yaw`."""
+        self.rpy = list(rpy_of(turned(rotation(self.rpy or [0.0, 0.0, 0.0]), a["delta"], parent)))
+        self.phrases.append(note(None, why(a, "delta")))
+
+
+def numbers_text(values: Sequence[float]) -> str:
+    """Return numbers separated by spaces; those below `SAME` are zero."""
+    return " ".join(number_text(0.0 if abs(one) < SAME else one) for one in values)
 
 
 def shift(document: Document, xyz: Sequence[Value], a: Amendment, parent: Floats) -> None:

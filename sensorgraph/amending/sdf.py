@@ -11,8 +11,7 @@ import numpy as np
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
 from sensorgraph.amending.numbers import number, put
-from sensorgraph.amending.place import rotation, shift, shift_of, triple, turn
-from sensorgraph.amending.text import note, number_text
+from sensorgraph.amending.place import NewPose, numbers_text, rotation, shift, triple, turn
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.max_range import MAX_RANGE
@@ -58,6 +57,7 @@ def amend_sdf(
     }
     lines = write_measured(sensor, measured, file)
     lines += apply(amendments, handlers, WHAT, file, document.files)
+    model.finish()
     if sensor is not None:
         sensor.finish()
     return lines
@@ -96,6 +96,7 @@ class _SdfModel:
 
     def __init__(self, document: Document, laser: str | None, file: str) -> None:
         self.document = document
+        self._new = NewPose()
         self.links = {node.get("name"): node for node in document.all("link")}
         found = [node for node in document.all("sensor") if node.get("type") in LASERS]
         chosen = choose([(one.get("name"), one) for one in found], laser, self.links, file)
@@ -106,8 +107,7 @@ class _SdfModel:
         """Move the laser."""
         pose, parent = self._pose()
         if pose is None:
-            moved = [change for change, _ in shift_of(a, parent)]
-            self._new_pose(" ".join(number_text(one) for one in [*moved, 0, 0, 0]), note(None, why(a, "dx")))
+            self._new.shift(a, parent)
         else:
             shift(self.document, _six(pose)[:3], a, parent)
 
@@ -115,7 +115,7 @@ class _SdfModel:
         """Turn the laser."""
         pose, parent = self._pose()
         if pose is None:
-            self._new_pose(f"0 0 0 0 0 {number_text(a['delta'])}", note(None, why(a, "delta")))
+            self._new.turn(a, parent)
         else:
             unit = math.pi / 180 if pose.get("degrees") == "true" else 1.0
             turn(self.document, _six(pose)[3:], a, parent, unit)
@@ -163,6 +163,8 @@ class _SdfModel:
         origin = _base_link(node)
         base = self._rotation(origin)
         own = node.child("pose")
+        if not node.children:
+            raise CannotHoldError("its laser is empty")
         is_base = link is None or link is origin or len(list(link.all("sensor"))) > 1
         placed = None if link is None else link.child("pose")
         if own is None and not is_base and placed is not None:
@@ -187,13 +189,15 @@ class _SdfModel:
             turned = rotation([unit * value for value in triple(pose.text.tokens()[3:])])
         return np.asarray(self._rotation(parent, depth + 1) @ turned)
 
-    def _new_pose(self, text: str, phrase: str) -> None:
-        assert self.sensor is not None
-        first = self.sensor.sensor.children[0].origin if self.sensor.sensor.children else None
-        if first is None:
-            raise CannotHoldError("its laser is empty")
-        file = first.file
-        file.insert(first.end, f"{file.newline}{file.indent(first.start)}<pose>{text}</pose>", phrase)
+    def finish(self) -> None:
+        """Add a pose to the laser that had none, if an effect moved it."""
+        if self._new.phrases and self.sensor is not None:
+            first = self.sensor.sensor.children[0].origin
+            file = first.file
+            zero = [0.0, 0.0, 0.0]
+            text = numbers_text([*(self._new.xyz or zero), *(self._new.rpy or zero)])
+            inserted = f"{file.newline}{file.indent(first.start)}<pose>{text}</pose>"
+            file.insert(first.end, inserted, "; ".join(self._new.phrases))
 
 
 def _models(node: Node) -> Iterator[Node]:

@@ -9,7 +9,7 @@ import numpy as np
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
 from sensorgraph.amending.numbers import number, scale
-from sensorgraph.amending.place import known, rotation, shift, shift_of, triple, turn
+from sensorgraph.amending.place import NewPose, known, numbers_text, rotation, shift, triple, turn
 from sensorgraph.amending.sdf import sensor_handlers, write_measured
 from sensorgraph.amending.text import note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
@@ -56,6 +56,7 @@ def amend_urdf(
     }
     lines = write_measured(model.sensor, measured, file)
     lines += apply(amendments, handlers, WHAT, file, document.files)
+    model.finish()
     if model.sensor is not None:
         model.sensor.finish()
     if document.unknown and lines:
@@ -81,6 +82,7 @@ class _UrdfModel:
             for sensor in gazebo.all("sensor")
             if sensor.get("type") in LASERS
         ]
+        self._new: dict[Node, NewPose] = {}
         self.sensor: GazeboSensor | None = None
         if sensors:
             chosen = choose(sensors, laser, self.links, file)
@@ -109,8 +111,7 @@ class _UrdfModel:
         joint, parent = self._laser_joint()
         origin = joint.child("origin")
         if origin is None or "xyz" not in origin.attributes:
-            moved = " ".join(number_text(change) for change, _ in shift_of(a, parent))
-            _add_origin(joint, origin, "xyz", moved, note(None, why(a, "dx")))
+            self._new.setdefault(joint, NewPose()).shift(a, parent)
         else:
             shift(self.document, _three(origin, "xyz"), a, parent)
 
@@ -119,9 +120,18 @@ class _UrdfModel:
         joint, parent = self._laser_joint()
         origin = joint.child("origin")
         if origin is None or "rpy" not in origin.attributes:
-            _add_origin(joint, origin, "rpy", f"0 0 {number_text(a['delta'])}", note(None, why(a, "delta")))
+            self._new.setdefault(joint, NewPose()).turn(a, parent)
         else:
             turn(self.document, _three(origin, "rpy"), a, parent)
+
+    def finish(self) -> None:
+        """Add what an origin lacks, or the origin."""
+        for joint, pose in self._new.items():
+            parts = [
+                (name, value) for name, value in (("xyz", pose.xyz), ("rpy", pose.rpy)) if value is not None
+            ]
+            text = " ".join(f'{name}="{numbers_text(value)}"' for name, value in parts)
+            _add_origin(joint, joint.child("origin"), text, "; ".join(pose.phrases))
 
     def radius(self, a: Amendment) -> None:
         """Write the true radius of the wheels: without a plugin, only the geometry has one."""
@@ -228,15 +238,13 @@ def _three(origin: Node, name: str) -> list[Value]:
     return values
 
 
-def _add_origin(joint: Node, origin: Node | None, name: str, text: str, phrase: str) -> None:
-    """Add an attribute to an origin, or an origin to a joint."""
+def _add_origin(joint: Node, origin: Node | None, text: str, phrase: str) -> None:
+    """Add attributes to an origin, or an origin with them to a joint."""
     element = joint.children[-1].origin if origin is None else origin.origin
     file = element.file
     if origin is None:
-        file.insert(
-            element.end, f'{file.newline}{file.indent(element.start)}<origin {name}="{text}"/>', phrase
-        )
+        file.insert(element.end, f"{file.newline}{file.indent(element.start)}<origin {text}/>", phrase)
         return
     is_empty = file.data[element.head_end - 2 : element.head_end] == b"/>"
     at = element.head_end - (2 if is_empty else 1)
-    file.insert(at, f' {name}="{text}"', phrase, element.head_end)
+    file.insert(at, f" {text}", phrase, element.head_end)
