@@ -28,6 +28,7 @@ from sensorgraph.models.likelihood import MIN_DENSITY, information_share
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.nearby_likelihood import NearbyLikelihood, tabulated
+from sensorgraph.sensor_model_input import check_count
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import apply_range_limits
 
@@ -271,9 +272,8 @@ def sample_of(graph: Graph, poses: Floats, n: int, seed: int, rays: Ints, *, res
     ------
     SensorgraphError : n or seed is not a whole number from 0 on.
     """
-    for name, value in (("n", n), ("seed", seed)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-            raise SensorgraphError(f"{name} is {value!r}, expected a whole number from 0 on")
+    check_count("n", n)
+    check_count("seed", seed)
     out = np.empty((n, len(poses), len(rays)))
     memory = graph.memory if residual_memory else None
     places = None

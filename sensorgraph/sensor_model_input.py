@@ -28,7 +28,7 @@ def numbers_of(values: ArrayLike, what: str) -> Floats:
     """
     try:
         if isinstance(values, np.ma.MaskedArray):
-            return np.asarray(values.astype(np.float64).filled(np.nan))
+            return np.asarray(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
         if not np.iscomplexobj(values):
             return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -36,6 +36,17 @@ def numbers_of(values: ArrayLike, what: str) -> Floats:
     raise SensorgraphError(
         f"{what} of type {type(values).__name__} holds no real numbers; expected an array of them"
     )
+
+
+def check_count(name: str, value: object) -> None:
+    """Check a count or a seed.
+
+    Raises
+    ------
+    SensorgraphError : It is not a whole number from 0 on.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise SensorgraphError(f"{name} is {value!r}, expected a whole number from 0 on")
 
 
 def rays_of(rays: ArrayLike | None, n_rays: int) -> Ints:

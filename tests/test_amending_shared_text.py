@@ -12,6 +12,7 @@ import yaml
 
 import sensorgraph as sg
 from sensorgraph.amending.expressions import evaluate
+from sensorgraph.cli import run as cli
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import load_robot
@@ -299,6 +300,18 @@ def test_a_similar_effect_is_not_the_same_one(tmp_path: Path) -> None:
     sg.amend(path, [effect("mount_yaw", delta=0.02)])
     with pytest.raises(SensorgraphError, match=r"already amended with wheel_base s = 0\.03"):
         sg.amend(path, [effect("wheel_base", s=0.03)])
+
+
+def test_an_input_is_not_the_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, effects = tmp_path / "bot.yaml", tmp_path / "effects.yaml"
+    model.write_text("name: bot\n", encoding="utf-8")
+    effects.write_text("- {name: mount_yaw, parameters: {delta: 0.02}}\n", encoding="utf-8")
+    for out in (model, effects, tmp_path):
+        assert cli(["amend", str(model), "--effects", str(effects), "-o", str(out)]) == 2
+        assert "is also the input and would be overwritten" in capsys.readouterr().err
+    assert cli(["amend", str(model), "--effects", str(effects), "-o", str(tmp_path / "none" / "x.yaml")]) == 2
+    assert "the folder" in capsys.readouterr().err
+    assert model.read_text(encoding="utf-8") == "name: bot\n"
 
 
 def test_files_of_one_name_or_without_permission_are_not_overwritten(

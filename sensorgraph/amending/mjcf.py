@@ -7,6 +7,7 @@ and distance of the wheels; the controller keeps the numbers that the driver of 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -35,6 +36,7 @@ from sensorgraph.effects.mount_yaw import MOUNT_YAW
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
 WHAT = "MJCF"
@@ -88,6 +90,8 @@ class _MjcfModel:
         self.rangefinders = list(document.all("rangefinder"))
         self.angle = 1.0 if self._option("compiler", "angle") == "radian" else math.pi / 180
         self.order = self._option("compiler", "eulerseq") or "xyz"
+        if not re.fullmatch("[xyzXYZ]{3}", self.order):
+            raise SensorgraphError(f"{file}: eulerseq is `{self.order}`; expected three of x, y, z, X, Y, Z")
         self.frames = self._laser_frames(laser, file)
         below = {id(site) for frame in self.frames for site in frame.all("site")}
         own = [one for one in self.rangefinders if id(self._site(one.get("site"))) in below]

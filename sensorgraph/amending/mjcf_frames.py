@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -91,7 +92,8 @@ def _euler(matrix: Floats, order: str) -> list[float]:
         raise CannotHoldError(f"its angles are in the mixed order {order}")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")  # the third angle is then zero
-        angles = Rotation.from_matrix(matrix).as_euler(order.swapcase())  # SciPy's capitals turn
+        sequence: Any = order.swapcase()  # SciPy's capitals turn
+        angles = Rotation.from_matrix(matrix).as_euler(sequence)
     return [0.0 if abs(one) < SMALL else float(one) for one in angles]
 
 
@@ -114,9 +116,9 @@ def own_rotation(frame: Node, unit: float, order: str) -> Floats:
         return Rotation.from_rotvec(values[:3] / np.linalg.norm(values[:3]) * values[3] * unit).as_matrix()
     if name == "euler":
         matrix = np.eye(3)
-        for axis, angle in zip(order, values * unit, strict=True):
-            one = Rotation.from_euler(axis.lower(), angle).as_matrix()
-            matrix = matrix @ one if axis.islower() else one @ matrix
+        for letter, angle in zip(order, values * unit, strict=True):
+            one = Rotation.from_euler(letter.lower(), angle).as_matrix()
+            matrix = matrix @ one if letter.islower() else one @ matrix
         return matrix
     if name == "xyaxes":
         x = values[:3] / np.linalg.norm(values[:3])

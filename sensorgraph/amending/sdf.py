@@ -165,9 +165,8 @@ class _SdfModel:
         own = node.child("pose")
         if not node.children:
             raise CannotHoldError("its laser is empty")
-        is_base = link is None or link is origin or len(list(link.all("sensor"))) > 1
-        placed = None if link is None else link.child("pose")
-        if own is None and not is_base and placed is not None:
+        placed = None if link is None or link is origin else link.child("pose")
+        if own is None and link is not None and placed is not None and len(list(link.all("sensor"))) == 1:
             outer = _frame(placed.get("relative_to"), link) or _nested_model(link)
             return placed, base.T @ self._rotation(outer)
         return own, base.T @ self._rotation(link)

@@ -29,14 +29,15 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return the next node; that of an alias has the value of the anchor and the span of the alias."""
-        event: Any = self.peek_event()
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         node = super().compose_node(parent, index)
         if not isinstance(node, yaml.ScalarNode) or event.anchor is None:
             return node
+        start, end = event.start_mark, event.end_mark
         if not isinstance(event, yaml.AliasEvent):
             self.scalars[event.anchor] = node, []
             return node
-        alias = yaml.ScalarNode(node.tag, node.value, event.start_mark, event.end_mark)
+        alias = yaml.ScalarNode(node.tag, node.value, start, end)
         self.scalars[event.anchor][1].append(alias)
         return alias
 
@@ -146,7 +147,8 @@ class YamlFile:
         text = self.file.data.decode("utf-8")
         start, end = node.start_mark.index, node.end_mark.index
         if isinstance(node, yaml.ScalarNode):
-            start += len(PROPERTIES.match(text[start:end]).group())  # type: ignore[union-attr]
+            found = PROPERTIES.match(text, start, end)
+            start = start if found is None else found.end()
         head = len(text[:start].encode())
         return head, head + len(text[start:end].encode())
 

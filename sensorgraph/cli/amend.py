@@ -33,7 +33,8 @@ def amend(
 ) -> None:
     """Write found effects into your own URDF, xacro, SDF, MJCF, nav2_params.yaml or robot.yaml.
 
-    Only the changed numbers and a comment at each of them differ; the changes are printed as a unified diff.
+    Only the changed numbers and a comment at each of them differ; the changes are printed as a unified diff. Without
+    --out, the given files are replaced.
 
     Examples:
 
@@ -48,6 +49,8 @@ def amend(
 
     if out is not None and dry_run:
         raise SensorgraphError("--out and --dry-run are both given; give only one of them")
+    if out is not None:
+        _check_out(out, files, [effects, *([] if run is None else [run])])
     log, walls = (None, None) if run is None else _log(run, arena)
     found = amend_files(files, effects, run=log, arena=walls, laser=laser)
     typer.echo(found.diff)
@@ -58,6 +61,19 @@ def amend(
         return
     for path in found.write(out):
         typer.echo(f"wrote {path}")
+
+
+def _check_out(out: Path, files: list[Path], others: list[Path]) -> None:
+    """Refuse an output that cannot be written, or that is one of the inputs."""
+    from sensorgraph.cli.inputs import check_folder, check_output
+
+    if out.is_dir() or len(files) > 1:
+        check_folder(out)
+        for file in files:
+            if out.is_dir():
+                check_output(out / file.name, *others, *files)
+        return
+    check_output(out, *others, *files)
 
 
 def _log(run: Path, arena: str | None) -> tuple[Run, Arena | None]:

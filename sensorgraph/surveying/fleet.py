@@ -108,14 +108,11 @@ def fleet(
         finally:
             end_all()
     rows = [{"log": str(first[key]), "key": key, **row} for key, row in done.items() if "error" not in row]
+    failed = [(str(first[key]), row["error"]) for key, row in done.items() if "error" in row]
     found = _compared(
         rows,
         walls=walls,
-        failures=tuple(
-            sorted(
-                unreadable + [(str(first[key]), row["error"]) for key, row in done.items() if "error" in row]
-            )
-        ),
+        failures=tuple(sorted(unreadable + failed)),
         same=tuple((str(path), str(first[key])) for path, key in keys.items() if first[key] != path),
         n_new=len(jobs),
         n_outdated=n_outdated,
