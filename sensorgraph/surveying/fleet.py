@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -96,17 +96,10 @@ def fleet(
     done = {key: row for key, row in done.items() if row.get("limits") in (None, bounds.as_list())}
     jobs = {key: {**shared, "path": str(path.absolute())} for key, path in first.items() if key not in done}
     n_outdated = store.others(jobs)
-    if jobs:
-        try:
-            with cluster(scheduler, workers) as client:
-                for key, result in surveyed(client, jobs.items(), bounds):
-                    if not result.get("is_passing"):
-                        store.put(key, result)
-                    done[key] = result
-                    if progress is not None:
-                        progress(len(done), len(first))
-        finally:
-            end_all()
+    for key, result in _analysed(store, jobs, bounds, scheduler, workers):
+        done[key] = result
+        if progress is not None:
+            progress(len(done), len(first))
     rows = [{"log": str(first[key]), "key": key, **row} for key, row in done.items() if "error" not in row]
     failed = [(str(first[key]), row["error"]) for key, row in done.items() if "error" in row]
     found = _compared(
@@ -144,6 +137,26 @@ def _keys(store: ResultStore, paths: Iterable[Path]) -> tuple[dict[Path, str], l
             unreadable.append((str(path), f"cannot be read: {exc.strerror or exc}"))
     store.keep_contents()
     return keys, unreadable
+
+
+def _analysed(
+    store: ResultStore,
+    jobs: Mapping[str, Any],
+    limits: TaskLimits,
+    scheduler: str | None,
+    workers: int | None,
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Analyse logs on the cluster, and yield each result by the hash of its log once it is kept."""
+    if not jobs:
+        return
+    try:
+        with cluster(scheduler, workers) as client:
+            for key, result in surveyed(client, jobs.items(), limits):
+                if not result.get("is_passing"):
+                    store.put(key, result)
+                yield key, result
+    finally:
+        end_all()
 
 
 def _compared(rows: list[dict[str, Any]], **facts: Any) -> Fleet:

@@ -12,6 +12,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.settings import WHEELS
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.scan_input import ScanInput, apart
@@ -47,10 +48,14 @@ class Mode:
 
     def without_belief(self, believed: Floats, tolerance: tuple[float, float]) -> Mode:
         """Return a mode that the robot believed and does not believe any more as one that was not followed."""
-        way, turn = apart(self.pose, believed)
-        if not self.is_belief or (way < tolerance[0] and turn < tolerance[1]):
+        if not self.is_belief or self.is_at(believed, tolerance):
             return self
         return replace(self, is_belief=False, followed=0.0)
+
+    def is_at(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
+        """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
+        way, turn = apart(self.pose, pose)
+        return way < tolerance[0] and turn < tolerance[1]
 
 
 def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:
@@ -86,6 +91,20 @@ def velocity_of(before: Mode | None, after: Mode | None, dt: float, most: float,
         return otherwise
     moved = compose(invert(before.pose), after.pose) / dt
     return np.asarray(moved if np.hypot(moved[0], moved[1]) < most else np.zeros(3))
+
+
+def slip_of(
+    before: Mode | None, after: Mode | None, step: Floats, deviations: Floats, dt: float, otherwise: Floats
+) -> Floats:
+    """Return the error (3,) [m/s, m/s, rad/s] of the odometry's speed if it slips: its step is wrong beyond its noise.
+
+    Slip lasts, as of a robot that is pushed or that spins its wheels.
+    """
+    if before is None or after is None or after.number != before.number or not after.is_matched or dt <= 0:
+        return otherwise
+    off = compose(invert(compose(before.pose, step)), after.pose)
+    size = np.abs([off[0], off[1], wrap(off[2])])
+    return np.asarray(size / dt if (size > WHEELS.outlier * deviations).any() else np.zeros(3))
 
 
 def weighed(

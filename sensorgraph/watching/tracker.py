@@ -15,10 +15,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import find_places
@@ -26,9 +27,8 @@ from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.seen_space import seen_by_graph
-from sensorgraph.localization.settings import WHEELS
 from sensorgraph.types import Bools, Floats
-from sensorgraph.watching.modes import Mode, corrected, matched, velocity_of, weighed
+from sensorgraph.watching.modes import Mode, corrected, matched, slip_of, velocity_of, weighed
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
@@ -72,7 +72,7 @@ class PoseTracker:
         """[m/s, m/s, rad/s] Error of the odometry's speed at the last match, if it slips; otherwise zero."""
         self.n_searches = 0
         self._last: Observation | None = None
-        self._number = 0
+        self._numbers = count(1)
 
     @property
     def main(self) -> Mode | None:
@@ -124,7 +124,6 @@ class PoseTracker:
         before = self.main
         expected = np.hypot(deviations, slip)
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
-        self._learn_slip(before, step, deviations, dt)
         if observation.believed is not None:
             self.modes = [mode.without_belief(observation.believed, s.tolerance) for mode in self.modes]
         self._add_belief(now)
@@ -134,6 +133,7 @@ class PoseTracker:
             self._search()
         self._prune()
         self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
+        self.slip = slip_of(before, self.main, step, deviations, dt, self.slip)
         return now
 
     def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> Mode:
@@ -149,15 +149,6 @@ class PoseTracker:
         way = float(np.hypot(step[0], step[1]))
         return corrected(replace(mode, pose=pose, covariance=covariance, moved=way), found)
 
-    def _learn_slip(self, before: Mode | None, step: Floats, deviations: Floats, dt: float) -> None:
-        """Take the error of a step of the odometry as slip, if it is beyond the noise; slip lasts, as of a robot that is pushed."""
-        after = next((mode for mode in self.modes if before and mode.number == before.number), None)
-        if before is None or after is None or not after.is_matched or dt <= 0:
-            return
-        off = compose(invert(compose(before.pose, step)), after.pose)
-        size = np.abs([off[0], off[1], wrap(off[2])])
-        self.slip = size / dt if (size > WHEELS.outlier * deviations).any() else np.zeros(3)
-
     def _add_belief(self, now: ScanInput) -> None:
         """Add the pose that the robot believes, if no mode is there."""
         s, believed = self.priors, now.observation.believed
@@ -166,7 +157,7 @@ class PoseTracker:
         if not self.modes and not self.n_searches:
             score = math.log(s.start)
             self.elsewhere = math.log(1.0 - s.start)
-        elif any(self._is_there(mode, believed) for mode in self.modes):
+        elif any(mode.is_at(believed, self.priors.tolerance) for mode in self.modes):
             return
         else:
             main = self.main
@@ -174,21 +165,13 @@ class PoseTracker:
             score = math.log(0.5 if is_alone else s.belief)
         covariance = np.diag(np.asarray(s.start_deviations) ** 2)
         mode = Mode(
-            pose=believed, covariance=covariance, score=score, number=self._next(), is_belief=bool(self.modes),
+            pose=believed, covariance=covariance, score=score, number=next(self._numbers), is_belief=bool(self.modes),
             followed=s.confirmed,
         )  # fmt: skip
         mode = corrected(mode, matched(self.place, believed, covariance, now))
-        kept = [one for one in self.modes if not self._is_there(one, mode.pose)]
+        kept = [one for one in self.modes if not one.is_at(mode.pose, self.priors.tolerance)]
         if len(kept) == len(self.modes):  # its match is not one of the modes
             self.modes.append(mode)
-
-    def _is_there(self, mode: Mode, pose: Floats) -> bool:
-        way, turn = apart(mode.pose, pose)
-        return way < self.priors.tolerance[0] and turn < self.priors.tolerance[1]
-
-    def _next(self) -> int:
-        self._number += 1
-        return self._number
 
     def _weigh(self, now: ScanInput, dt: float) -> None:
         """Weigh modes and elsewhere by the readings; the robot may have been carried away since the last scan."""
@@ -268,7 +251,7 @@ class PoseTracker:
 
     def _add_found(self, pose: Floats) -> None:
         """Add a mode at a pose found by a search, with the evidence of all scans that are kept."""
-        if any(self._is_there(mode, pose) and mode.is_matched for mode in self.modes):
+        if any(mode.is_at(pose, self.priors.tolerance) and mode.is_matched for mode in self.modes):
             return
         gains, main = [], self.main
         for one in self.kept:
@@ -286,7 +269,7 @@ class PoseTracker:
             score = main.score - self.log_places + float(np.logaddexp.reduce(since))
         covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
         self.modes.append(
-            Mode(pose=pose, covariance=covariance, score=score, number=self._next(), is_matched=True)
+            Mode(pose=pose, covariance=covariance, score=score, number=next(self._numbers), is_matched=True)
         )
 
     def _prune(self) -> None:
@@ -294,7 +277,7 @@ class PoseTracker:
         kept: list[Mode] = []
         s = self.priors
         for mode in sorted(self.modes, key=lambda one: -one.score):
-            met = next((k for k, one in enumerate(kept) if self._is_there(one, mode.pose)), None)
+            met = next((k for k, one in enumerate(kept) if one.is_at(mode.pose, self.priors.tolerance)), None)
             if met is not None:
                 kept[met] = replace(kept[met], score=float(np.logaddexp(kept[met].score, mode.score)))
             elif not kept or mode.score > kept[0].score - s.dropped:
