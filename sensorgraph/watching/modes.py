@@ -47,10 +47,24 @@ class Mode:
     """[m] Distance over which this was the probable mode, at most `TrackingPriors.confirmed`."""
 
     def without_belief(self, believed: Floats, tolerance: tuple[float, float]) -> Mode:
-        """Return a mode that the robot believed and does not believe any more as one that was not followed."""
-        if not self.is_belief or self.is_at(believed, tolerance):
-            return self
-        return replace(self, is_belief=False, followed=0.0)
+        """Return the mode without the support of the belief, if the robot does not believe it any more."""
+        return replace(self, is_belief=self.is_belief and self.is_at(believed, tolerance))
+
+    def merged(self, other: Mode) -> Mode:
+        """Return the mode with another that has met it."""
+        return replace(
+            self,
+            score=float(np.logaddexp(self.score, other.score)),
+            followed=max(self.followed, other.followed),
+            is_belief=self.is_belief or other.is_belief,
+        )
+
+    def unconfirmed(self, distance: float) -> float:
+        """Return how far the mode may be a place that only resembles the true one, 0 to 1.
+
+        It is confirmed by `distance` [m] over which it was the probable one, or by the robot's belief.
+        """
+        return 0.0 if self.is_belief else 1.0 - self.followed / distance
 
     def is_at(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
         """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
@@ -93,15 +107,12 @@ def velocity_of(before: Mode | None, after: Mode | None, dt: float, most: float,
     return np.asarray(moved if np.hypot(moved[0], moved[1]) < most else np.zeros(3))
 
 
-def slip_of(
-    before: Mode | None, after: Mode | None, step: Floats, deviations: Floats, dt: float, otherwise: Floats
+def error_of_step(
+    before: Mode | None, after: Mode | None, step: Floats, deviations: Floats, dt: float
 ) -> Floats:
-    """Return the error (3,) [m/s, m/s, rad/s] of the odometry's speed if it slips: its step is wrong beyond its noise.
-
-    Slip lasts, as of a robot that is pushed or that spins its wheels.
-    """
+    """Return the error (3,) [m/s, m/s, rad/s] of the odometry's speed in a step, if it is beyond its noise; otherwise zero."""
     if before is None or after is None or after.number != before.number or not after.is_matched or dt <= 0:
-        return otherwise
+        return np.zeros(3)
     off = compose(invert(compose(before.pose, step)), after.pose)
     size = np.abs([off[0], off[1], wrap(off[2])])
     return np.asarray(size / dt if (size > WHEELS.outlier * deviations).any() else np.zeros(3))
@@ -124,7 +135,7 @@ def weighed(
     stay : Log-probability that the robot was not carried away.
     """
     known = np.where(found.known, found.ratios, 0.0)
-    is_followed = np.array([mode.followed >= priors.confirmed for mode in modes])
+    is_followed = np.array([mode.unconfirmed(priors.confirmed) == 0.0 for mode in modes])
     credit = np.where(is_followed[:, None] & ~found.known, known.max(axis=0), 0.0)
     gains = share * (known + credit).sum(axis=1)
     unlike = np.clip(

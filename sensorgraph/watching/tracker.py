@@ -28,7 +28,7 @@ from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.seen_space import seen_by_graph
 from sensorgraph.types import Bools, Floats
-from sensorgraph.watching.modes import Mode, corrected, matched, slip_of, velocity_of, weighed
+from sensorgraph.watching.modes import Mode, corrected, error_of_step, matched, velocity_of, weighed
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
@@ -68,8 +68,8 @@ class PoseTracker:
         self.kept: deque[ScanInput] = deque(maxlen=priors.n_kept)
         self.drift = np.zeros(3)
         self.velocity = np.zeros(3)
-        self.slip = np.zeros(3)
-        """[m/s, m/s, rad/s] Error of the odometry's speed at the last match, if it slips; otherwise zero."""
+        self.error, self.slip = np.zeros(3), np.zeros(3)
+        """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
         self.n_searches = 0
         self._last: Observation | None = None
         self._numbers = count(1)
@@ -133,7 +133,8 @@ class PoseTracker:
             self._search()
         self._prune()
         self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
-        self.slip = slip_of(before, self.main, step, deviations, dt, self.slip)
+        error = error_of_step(before, self.main, step, deviations, dt)
+        self.slip, self.error = np.minimum(error, self.error), error
         return now
 
     def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> Mode:
@@ -166,7 +167,7 @@ class PoseTracker:
         covariance = np.diag(np.asarray(s.start_deviations) ** 2)
         mode = Mode(
             pose=believed, covariance=covariance, score=score, number=next(self._numbers), is_belief=bool(self.modes),
-            followed=s.confirmed,
+            followed=0.0 if self.modes else s.confirmed,
         )  # fmt: skip
         mode = corrected(mode, matched(self.place, believed, covariance, now))
         kept = [one for one in self.modes if not one.is_at(mode.pose, self.priors.tolerance)]
@@ -187,7 +188,7 @@ class PoseTracker:
             return
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
         first = int(np.argmax([mode.score for mode in self.modes]))
-        new = 1.0 - self.modes[first].followed / s.confirmed
+        new = self.modes[first].unconfirmed(s.confirmed)
         alike = new * s.alike * self.usual * float(found.known[first].sum())  # other places resemble this one
         self.elsewhere += now.weight * self._share(now) * alike
         self.modes = weighed(self.modes, found, self._share(now), now.weight, stay, s)
@@ -279,7 +280,7 @@ class PoseTracker:
         for mode in sorted(self.modes, key=lambda one: -one.score):
             met = next((k for k, one in enumerate(kept) if one.is_at(mode.pose, self.priors.tolerance)), None)
             if met is not None:
-                kept[met] = replace(kept[met], score=float(np.logaddexp(kept[met].score, mode.score)))
+                kept[met] = kept[met].merged(mode)
             elif not kept or mode.score > kept[0].score - s.dropped:
                 kept.append(mode)
         self.modes = kept[: self.priors.n_modes]
