@@ -210,3 +210,23 @@ def test_a_static_transform_with_two_values_and_one_without_orientation_are_note
     assert any(
         "/tf_static base_link -> laser: 1 of 1 transforms are not finite or have no" in s for s in said
     )
+
+
+def test_scans_from_which_a_filter_removed_readings_are_refused(tmp_path: Path) -> None:
+    bag = []
+    for k in range(30):
+        ranges = room(1 + 0.05 * k, k)
+        bag.append(scan(k / 10, ranges[ranges < 2.5 + 0.05 * k], angle_min=-np.pi, increment=2 * np.pi / N))
+    full = with_angles(bag, angle_max=np.pi - 2 * np.pi / N)
+    with pytest.raises(
+        logs.LogError, match=r"scans hold \d+ to \d+ readings, but their angles state 120 rays: a filter"
+    ):
+        read(tmp_path, full)
+
+
+def test_a_laser_whose_speed_varies_is_read(tmp_path: Path) -> None:
+    bag = [
+        scan(k / 10, np.full(N - 6 + k % 7, 2.0), angle_min=-np.pi, increment=2 * np.pi / N)
+        for k in range(30)
+    ]
+    assert read(tmp_path, with_angles(bag, angle_max=np.pi)).n_scans == 30

@@ -22,6 +22,9 @@ MIN_STRAIGHTER = 0.7
 """Share of the bend that the step of `angle_max` leaves at most, where it replaces the stated one."""
 MAX_SCANS = 50
 """Number of scans whose surfaces are compared, and one more of each part of the log at most."""
+MISSING_RAYS = 0.1
+"""Share of the rays stated by the angles that lacks in a scan whose readings were filtered, at least; a laser whose speed varies
+has a few per cent more or fewer."""
 WINDOW = 12
 """The bend is that of arcs of a twelfth of the rays, which is wide enough to exceed noise."""
 
@@ -44,6 +47,30 @@ def are_contradictory(n_rays: int, angle_min: float, angle_max: float, increment
     by_ends = (angle_max - angle_min) / (n_rays - 1)
     few = 2 / (n_rays - 1)  # an end that is one step off is common, and the step is right
     return by_ends != 0 and abs(by_ends / increment - 1) > max(MIN_DISAGREEMENT, few)
+
+
+def check_filtered(name: str, kinds: Sequence[tuple[int, int, Floats]]) -> None:
+    """Refuse scans from which a filter has removed readings, another number each time: nothing tells which rays are left.
+
+    Parameters
+    ----------
+    kinds : Number of scans, their number of readings, and their limits: angle_min, angle_max, angle_increment, ... as stated.
+
+    Raises
+    ------
+    LogError : Most scans have at least `MISSING_RAYS` fewer readings than their angles state, and of several numbers.
+    """
+    counts, lengths, limits = map(np.array, zip(*kinds, strict=True))
+    with np.errstate(all="ignore"):
+        stated = np.abs((limits[:, 1] - limits[:, 0]) / limits[:, 2]) + 1.0
+    is_short = lengths < (1.0 - MISSING_RAYS) * stated
+    if len(np.unique(lengths[is_short])) < 3 or 2 * counts[is_short].sum() <= counts.sum():
+        return
+    raise LogError(
+        f"{name}: scans hold {lengths[is_short].min()} to {lengths[is_short].max()} readings, but their angles state "
+        f"{np.median(stated[is_short]):.0f} rays: a filter has removed readings, and the bearings of the others are not known; "
+        "log the scans before this filter, or let it set readings to nan or inf"
+    )
 
 
 def bearings_of(limits: Floats, ranges: Sequence[Floats]) -> tuple[Floats, list[str]]:

@@ -25,7 +25,7 @@ from logs.no_return import (
 from logs.range_limits import beyond_text, lower_limit
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
-from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, stated_bearings
+from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, check_filtered, stated_bearings
 from logs.ros.recording import Topic, logged_times, sort_stamps
 from logs.sweep import LIMITS, differs
 from logs.transforms import Stamps
@@ -189,6 +189,10 @@ def _sensor_scans(
     most = max(counts, key=lambda shape: counts[shape])
     if most.n_rays == 0:
         raise LogError(f"{topic.name}: most scans have no rays")
+    check_filtered(
+        topic.name,
+        [(len(one), one.shape[1], group.limits) for group in groups.values() for one in group.ranges],
+    )
     main = groups.get(most) or next(iter(groups.values()))
     limits = main.limits
     notes: list[str] = []
