@@ -51,10 +51,17 @@ def test_a_robot_that_is_pushed_keeps_its_pose() -> None:
     )
 
 
-def notes_of(poses: np.ndarray, odometry: np.ndarray) -> tuple[str, ...]:
-    """Return the notes on located poses at 10 Hz and an odometry at the scans."""
-    usable = np.ones(len(poses), dtype=np.bool_)
-    return contrast_notes(0.1 * np.arange(len(poses)), poses, odometry, usable, WheelParameters())
+def notes_of(poses: np.ndarray, odometry: np.ndarray, rate: float = 10.0) -> tuple[str, ...]:
+    """Return the notes on located poses at 10 Hz and an odometry that is logged at a rate [Hz]."""
+    every = round(10.0 / rate)
+    run = room_run(odometry, n_rays=4, rate=10.0)
+    run = replace(
+        run,
+        odom_stamps=run.odom_stamps[::every],
+        odometry=odometry[::every],
+        odom_twists=run.odom_twists[::every],
+    )
+    return contrast_notes(run, poses, odometry, ["ok"] * len(poses), WheelParameters())
 
 
 def test_scans_of_a_trailer_that_stand_while_the_odometry_drives_are_said() -> None:
@@ -74,6 +81,11 @@ def test_a_laser_that_sways_is_said() -> None:
 def test_wheels_that_agree_with_the_scans_have_no_note() -> None:
     noise = np.random.default_rng(0).normal(size=(200, 3)) * [0.01, 0.01, 0.005]
     assert notes_of(drive() + noise, drive()) == ()
-    assert contrast_notes(np.zeros(0), np.zeros((0, 3)), None, np.zeros(0, dtype=np.bool_), None) == ()
-    one = np.zeros((1, 3))
-    assert contrast_notes(np.zeros(1), one, one, np.ones(1, dtype=np.bool_), WheelParameters()) == ()
+    assert notes_of(drive()[:1], drive()[:1]) == ()
+    assert contrast_notes(pushed()[0], drive(), None, ["ok"] * 200, None) == ()
+
+
+def test_odometry_that_is_missing_contradicts_nothing() -> None:
+    coarse = drive()
+    coarse[:, 0] += 0.5 * (np.arange(200) // 10 % 2)
+    assert notes_of(drive(), coarse) != () and notes_of(drive(), coarse, rate=1.0) == ()

@@ -7,12 +7,16 @@ motions.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.result import WheelParameters, true_intervals
+from sensorgraph.localization.missing_odometry import is_measured
+from sensorgraph.localization.odometry import odometry_of
+from sensorgraph.localization.result import Status, WheelParameters, true_intervals
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -53,7 +57,7 @@ class Contrast:
         ----------
         stamps : (n_scans,) [s]
         poses, odometry : (n_scans, 3) [m, m, rad] Located poses, and the odometry at the scans.
-        usable : (n_scans,) The pose is known, in the first map.
+        usable : (n_scans,) Pose and odometry are known.
         """
         after = np.searchsorted(stamps, stamps + SPAN)
         first = np.flatnonzero(after < len(stamps))
@@ -121,9 +125,21 @@ def _way(steps: Floats) -> Floats:
 
 
 def contrast_notes(
-    stamps: Floats, poses: Floats, odometry: Floats | None, usable: Bools, wheels: WheelParameters | None
+    run: Run,
+    poses: Floats,
+    odometry: Floats | None,
+    status: Sequence[Status],
+    wheels: WheelParameters | None,
 ) -> tuple[str, ...]:
-    """Return the notes on a located run, by the parameters of `Contrast.of`; none without odometry."""
-    if odometry is None or wheels is None:
+    """Return the notes on a located run; none without odometry, and none where it is missing.
+
+    Parameters
+    ----------
+    poses, odometry : (n_scans, 3) [m, m, rad] Located poses, and the odometry at the scans.
+    status : (n_scans,) Of the poses; only those that are ok count.
+    """
+    measured = odometry_of(run)
+    if odometry is None or wheels is None or measured is None:
         return ()
-    return Contrast.of(stamps, poses, odometry, usable, wheels).notes(stamps)
+    usable = (np.array(status) == "ok") & is_measured(measured, run.stamps)
+    return Contrast.of(run.stamps, poses, odometry, usable, wheels).notes(run.stamps)

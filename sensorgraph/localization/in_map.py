@@ -75,7 +75,7 @@ def locate_in_map(
     status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     wheels = WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames])
-    contrast = contrast_notes(run.stamps, poses, odometry, np.array(status) == "ok", wheels)
+    contrast = contrast_notes(run, poses, odometry, status, wheels)
     return Localization(
         t=run.stamps,
         poses=poses,

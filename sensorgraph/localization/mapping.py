@@ -114,7 +114,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
             *narrow,
             *_notes(run, tracked, odometry is None),
             *state_notes(run.stamps, tracked, states),
-            *contrast_notes(run.stamps, poses, odometry, np.array(states.status) == "ok", wheels),
+            *contrast_notes(run, poses, odometry, states.status, wheels),
             *followed.notes,
         ),
         sensor=followed.run.sensor,
