@@ -1,4 +1,4 @@
-"""Scans and odometry that contradict each other: a robot that is pushed, a trailer in view, a laser on a mast that sways."""
+"""Scans and odometry that contradict each other: a robot that is pushed, a trailer in view, a laser that is mounted elsewhere or sways."""
 
 from __future__ import annotations
 
@@ -76,6 +76,17 @@ def test_a_laser_that_sways_is_said() -> None:
     sway = np.column_stack([0.07 * np.sin(4 * t), 0.07 * np.sin(5 * t), 0.02 * np.sin(5 * t)])
     (note,) = notes_of(compose(drive(), sway), drive())
     assert "mast that sways" in note
+
+
+def test_a_laser_beside_its_stated_place_is_said_with_its_offset() -> None:
+    """On a robot that turns, it moves as its lever; the located poses are those of a point beside base_link."""
+    noise = np.random.default_rng(1).normal(size=(200, 3)) * [0.003, 0.003, 0.001]
+    (note,) = notes_of(compose(drive(), np.array([0.2, -0.1, 0.0])) + noise, drive())
+    assert re.search(
+        r"laser is (19|20|21) cm ahead of and (9|10|11) cm right of its stated place: its mount is wrong",
+        note,
+    )
+    assert notes_of(compose(drive(), np.array([0.02, -0.01, 0.0])) + noise, drive()) == ()
 
 
 def test_wheels_that_agree_with_the_scans_have_no_note() -> None:

@@ -1,8 +1,11 @@
-"""Notes on what scans and odometry of a located run contradict each other about: slip, pushes, and a laser that sways.
+"""Notes on what scans and odometry of a located run contradict each other about: slip, a wrong mount, a laser that sways.
 
 From scan i to the first scan j that is `SPAN` later, the located poses move by a, and the odometry, corrected by the
 identified wheels, by b. The contrast is inv(b) ∘ a; its standard deviation is that of the odometry for the longer of the two
 motions.
+
+A laser that is mounted d [m] beside its stated place moves, while the robot turns by θ, by (I - R(-θ)) d in addition. This is
+linear in d, which a robust regression estimates first.
 """
 
 from __future__ import annotations
@@ -18,14 +21,19 @@ from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.result import Status, WheelParameters, true_intervals
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps
+from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats, Ints
 
 SPAN = 1.0
 """[s] Time over which motions are compared: long enough that slip is larger than the noise of two scans."""
 Z = 4.0
-"""Standard deviations of the odometry beyond which a contrast is none of its noise ..."""
+"""Standard deviations beyond which a contrast is none of the odometry's noise, and an offset of the laser none of chance ..."""
 LEAST = (0.1, 0.1, 0.1)
 """[m, m, rad] ... if it is also larger than this, ahead, left and in heading."""
+LEAST_OFFSET = 0.03
+"""[m] Distance of the laser from its stated place below which it is not worth a note ..."""
+N_REWEIGHTED = 10
+"""Number of reweighted fits of this distance; it settles within five."""
 MEDIAN_OF_NORMAL = 0.6745
 """Median size of a normal variable, in standard deviations."""
 
@@ -42,8 +50,12 @@ class Contrast:
     """(n, 3) [m, m, rad] in base_link."""
     by_odometry: Floats
     """(n, 3) The same by the odometry, corrected by the wheels."""
+    offset: Floats
+    """(2,) [m] From the stated place of the laser to where it seems to be, ahead and left; 0 if nothing shows it."""
+    off: Floats
+    """(n, 3) [m, m, rad] Difference of the two motions, without that by the offset."""
     z: Floats
-    """(n, 3) Difference of the two in standard deviations of the odometry."""
+    """(n, 3) The same in standard deviations of the odometry."""
     is_contradiction: Bools
     """(n,) The difference is none of the odometry's noise."""
 
@@ -70,21 +82,38 @@ class Contrast:
         b = corrected_steps(b, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
         off = compose(invert(b), a)
         off[:, 2] = wrap(off[:, 2])
+        offset = _offset(off, b[:, 2], float(np.mean(last - first)) if len(first) else 1.0)
+        off[:, :2] -= _moved_by_turns(b[:, 2]) @ offset
         longer, turn = (np.maximum(size(a), size(b)) for size in (_way, lambda one: np.abs(one[:, 2])))
         z = np.abs(off) / WheelEstimate().deviations(longer, turn)
         large = np.asarray(((z > Z) & (np.abs(off) > LEAST)).any(axis=1))
-        return cls(first=first, last=last, by_scans=a, by_odometry=b, z=z, is_contradiction=large)
+        return cls(
+            first=first,
+            last=last,
+            by_scans=a,
+            by_odometry=b,
+            z=z,
+            offset=offset,
+            off=off,
+            is_contradiction=large,
+        )
 
     def notes(self, stamps: Floats) -> tuple[str, ...]:
         """Return a note on the longest contradiction, and one on differences that the odometry's noise does not explain."""
         notes = []
+        if self.offset.any():
+            ahead, left = self.offset
+            notes.append(
+                f"scans and odometry agree if the laser is {100 * abs(ahead):.0f} cm {'ahead of' if ahead > 0 else 'behind'} and "
+                f"{100 * abs(left):.0f} cm {'left' if left > 0 else 'right'} of its stated place: its mount is wrong, and so are the "
+                "poses of base_link, by as much; or the robot turns about another point than the origin of base_link"
+            )
         if self.is_contradiction.any():
             notes.append(self._contradiction(stamps))
         other = ~self.is_contradiction
         if other.any() and np.median(self.z[other, :2], axis=0).max() > MEDIAN_OF_NORMAL:
-            off = compose(invert(self.by_odometry[other]), self.by_scans[other])
             notes.append(
-                f"scans and odometry differ by {100 * np.median(_way(off)):.0f} cm within {SPAN:.0f} s (median), which wheels do "
+                f"scans and odometry differ by {100 * np.median(_way(self.off[other])):.0f} cm within {SPAN:.0f} s (median), which wheels do "
                 "not explain: the laser moves on the robot, as on a mast that sways, or its stamps scatter; poses follow the laser"
             )
         return tuple(notes)
@@ -98,11 +127,11 @@ class Contrast:
         start, stop = max(stretches, key=lambda one: stamps[one[1] - 1] - stamps[one[0]])
         scans, odometry = self._driven(start, stop - 1)
         inside = (self.first >= start) & (self.last < stop)
-        off = compose(invert(self.by_odometry[inside]), self.by_scans[inside])
+        off = self.off[inside]
         more = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
         return (
             f"scans and odometry contradict each other from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, by up to "
-            f"{_way(off).max():.1f} m and {np.degrees(np.abs(wrap(off[:, 2])).max()):.0f}° within {SPAN:.0f} s: there the scans move "
+            f"{_way(off).max():.1f} m and {np.degrees(np.abs(off[:, 2]).max()):.0f}° within {SPAN:.0f} s: there the scans move "
             f"by {scans[0]:.1f} m and {np.degrees(scans[1]):.0f}°, the odometry by {odometry[0]:.1f} m and "
             f"{np.degrees(odometry[1]):.0f}°. The wheels slip or the robot is pushed, so that the scans are right; or the laser "
             "sees what goes along with the robot (people, a trailer, the ground), so that the odometry is"
@@ -118,6 +147,36 @@ class Contrast:
         for moved in (self.by_scans[steps], self.by_odometry[steps]):
             both.append((float(_way(moved).sum()), float(np.abs(moved[:, 2]).sum())))
         return both[0], both[1]
+
+
+def _moved_by_turns(turns: Floats) -> Floats:
+    """Return the matrices I - R(-θ) (n, 2, 2) of turns θ (n,) [rad]."""
+    c, s = np.cos(turns), np.sin(turns)
+    return np.stack([np.stack([1.0 - c, -s], axis=-1), np.stack([s, 1.0 - c], axis=-1)], axis=-2)
+
+
+def _offset(off: Floats, turns: Floats, overlap: float) -> Floats:
+    """Return the offset (2,) [m] of the laser from its stated place; 0 if it is small, or not significant.
+
+    Parameters
+    ----------
+    off : (n, 3) [m, m, rad] Differences of the motions by scans and by odometry.
+    turns : (n,) [rad] Turns by the odometry.
+    overlap : Number of motions that share the same odometry.
+    """
+    rows, values = _moved_by_turns(turns).reshape(-1, 2), off[:, :2].ravel()
+    information = rows.T @ rows
+    if np.linalg.cond(information) > 1e6:  # no turns
+        return np.zeros(2)
+    found, weight = np.zeros(2), np.ones(len(values))
+    for _ in range(N_REWEIGHTED):  # Cauchy's weights
+        information = rows.T @ (rows * weight[:, None])
+        found = np.linalg.solve(information, rows.T @ (weight * values))
+        left = values - rows @ found
+        sigma = robust_sigma(left) + 1e-6
+        weight = 1.0 / (1.0 + (left / (2.0 * sigma)) ** 2)
+    error = sigma * float(np.sqrt(overlap * np.linalg.inv(information).diagonal().max()))
+    return found if np.hypot(*found) > max(LEAST_OFFSET, Z * error) else np.zeros(2)
 
 
 def _way(steps: Floats) -> Floats:
