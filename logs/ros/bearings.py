@@ -50,7 +50,7 @@ def are_contradictory(n_rays: int, angle_min: float, angle_max: float, increment
 
 
 def check_filtered(name: str, kinds: Sequence[tuple[int, int, Floats]]) -> None:
-    """Refuse scans from which a filter has removed readings, another number each time: nothing tells which rays are left.
+    """Refuse scans from which a filter has removed readings, another number each time: the bearings of the others are not known.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from sensorgraph.types import Bools, Floats, Ints
 SPAN = 1.0
 """[s] Time over which motions are compared: long enough that slip is larger than the noise of two scans."""
 Z = 4.0
-"""Standard deviations beyond which a contrast is none of the odometry's noise, and an offset of the laser none of chance ..."""
+"""Standard deviations beyond which a contrast exceeds the odometry's noise, and an offset of the laser chance ..."""
 LEAST = (0.1, 0.1, 0.1)
 """[m, m, rad] ... if it is also larger than this, ahead, left and in heading."""
 LEAST_OFFSET = 0.03
@@ -57,7 +57,7 @@ class Contrast:
     z: Floats
     """(n, 3) The same in standard deviations of the odometry."""
     is_contradiction: Bools
-    """(n,) The difference is none of the odometry's noise."""
+    """(n,) The difference exceeds the odometry's noise."""
 
     @classmethod
     def of(
@@ -105,8 +105,8 @@ class Contrast:
             ahead, left = self.offset
             notes.append(
                 f"scans and odometry agree if the laser is {100 * abs(ahead):.0f} cm {'ahead of' if ahead > 0 else 'behind'} and "
-                f"{100 * abs(left):.0f} cm {'left' if left > 0 else 'right'} of its stated place: its mount is wrong, and so are the "
-                "poses of base_link, by as much; or the robot turns about another point than the origin of base_link"
+                f"{100 * abs(left):.0f} cm {'left' if left > 0 else 'right'} of its stated place: either the mount is wrong, and so "
+                "are the poses of base_link by the same amount, or the robot turns about another point than the origin of base_link"
             )
         if self.is_contradiction.any():
             notes.append(self._contradiction(stamps))
@@ -168,7 +168,8 @@ def _offset(off: Floats, turns: Floats, overlap: float) -> Floats:
     information = rows.T @ rows
     if np.linalg.cond(information) > 1e6:  # no turns
         return np.zeros(2)
-    found, weight = np.zeros(2), np.ones(len(values))
+    found: Floats = np.zeros(2)
+    weight = np.ones(len(values))
     for _ in range(N_REWEIGHTED):  # Cauchy's weights
         information = rows.T @ (rows * weight[:, None])
         found = np.linalg.solve(information, rows.T @ (weight * values))
