@@ -172,7 +172,7 @@ def _offset(off: Floats, turns: Floats, overlap: float) -> Floats:
     weight = np.ones(len(values))
     for _ in range(N_REWEIGHTED):  # Cauchy's weights
         information = rows.T @ (rows * weight[:, None])
-        found = np.linalg.solve(information, rows.T @ (weight * values))
+        found = np.asarray(np.linalg.solve(information, rows.T @ (weight * values)), dtype=np.float64)
         left = values - rows @ found
         sigma = robust_sigma(left) + 1e-6
         weight = 1.0 / (1.0 + (left / (2.0 * sigma)) ** 2)
