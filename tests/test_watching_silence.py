@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from localization_samples import loop_poses, room_run
+from watching_samples import believing, graph
 
+import sensorgraph as sg
 from logs.expectations import deviations, expected_topics
 from logs.inspection import Inspection, TopicInfo
 from logs.run import RangeSensor, Run
@@ -66,6 +69,23 @@ def test_odometry_that_stops_is_unknown_and_does_not_stand_still(run: Run) -> No
     known = [one.stamp for one in observations(cut) if one.odometry is not None]
     assert max(known) == pytest.approx(10.9)
     assert all(one.odometry is not None for one in observations(run))
+
+
+def test_numbers_that_are_not_finite_and_faults_that_repeat() -> None:
+    """The clock may also jump by years, as one without a battery does."""
+    poses = loop_poses(60)
+    each = list(observations(believing(room_run(poses, seed=8), poses)))
+    nan = np.full(3, np.nan)
+    each[20:] = [replace(one, odometry=nan, believed=nan) for one in each[20:]]
+    each[30:30] = [replace(each[25], stamp=each[29].stamp - 0.05)] * 3
+    each[50:] = [replace(one, stamp=one.stamp + 1e9) for one in each[50:]]
+    said = list(sg.watch(graph(), each))
+    assert all(one.pose.pose is None or np.isfinite(one.pose.pose).all() for one in said)
+    notes = [note for one in said for note in one.notes]
+    assert sum("went back" in note and "3 times" in note for note in notes) == 1
+    assert any("the odometry is not finite" in note for note in notes)
+    assert any("the believed pose is not finite" in note for note in notes)
+    assert said[-1].t > 1e9 and said[-1].pose.status == "ok"
 
 
 def status(**values: Any) -> WatchStatus:

@@ -88,9 +88,7 @@ def fleet(
     shared = _shared(known, robot, pattern, topics or {})
     store = ResultStore.open(folder, _settings(shared))
     keys, unreadable = _keys(store, paths)
-    first: dict[str, Path] = {}
-    for path in keys:
-        first.setdefault(keys[path], path)
+    first = {key: path for path, key in reversed(keys.items())}  # the first path of each content
     done = {key: result for key in first if (result := store.get(key)) is not None}
     # a log that took too long or too much memory is analysed again with other limits
     done = {key: row for key, row in done.items() if row.get("limits") in (None, bounds.as_list())}

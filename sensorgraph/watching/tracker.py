@@ -180,7 +180,7 @@ class PoseTracker:
         carried = -math.expm1(-s.carried * dt)
         inside = float(self.probabilities.sum())
         self.elsewhere = math.log(math.exp(self.elsewhere) + carried * inside)
-        stay = math.log1p(-carried)
+        stay = -s.carried * dt  # log(1 - carried), also after a jump of the clock by years
         if not self.modes:
             self.missing += (
                 now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0

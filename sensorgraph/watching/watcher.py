@@ -25,6 +25,8 @@ PERIOD = 1.0
 """[s] between two statements."""
 LONGEST_GAP = 5.0
 """[s] without scans after which this is noted."""
+CLOCK_JUMP = 86_400.0
+"""[s] A longer time without scans is a jump of the clock: nobody watches a robot that stands for days."""
 MARGIN = 2.0
 """[m] around the surfaces of the graph in which changes are collected."""
 PRECISE = 0.1
@@ -63,6 +65,8 @@ class Watcher:
         self._last_scan, self._last_said = -math.inf, -math.inf
         self._before: PoseStatement | None = None
         self._notes: list[str] = []
+        self._repeated: dict[str, tuple[str, int]] = {}
+        """Fault of the input -> first note, and how often it came since the last status."""
         self._has_belief = self._has_odometry = False
 
     def note(self, line: str) -> None:
@@ -71,6 +75,7 @@ class Watcher:
 
     def add(self, observation: Observation) -> WatchStatus | None:
         """Take one scan; return a status if one is due, else None."""
+        observation = self._finite(observation)
         stamp = observation.stamp
         if not self._check(observation):
             return None
@@ -83,27 +88,39 @@ class Watcher:
         self._last_said = stamp
         return self._status(observation)
 
+    def _finite(self, observation: Observation) -> Observation:
+        """Return a scan whose odometry and believed pose are unknown, with a note, if they are not finite."""
+        values = replace(observation, ranges=np.asarray(observation.ranges, dtype=np.float64))
+        for name, words in (("odometry", "odometry"), ("believed", "believed pose")):
+            value = getattr(values, name)
+            if value is not None and not np.isfinite(value).all():
+                self._repeat(f"the {words} is not finite", f" at {observation.stamp:.1f} s")
+                values = replace(values, **{name: None})
+        return values
+
+    def _repeat(self, what: str, first: str) -> None:
+        """Note a fault that may repeat at every scan: the first time, and how often it came until the next status."""
+        text, n = self._repeated.get(what, (f"{what}{first}", 0))
+        self._repeated[what] = text, n + 1
+
     def _check(self, observation: Observation) -> bool:
         """Note a scan that cannot be used, a gap, or a pose that stopped; tell whether the scan is used."""
         stamp, last = observation.stamp, self._last_scan
         if len(observation.ranges) != self.readings.sensor.n_rays:
-            self.note(
-                f"a scan at {stamp:.1f} s has {len(observation.ranges)} rays, expected {self.readings.sensor.n_rays}"
-            )
+            n, expected = len(observation.ranges), self.readings.sensor.n_rays
+            self._repeat(f"a scan has {n} rays, expected {expected}", f", at {stamp:.1f} s")
             return False
         if not math.isfinite(stamp):
-            self.note("a scan has a stamp that is not finite")
+            self._repeat("a scan has a stamp that is not finite", "")
             return False
         if stamp < last:
             if last - stamp < LONGEST_GAP:
-                self.note(
-                    f"the clock of the scans went back by {last - stamp:.2f} s at {last:.1f} s; this scan is left out"
-                )
+                back = f" by {last - stamp:.2f} s at {last:.1f} s; the scan is left out"
+                self._repeat("the clock of the scans went back", back)
                 return False
-            self.note(f"the clock of the scans jumped from {last:.1f} to {stamp:.1f} s")
-            self._last_said = -math.inf
-            self.tracker.restart_clock()
-            self.robot.lose()
+            self._restart(last, stamp)
+        elif math.isfinite(last) and stamp - last > CLOCK_JUMP:
+            self._restart(last, stamp)
         elif stamp - last > LONGEST_GAP and math.isfinite(last):
             self.note(f"no scan for {stamp - last:.1f} s up to {stamp:.1f} s")
             self.robot.lose()
@@ -114,6 +131,13 @@ class Watcher:
         self._has_belief = observation.believed is not None
         self._has_odometry = observation.odometry is not None
         return True
+
+    def _restart(self, last: float, stamp: float) -> None:
+        """Go on after a jump of the clock from one stamp [s] to another."""
+        self.note(f"the clock of the scans jumped from {last:.1f} to {stamp:.1f} s")
+        self._last_said = -math.inf
+        self.tracker.restart_clock()
+        self.robot.lose()
 
     def _learn(self, now: ScanInput) -> None:
         """Learn about place and robot from a scan whose pose is sure."""
@@ -134,7 +158,9 @@ class Watcher:
         is_same = before is not None and before.status == pose.status
         pose = replace(pose, since=before.since if before is not None and is_same else stamp)
         self._before = pose
-        notes, self._notes = tuple(self._notes), []
+        repeated = [text if n == 1 else f"{text}; {n} times" for text, n in self._repeated.values()]
+        notes = (*self._notes, *repeated)
+        self._notes, self._repeated = [], {}
         return WatchStatus(
             t=stamp, pose=pose, changes=self.place.changes(), share_predicted=self.place.share_predicted,
             doubts=self.robot.doubts(stamp), notes=notes,
