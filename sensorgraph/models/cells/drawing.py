@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.models.base import OFF_DISTANCE
+from sensorgraph.models.cells.distribution import shape_mixtures
 from sensorgraph.models.cells.probability_calibration import KNOTS
 from sensorgraph.models.cells.ray_march import CellTable, list_candidates
 from sensorgraph.models.cells.set_aside import summarise_poses
+from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.mixture import MODE, P_OFF
 from sensorgraph.types import Floats
+
+SMALLEST = 1e-12
+"""Smallest probability of a quantile."""
 
 
 def draw_readings(
@@ -21,8 +26,8 @@ def draw_readings(
     `uniform` and `normal` (n_poses, n_rays) are the random numbers; equal numbers give equal readings. The uniform number
     selects the outcome and whether its error is wide. Outcomes are ordered: no return, candidates off the mode from far to
     near, readings that only noise moves off the mode, and readings near the mode. Their probabilities are those of
-    `CellModel.predict`, with the calibrated p_off. A reading near the mode has the spread of the cells, within
-    `OFF_DISTANCE`.
+    `CellModel.predict`, with the calibrated p_off. A reading near the mode has the distribution of the mixture within
+    `OFF_DISTANCE` of it.
 
     Parameters
     ----------
@@ -58,19 +63,31 @@ def draw_readings(
         rows = np.flatnonzero(share < by_cells)
         k = (to_end[rows] > share[rows, None]).sum(axis=1) - 1
         moved_by_noise, is_on = is_off & ~(share < by_cells), is_there & ~is_off
-        left = np.where(  # negative for wide errors, which come first
-            is_on,
-            (number - p_off[i]) * (1.0 - by_noise) - (1.0 - p_off[i]) * (tails[0] - of_width),
-            (share - by_cells) * by_noise - (all_off - by_cells) * of_width,
-        )
+        # negative for wide errors, which come first
+        left = (share - by_cells) * by_noise - (all_off - by_cells) * of_width
         which = (left < 0).astype(np.intp), np.arange(len(left))
         far_end, quantile = exceeds[which], quantiles[i]
-        near = width[which] * ndtri(0.5 * far_end + (1.0 - far_end) * quantile)
         far = width[which] * np.sign(quantile - 0.5) * -ndtri(far_end * np.minimum(quantile, 1.0 - quantile))
         out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
         out[i, moved_by_noise] = mode[moved_by_noise] + far[moved_by_noise]
-        out[i, is_on] = mode[is_on] + near[is_on]
+        if is_on.any():
+            mixture = _mixture_of(table, pose, bearings[is_on], reliability, tails)
+            at = mode[None, is_on]
+            low, high = mixture.cdf(at - OFF_DISTANCE), mixture.cdf(at + OFF_DISTANCE)
+            inside = np.clip(low + (high - low) * quantile[is_on], SMALLEST, 1.0 - SMALLEST)
+            out[i, is_on] = np.clip(mixture.quantile(inside), at - OFF_DISTANCE, at + OFF_DISTANCE)[0]
     return out
+
+
+def _mixture_of(
+    table: CellTable, laser: Floats, bearings: Floats, reliability: Floats, tails: Floats
+) -> Mixture:
+    """Return the mixtures (1, n_rays) of returns at a pose (3,) of the laser, as `CellModel.mixture` does."""
+    means, weights, widths, survival = list_candidates(table, laser[None], bearings, room=2)
+    shape_mixtures(means, weights, widths, table.reach, reliability, tails)
+    return Mixture(
+        means=means, weights=weights, widths=widths, sources=np.full(means.shape, -1), p_no_return=survival,
+    )  # fmt: skip
 
 
 def _spread_near(mode: Floats, r: Floats, w: Floats, sigma: Floats, otherwise: float) -> Floats:
