@@ -154,6 +154,19 @@ def test_every_pair_of_wheels_of_a_plugin_is_amended(amended: Callable[..., str]
     assert "0.441" in amended("m.sdf", skid, effect("wheel_base", s=0.05))
 
 
+def test_the_plugin_of_a_world_is_that_of_the_robot_with_the_laser(amended: Callable[..., str]) -> None:
+    plugin = '<plugin name="d" filename="gz-sim-diff-drive-system"><wheel_radius>0.1</wheel_radius></plugin>'
+    models = "".join(
+        f'<model name="{name}"><link name="base_link">{SDF_LASER}</link>{plugin}</model>'.replace(
+            '"l"', f'"{name}_laser"'
+        )
+        for name in ("a", "b")
+    )
+    text = f'<sdf version="1.8"><world name="w">{models}</world></sdf>'.replace("NOISE", "")
+    new = amended("w.sdf", text, effect("wheel_radius", s=0.2), laser="a_laser")
+    assert re.findall(r"<wheel_radius>([\d.]+)", new) == ["0.12", "0.1"]
+
+
 @pytest.mark.parametrize(
     "noise", ['<noise type="none"><stddev>0.3</stddev></noise>', "<noise><type>none</type></noise>"]
 )

@@ -101,7 +101,10 @@ class _SdfModel:
         found = [node for node in document.all("sensor") if node.get("type") in LASERS]
         chosen = choose([(one.get("name"), one) for one in found], laser, self.links, file)
         self.sensor = None if chosen is None else GazeboSensor(document, chosen)
-        self.plugins = [node for node in document.all("plugin") if is_diff_drive(node)]
+        plugins = [node for node in document.all("plugin") if is_diff_drive(node)]
+        robot = [] if chosen is None else list(_models(chosen))[-1:]
+        own = [node for node in plugins if robot and robot[0] in _models(node)]
+        self.plugins = own or plugins
 
     def shift(self, a: Amendment) -> None:
         """Move the laser."""

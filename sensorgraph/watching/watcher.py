@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,8 @@ class Watcher:
             value = getattr(values, name)
             if value is not None and not np.isfinite(value).all():
                 self._repeat(f"the {words} is not finite", f" at {observation.stamp:.1f} s")
-                values = replace(values, **{name: None})
+                unknown: dict[str, Any] = {name: None}
+                values = replace(values, **unknown)
         return values
 
     def _repeat(self, what: str, first: str) -> None:
