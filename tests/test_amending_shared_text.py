@@ -140,6 +140,16 @@ def test_expressions_of_xacro(expression: str, value: float, amended: Callable[.
     assert 'far="8"' in amended("r.xacro", text, effect("max_range", R=8.0))
 
 
+def test_a_change_applies_to_both_branches_of_an_expression(amended: Callable[..., str]) -> None:
+    text = (
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:property name="high" value="1"/><link name="base_link"/>'
+        '<link name="laser"/><joint name="j" type="fixed"><parent link="base_link"/><child link="laser"/>'
+        '<origin xyz="${0.3 if high else 0.1} 0 0"/></joint></robot>'
+    )
+    new = amended("r.xacro", text, effect("mount_xy", dx=0.01, dy=0.0))
+    assert 'xyz="${(0.3 if high else 0.1) + 0.01} 0 0"' in new
+
+
 def test_every_pair_of_wheels_of_a_plugin_is_amended(amended: Callable[..., str]) -> None:
     wheels = "".join(
         f'<link name="{n}"><collision name="c"><geometry><cylinder><radius>0.1</radius></cylinder></geometry></collision></link>'

@@ -58,6 +58,15 @@ def names_in(expression: str) -> set[str]:
     return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - FUNCTIONS.keys() - {"math"}
 
 
+def is_sum(expression: str) -> bool:
+    """Return whether a number may be added behind an expression without parentheses."""
+    try:
+        tree = ast.parse(expression.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError):
+        return False
+    return not isinstance(tree.body, ast.IfExp | ast.BoolOp | ast.Compare)
+
+
 def _value(node: ast.expr, name: Callable[[str], Any]) -> Any:
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float | str):
         return node.value

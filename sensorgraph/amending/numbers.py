@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from sensorgraph.amending.expressions import PARTS, UnknownNameError, names_in
+from sensorgraph.amending.expressions import PARTS, UnknownNameError, is_sum, names_in
 from sensorgraph.amending.findings import CannotHoldError
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Value
@@ -55,9 +55,10 @@ def put(document: Document, value: Value, new: float, why: Why) -> None:
         inner = text[2:-1] if PARTS.fullmatch(text) and text.startswith("${") else None
         if inner is not None:
             step = number_text(abs(new - old))
+            base = inner if is_sum(inner) else f"({inner})"
             value.file.replace(
                 value.span,
-                f"${{{inner} {'+' if new > old else '-'} {step}}}",
+                f"${{{base} {'+' if new > old else '-'} {step}}}",
                 note(number_text(old), why),
                 value.anchor,
             )
