@@ -1,4 +1,4 @@
-"""Check what a sensor model is asked: readings, poses and rays, with the unit and the count that were probably meant."""
+"""Check the arguments of a sensor model: readings, poses and rays; messages name the unit that was probably meant."""
 
 from __future__ import annotations
 

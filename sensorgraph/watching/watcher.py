@@ -27,7 +27,7 @@ PERIOD = 1.0
 LONGEST_GAP = 5.0
 """[s] without scans after which this is noted."""
 CLOCK_JUMP = 86_400.0
-"""[s] A longer time without scans is a jump of the clock: nobody watches a robot that stands for days."""
+"""[s] A longer time without scans is a jump of the clock."""
 MARGIN = 2.0
 """[m] around the surfaces of the graph in which changes are collected."""
 PRECISE = 0.1
