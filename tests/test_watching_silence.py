@@ -134,6 +134,14 @@ def test_the_next_step_can_be_pasted(tmp_path: Path) -> None:
     assert "sensorgraph record --live -o run.mcap && " in step(WatchSummary(None, graph), faults=(fault,))
 
 
+@pytest.mark.parametrize("value", [50, float("nan")])
+def test_a_limit_that_can_never_be_met_is_refused(value: float, tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    save_policy(path, WatchPolicy(share_predicted={"warning": value, "error": 0.3}))
+    with pytest.raises(SensorgraphError, match="`share_predicted` of warning is"):
+        load_policy(path)
+
+
 def test_a_misspelt_fault_in_a_policy_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
     save_policy(path, WatchPolicy())

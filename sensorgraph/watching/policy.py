@@ -223,8 +223,8 @@ def load_policy(path: Path) -> WatchPolicy:
             raise SensorgraphError(f"{path}: there is no fault `{min(unknown)}`; did you mean `{near}`?")
         return WatchPolicy(
             hours=float(data["hours"]),
-            p_wrong={level: float(data["pose"]["p_wrong"][level]) for level in LEVELS[1:]},
-            share_predicted={level: float(data["place"]["share_predicted"][level]) for level in LEVELS[1:]},
+            p_wrong=_shares(path, "p_wrong", data["pose"]["p_wrong"]),
+            share_predicted=_shares(path, "share_predicted", data["place"]["share_predicted"]),
             n_changes=int(data["place"]["n_changes"]),
             baseline={
                 str(name): Baseline(value=float(one["value"]), tolerance=float(one["tolerance"]))
@@ -239,3 +239,17 @@ def load_policy(path: Path) -> WatchPolicy:
         raise SensorgraphError(
             f"{path} is no policy of watch ({reason}); make one with watch GRAPH --init-policy RUN... -o FILE"
         ) from exc
+
+
+def _shares(path: Path, name: str, data: Mapping[str, Any]) -> dict[str, float]:
+    """Return the probabilities or shares of both levels.
+
+    Raises
+    ------
+    SensorgraphError : One is not between 0 and 1, and so would never or always be exceeded.
+    """
+    values = {level: float(data[level]) for level in LEVELS[1:]}
+    for level, value in values.items():
+        if not 0.0 <= value <= 1.0:
+            raise SensorgraphError(f"{path}: `{name}` of {level} is {value:g}, expected 0 to 1")
+    return values
