@@ -197,6 +197,11 @@ def test_a_nested_model_turns_its_laser(amended: Callable[..., str]) -> None:
     )
     new = amended("m.sdf", text.replace("NOISE", ""), effect("mount_xy", dx=0.01, dy=0.0))
     assert "<pose>0 -0.01 0.05 0 0 0</pose>" in new
+    text = text.replace(
+        'degrees="true">0 0 0 0 0 90', 'rotation_format="quat_xyzw">0 0 0 0 0 0.70710678 0.70710678'
+    )
+    new = amended("m.sdf", text.replace("NOISE", ""), effect("mount_xy", dx=0.01, dy=0.0))
+    assert "<pose>0 -0.01 0.05 0 0 0</pose>" in new
 
 
 def test_a_pose_that_a_file_lacks_is_added_once(amended: Callable[..., str]) -> None:

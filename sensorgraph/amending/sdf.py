@@ -7,11 +7,12 @@ import re
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
 from sensorgraph.amending.numbers import number, put
-from sensorgraph.amending.place import NewPose, numbers_text, rotation, shift, triple, turn
+from sensorgraph.amending.place import NewPose, known, numbers_text, rotation, shift, triple, turn
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.max_range import MAX_RANGE
@@ -188,6 +189,13 @@ class _SdfModel:
         turned = np.eye(3)
         if pose is not None and pose.text is not None:
             unit = math.pi / 180 if pose.get("degrees") == "true" else 1.0
+            if pose.get("rotation_format") == "quat_xyzw":
+                quaternion = [known(one) for one in pose.text.tokens()[3:7]]
+                if len(quaternion) < 4 or not any(quaternion):
+                    raise CannotHoldError(f"the quaternion of `{frame.get('name')}` is not a rotation")
+                return np.asarray(
+                    self._rotation(parent, depth + 1) @ Rotation.from_quat(quaternion).as_matrix()
+                )
             turned = rotation([unit * value for value in triple(pose.text.tokens()[3:])])
         return np.asarray(self._rotation(parent, depth + 1) @ turned)
 

@@ -248,7 +248,7 @@ def _shares(path: Path, name: str, data: Mapping[str, Any]) -> dict[str, float]:
     ------
     SensorgraphError : One is not between 0 and 1, and so would never or always be exceeded.
     """
-    values = {level: float(data[level]) for level in LEVELS[1:]}
+    values: dict[str, float] = {level: float(data[level]) for level in LEVELS[1:]}
     for level, value in values.items():
         if not 0.0 <= value <= 1.0:
             raise SensorgraphError(f"{path}: `{name}` of {level} is {value:g}, expected 0 to 1")
