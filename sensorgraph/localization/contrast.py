@@ -4,7 +4,7 @@ From scan i to the first scan j that is `SPAN` later, the located poses move by 
 identified wheels, by b. The contrast is inv(b) ∘ a; its standard deviation is that of the odometry for the longer of the two
 motions.
 
-A laser that is mounted d [m] beside its stated place moves, while the robot turns by θ, by (I - R(-θ)) d in addition. This is
+A laser that is mounted d [m] away from its stated place moves, while the robot turns by θ, by (I - R(-θ)) d in addition. This is
 linear in d, which a robust regression estimates first.
 """
 

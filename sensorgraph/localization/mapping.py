@@ -34,7 +34,7 @@ MIN_VARIANCE = 1e-8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlacedScans:
-    """Scans matched to the refined map, each by itself."""
+    """Scans that are matched to the refined map one by one."""
 
     poses: Floats
     """(n_scans, 3) [m, m, rad]"""

@@ -60,7 +60,7 @@ class Mode:
         )
 
     def unconfirmed(self, distance: float) -> float:
-        """Return how far the mode may be a place that only resembles the true one, 0 to 1.
+        """Return the share (0 to 1) in which the mode may be a place that only resembles the true one.
 
         It is confirmed by `distance` [m] over which it was the probable one, or by the robot's belief.
         """
