@@ -66,6 +66,24 @@ class Mode:
         """
         return 0.0 if self.is_belief else 1.0 - self.followed / distance
 
+    def parts(self) -> Floats:
+        """Return the middles (7, 3) of equal parts of the distribution, each of a quarter of its covariance.
+
+        They are the mean and two points on each axis of the covariance; together, the parts have its covariance.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        steps = math.sqrt(0.75 * 7 / 2) * np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        return np.asarray(self.pose + np.concatenate([np.zeros((1, 3)), steps, -steps]))
+
+    def weighted(self, log_weights: Floats) -> Mode:
+        """Return the mode with its parts weighted by logarithms (7,)."""
+        weights = np.exp(log_weights - log_weights.max())
+        off = self.parts() - self.pose
+        mean = weights @ off / weights.sum()
+        apart = off - mean
+        covariance = 0.25 * self.covariance + (weights[:, None] * apart).T @ apart / weights.sum()
+        return replace(self, pose=self.pose + mean, covariance=covariance)
+
     def is_at(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
         """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
         way, turn = apart(self.pose, pose)

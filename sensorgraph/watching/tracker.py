@@ -1,7 +1,8 @@
 """Track a robot in the place of a graph as several possible poses, and "elsewhere", with probabilities.
 
 Each possible pose (a mode) is a normal distribution, which the odometry moves and a match of the scan to the surfaces of
-the graph corrects. The evidence of the readings (`readings`) weighs the modes against "elsewhere", where readings are as
+the graph corrects. Where the scan matches no surfaces, the evidence of the readings corrects it: the mode is a mixture of
+seven parts, which the readings weigh. Their evidence also weighs the modes against "elsewhere", where readings are as
 anywhere in the place. A robot is carried away at a known rate. This is a hidden Markov model; its probabilities are the
 result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
 place could gain. A new mode has the prior of one among all places that can be told apart.
@@ -186,6 +187,7 @@ class PoseTracker:
                 now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
             )
             return
+        self.modes = [mode if mode.is_matched else self._corrected(mode, now) for mode in self.modes]
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
         first = int(np.argmax([mode.score for mode in self.modes]))
         new = self.modes[first].unconfirmed(s.confirmed)
@@ -194,6 +196,12 @@ class PoseTracker:
         self.modes = weighed(self.modes, found, self._share(now), now.weight, stay, s)
         self._normalise()
         self._count_missing(now)
+
+    def _corrected(self, mode: Mode, now: ScanInput) -> Mode:
+        """Correct a mode by the evidence of the readings, where the scan matches no surfaces."""
+        found = self._evidence(now, mode.parts())
+        ratios = found.ratios[:, found.known.all(axis=0)]
+        return mode.weighted(now.weight * self._share(now) * ratios.sum(axis=1))
 
     def _evidence(self, now: ScanInput, poses: Floats) -> ReadingEvidence:
         """Return the evidence of the usable readings of a scan at poses (n, 3)."""
