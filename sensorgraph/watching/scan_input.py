@@ -81,6 +81,13 @@ def odometry_step(
     return dt, step, floor + scale, False
 
 
+def new_share(step: Floats, slip: Floats, dt: float, priors: TrackingPriors) -> float:
+    """Return the share of new evidence in a scan after a step and slip (3,) [m, m, rad] in a time [s]; 0 to 1."""
+    way = float(np.hypot(*step[:2]) + np.hypot(*slip[:2])) / priors.independent_distance
+    turn = float(abs(step[2]) + slip[2]) / priors.independent_turn
+    return min(way + turn + dt / priors.independent_period, 1.0)
+
+
 def apart(a: Floats, b: Floats) -> tuple[float, float]:
     """Return the distance [m] and the turn [rad] between two poses (3,)."""
     return float(np.hypot(*(a - b)[:2])), float(abs(wrap(a[2] - b[2])))

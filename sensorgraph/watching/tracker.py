@@ -36,6 +36,7 @@ from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
     moved_covariance,
+    new_share,
     odometry_step,
     points_of,
     view_of,
@@ -67,8 +68,7 @@ class PoseTracker:
         self.limit = 0.5 * self.log_places
         """[nats] Missing evidence from which a search is worthwhile; it doubles with each search in vain."""
         self.kept: deque[ScanInput] = deque(maxlen=priors.n_kept)
-        self.drift = np.zeros(3)
-        self.velocity = np.zeros(3)
+        self.drift, self.velocity = np.zeros(3), np.zeros(3)
         self.error, self.slip = np.zeros(3), np.zeros(3)
         """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
         self.n_searches = 0
@@ -115,13 +115,9 @@ class PoseTracker:
             self.missing = math.inf
         scan = points_of(self.readings.sensor, observation, self.velocity)
         slip = self.slip * dt
-        way, turn = float(np.hypot(*step[:2]) + np.hypot(*slip[:2])), float(abs(step[2]) + slip[2])
-        weight = min(
-            way / s.independent_distance + turn / s.independent_turn + dt / s.independent_period, 1.0
-        )
-        first = self._last is None
+        weight = 1.0 if self._last is None else new_share(step, slip, dt, s)
         self._last, self.drift = observation, compose(self.drift, step)
-        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=1.0 if first else weight)
+        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=weight)
         before = self.main
         expected = np.hypot(deviations, slip)
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
@@ -148,8 +144,8 @@ class PoseTracker:
             for other in (mode.pose, compose(mode.pose, self.velocity * min(dt, 0.5))):
                 wide = covariance + np.diag(np.asarray(self.priors.start_deviations) ** 2)
                 found = found or matched(self.place, other, wide, now)
-        way = float(np.hypot(step[0], step[1]))
-        return corrected(replace(mode, pose=pose, covariance=covariance, moved=way), found)
+        moved = replace(mode, pose=pose, covariance=covariance, moved=float(np.hypot(step[0], step[1])))
+        return corrected(moved, found)
 
     def _add_belief(self, now: ScanInput) -> None:
         """Add the pose that the robot believes, if no mode is there."""
@@ -183,9 +179,8 @@ class PoseTracker:
         self.elsewhere = math.log(math.exp(self.elsewhere) + carried * inside)
         stay = -s.carried * dt  # log(1 - carried), also after a jump of the clock by years
         if not self.modes:
-            self.missing += (
-                now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
-            )
+            n = self.readings.n_independent(now.observation.ranges)
+            self.missing += now.weight * self.usual * n + 1.0
             return
         self.modes = [mode if mode.is_matched else self._corrected(mode, now) for mode in self.modes]
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
