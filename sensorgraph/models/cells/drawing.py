@@ -41,7 +41,8 @@ def draw_readings(
     p_off = np.interp(summaries[..., P_OFF], KNOTS, reliability)
     quantiles = ndtr(normal)
     for i, pose in enumerate(lasers):
-        r, w, sigma, survival = (part[0] for part in list_candidates(table, pose[None], bearings))
+        # room for the mixture of the readings near the mode, whose candidates may be split
+        r, w, sigma, survival = (part[0] for part in list_candidates(table, pose[None], bearings, room=2))
         mode = summaries[i, :, MODE]
         here = _spread_near(mode, r, w, sigma, table.rough)
         width = tails[1:, None] * here  # (2, n_rays) of narrow and wide errors
@@ -71,7 +72,8 @@ def draw_readings(
         out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
         out[i, moved_by_noise] = mode[moved_by_noise] + far[moved_by_noise]
         if is_on.any():
-            mixture = _mixture_of(table, pose, bearings[is_on], reliability, tails)
+            means, weights, widths = r[None, is_on], w[None, is_on], sigma[None, is_on]
+            mixture = _mixture_of(means, weights, widths, survival[None, is_on], table, reliability, tails)
             at = mode[None, is_on]
             low, high = mixture.cdf(at - OFF_DISTANCE), mixture.cdf(at + OFF_DISTANCE)
             inside = np.clip(low + (high - low) * quantile[is_on], SMALLEST, 1.0 - SMALLEST)
@@ -80,10 +82,15 @@ def draw_readings(
 
 
 def _mixture_of(
-    table: CellTable, laser: Floats, bearings: Floats, reliability: Floats, tails: Floats
+    means: Floats,
+    weights: Floats,
+    widths: Floats,
+    survival: Floats,
+    table: CellTable,
+    reliability: Floats,
+    tails: Floats,
 ) -> Mixture:
-    """Return the mixtures (1, n_rays) of returns at a pose (3,) of the laser, as `CellModel.mixture` does."""
-    means, weights, widths, survival = list_candidates(table, laser[None], bearings, room=2)
+    """Return the mixtures (1, n_rays) of returns of candidates, shaped in place, as `CellModel.mixture` does."""
     shape_mixtures(means, weights, widths, table.reach, reliability, tails)
     return Mixture(
         means=means, weights=weights, widths=widths, sources=np.full(means.shape, -1), p_no_return=survival,
