@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from logs.transforms import wrap
 from sensorgraph.localization.line_map import LineMap
-from sensorgraph.localization.wheels import WheelEstimate
+from sensorgraph.localization.wheels import WheelEstimate, slip_of
 from sensorgraph.types import Floats
 
 
@@ -49,7 +48,5 @@ class TrackerState:
         """
         if deviations is None or self.wheels is None:
             return
-        size = np.abs([off[0], off[1], wrap(off[2])])
         noise = np.sqrt(np.maximum(deviations**2 - (self.slip * since) ** 2, 0.0))
-        is_slip = bool((size > self.wheels.settings.outlier * noise).any())
-        self.slip = size / since if is_slip else np.zeros(3)
+        self.slip = slip_of(off, noise, self.wheels.settings) / since

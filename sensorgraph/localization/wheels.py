@@ -54,7 +54,7 @@ class WheelEstimate:
         way = float(signed_distance(step))
         sd = self.deviations(abs(way), float(step[2]))
         off = measured - self.corrected(step)
-        if (np.abs([off[0], off[1], wrap(off[2])]) > self.settings.outlier * sd).any():
+        if slip_of(off, sd, self.settings).any():
             return
         weight = sd[0] ** -2
         self._way_information += weight * step[0] ** 2
@@ -65,6 +65,18 @@ class WheelEstimate:
         self._turn_information += weight * np.outer(row, row)
         self._turn_moment += weight * row * measured[2]
         self.turn_scale, self.heading_bias = np.linalg.solve(self._turn_information, self._turn_moment)
+
+
+def slip_of(off: Floats, deviations: Floats, settings: WheelSettings = WHEELS) -> Floats:
+    """Return the size (3,) [m, m, rad] of an error of the odometry; zeros if all of it may be noise.
+
+    Parameters
+    ----------
+    off : (3,) [m, m, rad] From the predicted pose to the measured one.
+    deviations : (3,) Standard deviations of the prediction.
+    """
+    size = np.abs([off[0], off[1], wrap(off[2])])
+    return np.asarray(size if (size > settings.outlier * deviations).any() else np.zeros(3))
 
 
 def signed_distance(steps: Floats) -> Floats:

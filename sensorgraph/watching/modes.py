@@ -12,7 +12,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.matching import Match, match
-from sensorgraph.localization.settings import WHEELS
+from sensorgraph.localization.wheels import slip_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.scan_input import ScanInput, apart
@@ -32,7 +32,7 @@ class Mode:
     number: int
     """Number that stays while the mode is followed."""
     is_belief: bool = False
-    """Whether this is the pose that the robot believes and the tracking does not."""
+    """Whether the robot's belief supports it: it was added as the believed pose, and still is near it."""
     is_matched: bool = False
     """Whether the last scan was matched to the surfaces."""
     answered: float = 0.0
@@ -132,8 +132,7 @@ def error_of_step(
     if before is None or after is None or after.number != before.number or not after.is_matched or dt <= 0:
         return np.zeros(3)
     off = compose(invert(compose(before.pose, step)), after.pose)
-    size = np.abs([off[0], off[1], wrap(off[2])])
-    return np.asarray(size / dt if (size > WHEELS.outlier * deviations).any() else np.zeros(3))
+    return slip_of(off, deviations) / dt
 
 
 def weighed(
