@@ -128,9 +128,7 @@ def _smoothed(tracked: ScanTrack, placed: _PlacedScans, *, has_odometry: bool) -
     information[~placed.matched] = 0.0
     breaks = ~tracked.is_continuous
     if has_odometry:  # it measures the motion, except across its jumps and while the robot is carried
-        is_lost = (np.diff(tracked.piece) > 0) & ~tracked.is_carried
-        left = np.clip(np.searchsorted(tracked.key_frames, np.arange(len(poses))) - 1, 0, None)
-        breaks &= np.append(is_lost, False)[left]
+        breaks &= tracked.within((np.diff(tracked.piece) > 0) & ~tracked.is_carried)
         breaks[list(tracked.jumps)] = True
     breaks |= placed.missed
     breaks[1:] |= placed.missed[:-1]
@@ -186,8 +184,7 @@ def _placed_again(
     poses, own, matched = placed.poses.copy(), placed.own.copy(), placed.matched.copy()
     matching = MATCH.for_spacing(scans.spacing)
     deviations = np.sqrt(np.einsum("nii->ni", smoothed.covariances)[:, :2].max(axis=1))
-    left = np.clip(np.searchsorted(tracked.key_frames, np.arange(len(poses))) - 1, 0, None)
-    is_between = np.append(np.diff(tracked.piece) == 0, False)[left]
+    is_between = tracked.within(np.diff(tracked.piece) == 0)
     for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)).tolist():
         if is_covered(scans, k):
             continue

@@ -42,6 +42,11 @@ class ScanTrack:
     matched."""
     wheels: WheelEstimate | None
 
+    def within(self, steps: Bools) -> Bools:
+        """Tell which scans (n_scans,) lie within some of the steps (n_key - 1,) from key frame to key frame."""
+        left = np.clip(np.searchsorted(self.key_frames, np.arange(len(self.poses))) - 1, 0, None)
+        return np.append(steps, False)[left]
+
 
 def points_in(scans: ScanPoints, chosen: list[int] | Ints, poses: Floats) -> tuple[Floats, Floats]:
     """Return points and normals (n, 2) of some scans, transformed by their poses (n_chosen, 3)."""
