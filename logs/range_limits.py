@@ -26,7 +26,7 @@ LONGEST_BLIND = 1.0
 
 
 def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> tuple[float, str]:
-    """Return range_min [m] as it is used, and a note; 0 if the limit is none, or if most readings are below it.
+    """Return range_min [m] as it is used, and a note; 0 without a limit, or if most readings are below it.
 
     Parameters
     ----------

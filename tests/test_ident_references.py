@@ -10,6 +10,7 @@ import pytest
 from ident_samples import CUBIC, MAO_BILLINGS, PIRODDI_SPINELLI, simulate, slow_input, white_input
 from scipy.signal import butter, lfilter
 
+from logs.formats.text import parses_as_number
 from robotmodic_ident import Terms, fit, halves, lags, polynomial, scores
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "data" / "narmax-reference"
@@ -149,16 +150,8 @@ def test_benchmark_systems_of_structure_detection(truth, source, sigma) -> None:
 def column(name: str, index: int | None = None) -> np.ndarray:
     with gzip.open(REFERENCE / name, "rt") as file:
         rows = [line.replace(",", " ").split() for line in file]
-    numbers = [row for row in rows if row and _is_number(row[0])]
+    numbers = [row for row in rows if row and parses_as_number(row[0])]
     return np.array([float(row[index or 0]) for row in numbers])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 @needs_data

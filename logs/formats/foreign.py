@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from logs.formats.text import is_number
+from logs.formats.text import parses_as_number
 from logs.inflation import LZ4_MAGIC, ZSTD_MAGIC
 from logs.types import Floats
 
@@ -101,8 +101,8 @@ def _described_table(lines: list[str]) -> str:
     if len(numbers) and _are_poses(numbers):
         return f"a trajectory ({TRAJECTORIES[numbers.shape[1]]}), without scans; {GIVE_LOG}"
     names, *cells = [[cell.strip() for cell in row] for row in csv.reader([*lines[:1], *lines[-1:]])] or [[]]
-    is_header = len(names) > 2 and all(names) and not any(map(is_number, names))
-    if is_header and len(names) == len(cells[0]) and any(map(is_number, cells[0])):
+    is_header = len(names) > 2 and all(names) and not any(map(parses_as_number, names))
+    if is_header and len(names) == len(cells[0]) and any(map(parses_as_number, cells[0])):
         more = ", ..." if len(names) > MAX_COLUMNS else ""
         return (
             f"a table without ranges (its columns are {', '.join(names[:MAX_COLUMNS])}{more}); give one with the columns "

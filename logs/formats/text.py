@@ -74,7 +74,7 @@ def read_lines(path: Path) -> list[str]:
     return decoded(data).splitlines()
 
 
-def is_number(text: str) -> bool:
+def parses_as_number(text: str) -> bool:
     """Tell whether a cell of a table is a number."""
     try:
         float(text)

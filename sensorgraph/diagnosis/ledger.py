@@ -29,8 +29,8 @@ def check_name(name: str) -> None:
 
     Raises
     ------
-    SensorgraphError
-        The message has the nearest names.
+    UnknownHypothesisError
+        The message has the nearest names, and all.
     """
     families = (name for channel in ("scan", *FAMILIES_OF) for name in families_of(channel))
     check_known(name, [*EFFECTS, *families, UNLISTED])

@@ -17,7 +17,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import table
-from logs.formats.text import first_bytes, is_number, read_lines
+from logs.formats.text import first_bytes, parses_as_number, read_lines
 from logs.run import RangeSensor, Run, pair
 from planners.arena import wrap
 from robotmodic_ident import Record
@@ -239,7 +239,7 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not numbered:
         raise SensorgraphError(f"{path} is empty; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
-    if all(is_number(cell) for cell in header):
+    if all(parses_as_number(cell) for cell in header):
         raise SensorgraphError(
             f"{path}: the first line has numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
         )
