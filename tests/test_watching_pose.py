@@ -11,9 +11,12 @@ from watching_samples import believing, graph
 
 import sensorgraph as sg
 from logs.run import Run
+from sensorgraph.watching.kept_scans import KeptScans
 from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
+from sensorgraph.watching.scan_input import changed_share, view_of
+from sensorgraph.watching.settings import TRACKING
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.tracker import PoseTracker
 from sensorgraph.watching.watcher import Watcher
@@ -70,6 +73,45 @@ def test_a_robot_that_was_carried_is_found_where_it_is() -> None:
     assert np.hypot(*(end.pose - there[-1])[:2]) < 0.1
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.04])
+def test_a_carried_robot_is_said_within_two_seconds_whether_it_stands_or_turns(turned: float) -> None:
+    poses = loop_poses(60)
+    there = np.column_stack(
+        [np.full(30, CARRIED[0]), np.full(30, CARRIED[1]), CARRIED[2] + turned * np.arange(30)]
+    )
+    before, after = room_run(poses, seed=9), room_run(there, seed=10)
+    moved = np.column_stack([np.zeros((30, 2)), turned * np.arange(30)])
+    run = replace(
+        room_run(np.concatenate([poses, there]), seed=9), ranges=np.concatenate([before.ranges, after.ranges]),
+        odometry=np.concatenate([before.odometry, before.odometry[-1] + moved]),
+    )  # fmt: skip
+    said = list(sg.watch(graph(), believing(run, np.concatenate([poses, poses[-1] + moved]))))
+    wrong = [status.t for status in said if status.pose.status in ("off", "lost")]
+    assert wrong and 12.0 <= wrong[0] < 14.2
+
+
+def test_a_search_leaves_out_the_scans_from_before_the_tracking_failed() -> None:
+    poses = loop_poses(60)[:3]
+    tracker = PoseTracker(graph(), GraphReadings(graph(), graph().sensor))
+    first, second, third = (
+        replace(tracker.update(one), drift=np.array([k, 0.0, 0.0]))
+        for k, one in enumerate(observations(believing(room_run(poses), poses)))
+    )
+    kept = KeptScans(TRACKING)
+    kept.add(first, fits=True)
+    kept.add(second, fits=False)
+    assert np.array_equal(kept.view().points, view_of([second]).points)
+    kept.add(third, fits=True)
+    assert np.array_equal(kept.view().points, view_of([first, second, third]).points)
+
+
+def test_what_changed_since_the_last_scan_is_counted_over_the_readings_of_both() -> None:
+    before = np.array([1.0, 2.0, np.inf, np.inf, np.nan, 3.0])
+    now = np.array([1.1, 2.5, np.inf, 4.0, 1.0, np.nan])
+    assert changed_share(before, now, 0.15) == 2 / 4
+    assert changed_share(before[4:], now[4:], 0.15) == 0.0
+
+
 def test_without_a_belief_the_robot_is_found() -> None:
     poses = loop_poses(60)
     end = last(room_run(poses, seed=6))
@@ -114,6 +156,12 @@ def test_where_the_graph_knows_nothing_disagreement_is_no_evidence_but_agreement
     for _ in range(3):
         known = judge.p_off(1e-6)
     assert known > 0.9
+    fresh = PoseJudge(tracker)
+    prior = fresh.p_off(
+        TRACKING.belief
+    )  # the small prior of a belief that the tracking contradicts is no evidence
+    assert prior == pytest.approx(PoseJudge(tracker).p_off(0.5), abs=1e-9)
+    assert fresh.p_off(1e-9, offset=(2.0, 0.0)) > 0.9  # no error of a stamp reaches 2 m: said at once
     assert judge.p_off(1.0, known=0.0) < known
 
 

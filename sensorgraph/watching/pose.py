@@ -96,8 +96,9 @@ class PoseStatement:
 class PoseJudge:
     """Judges the believed pose by a tracker, once for each statement.
 
-    Whether the belief is right is a state that persists (a hidden Markov model). One statement counts at most
-    `most_of_one` nats, since errors of stamps and of the belief last for some scans.
+    Whether the belief is right is a state that persists (a hidden Markov model). Errors of stamps and of the belief last
+    for some scans, as a normal distribution with the tolerance as standard deviation. So one statement counts at most
+    `most_of_one` nats, and more only for an offset that such an error does not reach.
     """
 
     def __init__(self, tracker: PoseTracker, priors: TrackingPriors = TRACKING) -> None:
@@ -112,19 +113,23 @@ class PoseJudge:
         self.before = found.status
         return found
 
-    def p_off(self, p_near: float, known: float = 1.0) -> float:
+    def p_off(self, p_near: float, known: float = 1.0, offset: tuple[float, float] = (0.0, 0.0)) -> float:
         """Return the probability that the belief is off, after a statement that it is near with a probability.
+
+        The tracker gives a belief that contradicts it a small prior; only what the readings add to it is evidence.
 
         Parameters
         ----------
         known : How far the graph knows the surroundings, 0 to 1; 0 where the scan is not matched. There the tracked pose
             drifts: if it leaves the belief, this is no evidence, but if both agree, it is.
+        offset : [m, rad] From the belief to the most probable mode.
         """
         s = self.priors
-        nats = math.log(max(1.0 - p_near, 1e-9) / max(p_near, 1e-9))
-        nats = min(max(nats, -s.most_of_one), s.most_of_one)
-        self.odds += known * nats if nats > 0 else nats
-        self.odds = min(max(self.odds, -s.right), s.right)
+        nats = math.log(max(1.0 - p_near, 1e-12) / max(p_near, 1e-12))
+        if nats > 0:
+            lasting = 0.5 * ((offset[0] / s.tolerance[0]) ** 2 + (offset[1] / s.tolerance[1]) ** 2)
+            nats = known * min(max(nats + math.log(s.belief), 0.0), s.most_of_one + lasting)
+        self.odds = min(max(self.odds + max(nats, -s.most_of_one), -s.right), s.right)
         return float(expit(self.odds))
 
 
@@ -146,14 +151,15 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         mode for mode, p in zip(modes, probabilities, strict=True)
         if mode is not main and p > RIVAL * best
     ]  # fmt: skip
-    p_ok = best
+    p_ok, offset = best, (0.0, 0.0)
     is_known = main.answered >= priors.answered and main.alone < priors.alone
     if believed is not None:
         moved = np.abs(tracker.velocity) * priors.stamp
         near = [_p_near(mode, believed, moved, priors) for mode in modes]
         p_near = float(probabilities @ near) / max(1.0 - p_lost, 1e-9)
         known = min(main.answered / priors.answered, 1.0) if main.is_matched else 0.0
-        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known))
+        offset = apart(main.pose, believed)
+        p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known, offset))
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
     p = p_ok
@@ -169,7 +175,6 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         and before not in ("off", "ambiguous")
     ):
         status, p = "ok", p_ok  # nothing that the graph knows is in sight: no news
-    offset = (0.0, 0.0) if believed is None else apart(main.pose, believed)
     return PoseStatement(
         status=status, p=min(p, 1.0), pose=main.pose, deviations=np.sqrt(np.diag(main.covariance)), offset=offset,
         rivals=np.array([mode.pose for mode in others]).reshape(-1, 3), is_known_place=is_known,

@@ -27,6 +27,10 @@ class ScanInput:
     """(3,) base_link in the frame of the dead reckoning."""
     weight: float
     """Share of new evidence, 0 to 1: scans from one place see the same surfaces."""
+    changed: float = 0.0
+    """Share of readings that differ from the last scan that was used."""
+    fits: bool = True
+    """Whether its readings have about the usual evidence at the most probable mode."""
 
 
 def points_of(sensor: RangeSensor, observation: Observation, velocity: Floats) -> ScanPoints:
@@ -79,6 +83,14 @@ def odometry_step(
         return dt, np.zeros(3), floor + 1.0, True
     scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
     return dt, step, floor + scale, False
+
+
+def changed_share(before: Floats, now: Floats, least: float) -> float:
+    """Return the share of readings (n_rays,) [m] that differ from the scan before by at least a distance [m]."""
+    both = ~(np.isnan(before) | np.isnan(now))
+    with np.errstate(invalid="ignore"):
+        same = (np.abs(before - now) < least) | (before == now)
+    return float((both & ~same).sum() / max(both.sum(), 1))
 
 
 def new_share(step: Floats, slip: Floats, dt: float, priors: TrackingPriors) -> float:

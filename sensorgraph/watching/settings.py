@@ -48,7 +48,7 @@ class TrackingPriors:
     right: float = 4.0
     """[nats] Log-odds that a belief is right, at most: those of one error in a minute."""
     most_of_one: float = 3.0
-    """[nats] Evidence of one statement about the belief, at most."""
+    """[nats] Evidence of one statement about a belief within the tolerance, at most."""
     place_size: tuple[float, float] = (0.1, 0.05)
     """[m, rad] Sides of the cells that count as different places."""
     odometry_floor: tuple[float, float, float] = (0.005, 0.005, 0.003)

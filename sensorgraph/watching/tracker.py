@@ -14,7 +14,6 @@ mode. So a robot that drives outside what the graph knows goes on by odometry, w
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 from itertools import count
 
@@ -26,22 +25,25 @@ from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import find_places
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.known_map import known_map
-from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.seen_space import seen_by_graph
 from sensorgraph.types import Bools, Floats
+from sensorgraph.watching.kept_scans import KeptScans
 from sensorgraph.watching.modes import Mode, corrected, error_of_step, matched, velocity_of, weighed
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
+    changed_share,
     moved_covariance,
     new_share,
     odometry_step,
     points_of,
-    view_of,
 )
-from sensorgraph.watching.settings import TRACKING, TrackingPriors
+from sensorgraph.watching.settings import PLACE, TRACKING, TrackingPriors
+
+FITTING = 0.7
+"""Share of the usual evidence above which readings fit a pose."""
 
 
 class PoseTracker:
@@ -67,7 +69,7 @@ class PoseTracker:
         """[nats] Evidence that another place could add since the scans fit less well than usual."""
         self.limit = 0.5 * self.log_places
         """[nats] Missing evidence from which a search is worthwhile; it doubles with each search in vain."""
-        self.kept: deque[ScanInput] = deque(maxlen=priors.n_kept)
+        self.kept = KeptScans(priors)
         self.drift, self.velocity = np.zeros(3), np.zeros(3)
         self.error, self.slip = np.zeros(3), np.zeros(3)
         """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
@@ -115,9 +117,12 @@ class PoseTracker:
             self.missing = math.inf
         scan = points_of(self.readings.sensor, observation, self.velocity)
         slip = self.slip * dt
-        weight = 1.0 if self._last is None else new_share(step, slip, dt, s)
+        weight, changed = 1.0, 0.0
+        if self._last is not None:  # a robot that stands and sees something else was carried
+            changed = changed_share(self._last.ranges, observation.ranges, PLACE.least_difference)
+            weight = max(new_share(step, slip, dt, s), changed)
         self._last, self.drift = observation, compose(self.drift, step)
-        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=weight)
+        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=weight, changed=changed)
         before = self.main
         expected = np.hypot(deviations, slip)
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
@@ -125,7 +130,8 @@ class PoseTracker:
             self.modes = [mode.without_belief(observation.believed, s.tolerance) for mode in self.modes]
         self._add_belief(now)
         self._weigh(now, dt)
-        self._keep(now)
+        main = self.main
+        self.kept.add(now, fits=main is not None and main.evidence > FITTING * self.usual)
         if self.missing > self.limit:
             self._search()
         self._prune()
@@ -213,24 +219,12 @@ class PoseTracker:
         main, s = self.main, self.priors
         assert main is not None
         n = self.readings.n_independent(now.observation.ranges) * main.answered
-        self.missing = max(self.missing + now.weight * n * (0.7 * self.usual - main.evidence), 0.0)
+        self.missing = max(self.missing + now.weight * n * (FITTING * self.usual - main.evidence), 0.0)
         if self.missing == 0.0:
             self.limit = 0.5 * self.log_places
         if math.exp(main.score) > 0.99 and main.answered > 0.5 and main.is_matched:
             share = min(now.weight * s.independent_distance / s.usual_distance, 1.0)
             self.usual += share * (main.evidence - self.usual)
-
-    def _keep(self, now: ScanInput) -> None:
-        """Keep a scan for searches, if it is apart from the last one that was kept."""
-        if len(now.scan.points) < MAP_TRACKING.min_points:
-            return
-        if now.observation.odometry is None:
-            self.kept.clear()
-        if self.kept:
-            way, turn = apart(self.kept[-1].drift, now.drift)
-            if way < self.priors.keep_distance and turn < self.priors.keep_turn:
-                return
-        self.kept.append(now)
 
     def _search(self) -> None:
         """Search the surroundings of the most probable mode, or the whole place, for other modes."""
@@ -240,15 +234,14 @@ class PoseTracker:
         if not self.kept:
             return
         main, window = self.main, None
-        last = self.kept[-1].drift
+        last = self.kept.last_drift
         if main is not None and self.n_searches % 2 == 0:
             pose = compose(main.pose, compose(invert(self.drift), last))
             spread = 3.0 * np.sqrt(np.diag(main.covariance))
             window = SearchWindow.around(
                 pose, half_xy=max(0.5, float(spread[:2].max())), half_phi=max(0.2, float(spread[2]))
             )
-        view = view_of(list(self.kept))
-        found = find_places(view, self.place, window=window)
+        found = find_places(self.kept.view(), self.place, window=window)
         ahead = compose(invert(last), self.drift)
         for pose in found.poses[: self.priors.n_modes]:
             self._add_found(compose(pose, ahead))
