@@ -3,6 +3,7 @@
     python -m benchmarks.amend -o DIR [--seeds 4]
 
 A user's MJCF and the "real" robot differ by hidden numbers: laser mount, wheel radii, wheelbase, lag and dead time.
+robot.yaml describes the MJCF. The lag that its velocity servo adds is measured by a step, and stated as dead time.
 The real robot drives in the shipped square arena. `diagnose` gets its run, the map and the user's robot.yaml, and
 `amend` writes what it found into the user's MJCF. All three models then repeat another drive of the real robot,
 with its commands:
@@ -34,6 +35,7 @@ sensor: {mount: [0.1, 0.0, 0.0], n_rays: 181, range_max: 8.0, sigma: 0.01, rate:
 wheels: {radius: 0.10, base: 0.40, rate: 20}
 actuators: {tau: 0.1, delay: 0.0}
 """
+"""Without the lag of the servo."""
 TRUTH_STEP = 0.01
 """[s] Step of the comparison."""
 SEGMENT = 5.0
@@ -148,6 +150,19 @@ class Twin:
         return np.array([*self.data.qpos[:2], self.heading]), np.array(
             [(left + right) / 2, (right - left) / base]
         )
+
+
+def with_servo_lag(robot: Robot) -> Robot:
+    """Return the robot with the dead time of its own MJCF, which only has a filter and a velocity servo.
+
+    After a step of the command, the mean time of the response ∫ (1 - v / v_end) dt is the time constant of the filter
+    plus the lag of the servo.
+    """
+    twin, v, step = Twin(mjcf(Numbers()), robot), 0.2, 0.001
+    twin.place(np.zeros(3))
+    speeds = np.array([twin.step(v, 0.0, step)[1][0] for _ in range(round(20 * robot.actuators.tau / step))])
+    mean_time = float(np.sum(1 - speeds / speeds[-1]) * step)
+    return replace(robot, actuators=replace(robot.actuators, delay=mean_time - robot.actuators.tau))
 
 
 def cast(walls: np.ndarray, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
@@ -266,7 +281,8 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for models and reports")
     parser.add_argument("--seeds", type=int, default=4)
     args = parser.parse_args()
-    robot, arena = parse_robot(ROBOT), sg.load_arena("square")
+    robot, arena = with_servo_lag(parse_robot(ROBOT)), sg.load_arena("square")
+    print(f"the user's model: dead time {1e3 * robot.actuators.delay:.1f} ms")
     args.out.mkdir(parents=True, exist_ok=True)
     print(
         "| seed | | ranges | twist | position after 5 s | heading after 5 s |\n|---|---|---:|---:|---:|---:|"
