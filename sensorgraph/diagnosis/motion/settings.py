@@ -199,28 +199,12 @@ class PatchSettings:
     """Maximum number of centres; of more, every second or third is tried."""
     radii: tuple[float, ...] = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
     """[m] radii that are tried."""
-    first_steps: tuple[float, ...] = (0.08, 0.04)
-    """[m] sizes of the random steps around the best disc."""
-    first_spread: float = 1.5
-    """Range of these steps to each side, in step sizes."""
-    n_first: int = 120
-    """Number of discs drawn for each step size."""
-    grid_reach: float = 0.9
-    """[m] distance from an accepted patch, within which centres are tried first."""
-    grid_step: float = 0.3
-    """[m] distance between these centres."""
-    grid_radii: tuple[float, float, float] = (0.15, 2.3, 0.15)
-    """[m] first radius, end and step of the radii that are tried there."""
-    n_refining: int = 80
-    """Number of discs drawn for each refining step, of either kind."""
-    ridge_growth: float = 2.0
-    """Standard deviation, in step sizes, of the growth of a patch whose near edge stays."""
-    posterior_cell: float = 0.05
-    """[m] cell size in (x, y, r) within which only one disc counts for the spread of the place."""
+    rounds: int = 7
+    """Number of rounds of the importance sampler."""
+    n_samples: int = 100
+    """Number of discs of a round."""
     radius_range: tuple[float, float] = (0.1, 2.5)
-    """[m] range of radii in the random steps."""
-    refining_steps: tuple[float, ...] = (0.25, 0.25, 0.12, 0.06, 0.03)
-    """[m] sizes of the random steps around an accepted patch."""
+    """[m] smallest and largest radius."""
     rim: float = 0.02
     """[m] width of the edge of a patch: about the length of an increment."""
     min_information: float = 400.0
@@ -228,10 +212,6 @@ class PatchSettings:
     crossed the disc."""
     max_slip: float = 0.95
     """Maximum share of the motion that a patch loses."""
-    credible_fall: float = 6.0
-    """[nats] maximum difference from the best disc, for discs that count for the spread of the place."""
-    place_doubt: float = 2.0
-    """Factor of the spread of a patch's place, which the search underestimates."""
     min_place_error: float = 0.02
     """[m] minimum standard error of a patch's place."""
 

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.optimize import minimize
 
 from logs.run import RangeSensor, Run
 from planners.clearance import Barriers
@@ -22,6 +23,8 @@ from sensorgraph.world.self_fit import self_fit
 SETTINGS = SCAN.alignment
 SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
 """Scales of the map that are tried."""
+SCALE_STEP = float(SCALES[1] / SCALES[0])
+"""Ratio of two successive scales."""
 UNITS = {
     100.0: "centimetres",
     1000.0: "millimetres",
@@ -100,7 +103,7 @@ class Alignment:
         return f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"
 
     def _unit(self) -> str:
-        near = [unit for scale, unit in UNITS.items() if abs(self.scale / scale - 1) < SETTINGS.scale_step]
+        near = [unit for scale, unit in UNITS.items() if abs(self.scale / scale - 1) < (SCALE_STEP - 1) / 2]
         return f" ({near[0]} instead of metres?)" if near else ""
 
 
@@ -204,9 +207,10 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     best = (share, 0.0, middle)
     for turn, shift, count in sorted(coarse, key=lambda one: -one[2])[: SETTINGS.refined_turns]:
         if count / len(points) > best[0] - SETTINGS.search_slack:
-            got = _refined(raster, points, turn, shift)
-            if got[0] > best[0]:
-                best = got
+            _, turned, _, moved = _improved(raster, points, turn, 1.0, shift)
+            got = raster.share(points @ _rotation(turned).T + moved)
+            if got > best[0]:
+                best = (got, turned, moved)
     shift = best[2] - middle
     return Alignment(
         share=share, best_share=best[0], dx=float(shift[0]), dy=float(shift[1]), dphi=float(best[1])
@@ -219,10 +223,10 @@ def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
     if max(counts) < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
         return Alignment(share=share, best_share=share)
     found = [
-        _rescaled(raster, points, float(SCALES[k]), shifts[k])
+        _improved(raster, points, 0.0, float(SCALES[k]), shifts[k], by_scale=True)
         for k in np.argsort(counts)[-SETTINGS.refined_scales :]
     ]
-    _, scale, shift = max(found, key=lambda one: one[0])
+    _, _, scale, shift = max(found, key=lambda one: one[0])
     best_share = raster.share(scale * points + shift)
     return Alignment(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
 
@@ -237,7 +241,7 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     walls = data.arena.walls
     widest = float((np.ptp(walls.reshape(-1, 2), axis=0) / np.maximum(seen, SETTINGS.cell)).min())
     low, high = (factor * widest for factor in SETTINGS.far_range)
-    n = max(int(np.log(high / low) / np.log(SCALES[1] / SCALES[0])) + 1, 2)
+    n = max(int(np.log(high / low) / np.log(SCALE_STEP)) + 1, 2)
     least, most = (factor * widest for factor in SETTINGS.unit_range)
     tried = [*np.geomspace(low, high, n), *(scale for scale in UNIT_SCALES if least < scale < most)]
     found = []
@@ -251,7 +255,7 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     for count, scale, shift, raster in found[: SETTINGS.refined_scales]:
         if count < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
             break
-        _, rest, shift = _rescaled(raster, points, 1.0, shift)
+        _, _, rest, shift = _improved(raster, points, 0.0, 1.0, shift, by_scale=True)
         got = raster.share(rest * points + shift)
         mended = replace(data.arena, walls=(walls / scale - shift) / rest)
         if (
@@ -260,28 +264,6 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
         ):
             dx, dy = (scale * shift).tolist()
             best = Alignment(share=share, best_share=got, dx=dx, dy=dy, scale=scale * rest)
-    return best
-
-
-def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> tuple[float, float, Floats]:
-    """Improve a scale by small steps about the mean of the points; return score, scale, shift.
-
-    The scale stays close to its start, because all points on one spot of a wall would be a perfect fit.
-    """
-    low, high = (factor * scale for factor in SETTINGS.scale_reach)
-    middle = points.mean(axis=0)
-    best = (raster.score(scale * points + shift), scale, shift)
-    step, size = SETTINGS.scale_step, SETTINGS.shift_step
-    while size > SETTINGS.min_shift_step:
-        before = best[0]
-        for ds, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
-            s = float(np.clip(best[1] * (1 + ds * step), low, high))
-            t = best[2] + (best[1] - s) * middle + np.array([dx, dy]) * size
-            score = raster.score(s * points + t)
-            if score > best[0]:
-                best = (score, s, t)
-        if best[0] == before:
-            step, size = 0.5 * step, 0.5 * size
     return best
 
 
@@ -360,22 +342,37 @@ class _Raster:
         return self.low + lag * self.cell - low, float(table[i, j])
 
 
-def _refined(raster: _Raster, points: Floats, turn: float, shift: Floats) -> tuple[float, float, Floats]:
-    """Improve a placement by small steps; return share, rotation, shift."""
-    best = (raster.score(points @ _rotation(turn).T + shift), turn, shift)
-    step, size = SETTINGS.turn_step, SETTINGS.shift_step
-    for _ in range(40):
-        before = best[0]
-        for dt, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
-            t, s = best[1] + dt * step, best[2] + np.array([dx, dy]) * size
-            if dt:  # rotate about the mean of the points
-                centre = points.mean(axis=0)
-                s = s + (_rotation(best[1]) - _rotation(t)) @ centre
-            score = raster.score(points @ _rotation(t).T + s)
-            if score > best[0]:
-                best = (score, t, s)
-        if best[0] == before:
-            step, size = step * 0.5, size * 0.5
-        if size < SETTINGS.min_shift_step:
-            break
-    return raster.share(points @ _rotation(best[1]).T + best[2]), best[1], best[2]
+def _improved(
+    raster: _Raster, points: Floats, turn: float, scale: float, shift: Floats, *, by_scale: bool = False
+) -> tuple[float, float, float, Floats]:
+    """Improve the similarity `scale R(turn) points + shift` by the simplex method (Nelder and Mead 1965).
+
+    The centroid of the points moves, and they turn about it, or they are scaled about it. A scale stays within one step
+    of its start, because all points on one spot of a wall would be a perfect fit.
+
+    Returns
+    -------
+    score, turn, scale, shift
+    """
+    middle = points.mean(axis=0)
+    off = points - middle
+    reach = scale * float(np.sqrt(np.square(off).sum(axis=1).mean())) + raster.cell
+    start = scale * _rotation(turn) @ middle + shift
+
+    def placement(x: Floats) -> tuple[float, float, Floats]:
+        """Return turn, scale and centroid after a step (3,) [m]; the first is that of a point at the mean distance."""
+        part = x[0] / reach
+        turned, scaled = (turn, scale * np.exp(part)) if by_scale else (turn + part, scale)
+        return turned, scaled, start + x[1:]
+
+    def misfit(x: Floats) -> float:
+        turned, scaled, centroid = placement(x)
+        return -raster.score(scaled * off @ _rotation(turned).T + centroid)
+
+    most = reach * np.log(SCALE_STEP) if by_scale else np.inf
+    found = minimize(
+        misfit, np.zeros(3), method="Nelder-Mead", bounds=[(-most, most), (None, None), (None, None)],
+        options={"initial_simplex": np.vstack([np.zeros(3), raster.cell * np.eye(3)]), "xatol": 1e-3, "fatol": 1e-5},
+    )  # fmt: skip
+    turned, scaled, centroid = placement(found.x)
+    return -float(found.fun), turned, scaled, centroid - scaled * _rotation(turned) @ middle

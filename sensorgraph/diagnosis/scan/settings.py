@@ -128,17 +128,6 @@ class AlignmentSettings:
     """Share of returns by which a coarse match may miss the requirement and still be refined."""
     refined_scales: int = 3
     """Number of best coarse scales that are refined."""
-    scale_reach: tuple[float, float] = (0.95, 1.05)
-    """Limits of the refinement, relative to the coarse scale. Without limits, all points could shrink onto
-    one spot of a wall."""
-    scale_step: float = 0.015
-    """First step of a scale."""
-    turn_step: float = float(np.radians(2.0))
-    """[rad] First step of a turn."""
-    shift_step: float = 0.1
-    """[m] First step of a shift."""
-    min_shift_step: float = 1e-3
-    """[m] Step at which the refinement ends."""
     max_orientation_error: float = 0.3
     """[m] Maximum median error of a scan in the right orientation."""
     second_run_share: float = 0.6

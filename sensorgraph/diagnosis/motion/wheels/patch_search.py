@@ -1,10 +1,22 @@
-"""Search for a slippery patch: discs on a grid, then random steps around the best, then its spread."""
+"""Search for a slippery patch, and its posterior distribution.
+
+A patch is a disc x = (x, y, log r). The best disc of a grid along the path starts an adaptive importance sampler
+(Cornuet et al. 2012, "Adaptive multiple importance sampling", Scandinavian Journal of Statistics 39):
+
+    p(x) ~ exp(gain(x) / T) / r²           a patch of unknown size has the density 1 / r³ over (x, y, r)
+    w_i  = p(x_i) / (1/K Σ_k q_k(x_i))     q_k: Student's t of round k
+
+Each round has the mean and the covariance of all samples so far. The gain of a disc is that of the regression, with
+the lost share of the motion at its optimum.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import multivariate_t
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
@@ -17,6 +29,10 @@ PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
 """Maximum number of rows times discs in memory: 8 MB per array."""
+TAILS = 3
+"""Degrees of freedom of the proposals: heavy tails, so that no weight is unbounded."""
+LEAST_EFFECTIVE = 20
+"""Number of effective samples from which a proposal is estimated."""
 
 
 def best_patch(
@@ -43,18 +59,12 @@ def best_patch(
 def _best_disc(
     model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm], rng: np.random.Generator
 ) -> tuple[SlipPatch, float]:
-    """Return the best of discs (n, 3), improved by random steps, and its evidence [nats]."""
+    """Return the best of discs (n, 3) and of the samples around it, and its evidence [nats]."""
     gains, _ = gains_of_discs(model, discs, track, terms)
-    disc = discs[int(np.argmax(gains))]
-    for step in PATCH.first_steps:
-        near = disc + step * rng.uniform(-PATCH.first_spread, PATCH.first_spread, size=(PATCH.n_first, 3))
-        near[:, 2] = np.clip(near[:, 2], *PATCH.radius_range)
-        near = np.concatenate([disc[None], near])
-        gains, _ = gains_of_discs(model, near, track, terms)
-        disc = near[int(np.argmax(gains))]
-    x, y, r = (float(value) for value in disc)
+    near, more_gains, _, _ = _sampled(model, discs[int(np.argmax(gains))], track, terms, rng)
+    x, y, r = (float(value) for value in near[int(np.argmax(more_gains))])
     patch = SlipPatch(x=x, y=y, r=r, track=track, covariance=np.zeros((4, 4)))
-    return patch, float(gains.max()) - PATCH_PRICE
+    return patch, float(more_gains.max()) - PATCH_PRICE
 
 
 def gains_of_discs(
@@ -88,59 +98,62 @@ def gains_of_discs(
 
 
 def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.random.Generator) -> None:
-    """Move a patch to its posterior mean, and compute its spread there."""
+    """Move a patch to the disc nearest to its posterior mean, and compute the covariance of s, x, y, r around it."""
     rest = [term for term in terms if term != model.patch_term(i)]
     track = model.patches[i].track
-    discs = _grid_about(model.patches[i].disc)
-    gains, lost = gains_of_discs(model, discs, track, rest)
-    for step in PATCH.refining_steps:
-        near = _random_steps(discs[int(np.argmax(gains))], step, rng)
-        if not len(near):
-            continue
-        more_gains, more_lost = gains_of_discs(model, near, track, rest)
-        discs = np.concatenate([discs, near])
-        gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
-    model.patches[i] = _posterior_mean(discs, gains, lost, track)
+    discs, _, lost, weight = _sampled(model, model.patches[i].disc, track, rest, rng)
+    values = np.column_stack([lost, discs])
+    middle = weight @ values
+    likely = np.flatnonzero(weight >= 1 / len(weight))  # more than the average
+    nearest = likely[np.argmin(((values[likely, 1:] - middle[1:]) ** 2).sum(axis=1))]
+    x, y, r = (float(value) for value in discs[nearest])
+    off = values - values[nearest]
+    covariance = (off * weight[:, None]).T @ off
+    model.patches[i] = SlipPatch(x=x, y=y, r=r, track=track, covariance=covariance)
     model.whiten()
 
 
-def _grid_about(disc: Floats) -> Floats:
-    """Return discs (n, 3) of all sizes with centres near that of a disc, and the disc itself."""
-    reach, radii = PATCH.grid_reach, np.arange(*PATCH.grid_radii)
-    steps = np.arange(-reach, reach + 0.01, PATCH.grid_step)
-    dx, dy, r = (axis.ravel() for axis in np.meshgrid(steps, steps, radii, indexing="ij"))
-    near = np.hypot(dx, dy) <= reach + 0.01
-    return np.concatenate([disc[None], np.column_stack([disc[0] + dx, disc[1] + dy, r])[near]])
+def _sampled(
+    model: WheelModel, disc: Floats, track: float, terms: Sequence[WheelTerm], rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return discs (n, 3), the given one first, with their gains [nats], lost shares and weights (n,)."""
+    low, high = np.log(PATCH.radius_range)
+    middle = np.array([disc[0], disc[1], np.log(disc[2])])
+    covariance = np.diag([(0.5 * disc[2] + PATCH.cell) ** 2] * 2 + [0.5])
+    x = middle[None]
+    gains, lost = gains_of_discs(model, disc[None], track, terms)
+    proposals = []
+    for _ in range(PATCH.rounds):
+        proposals.append(multivariate_t(middle, covariance, df=TAILS))
+        drawn = proposals[-1].rvs(PATCH.n_samples, random_state=rng)
+        drawn = drawn[(drawn[:, 2] > low) & (drawn[:, 2] < high)]
+        more_gains, more_lost = gains_of_discs(model, _discs(drawn), track, terms)
+        x = np.concatenate([x, drawn])
+        gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
+        log_q = np.logaddexp.reduce([one.logpdf(x) for one in proposals], axis=0)
+        log_w = gains / EVIDENCE.temperature - 2 * x[:, 2] - log_q
+        broad = _tempered(log_w)
+        middle = broad @ x
+        off = x - middle
+        covariance = (off * broad[:, None]).T @ off + 1e-8 * np.eye(3)
+    return _discs(x), gains, lost, _weights(log_w)
 
 
-def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats:
-    """Return random discs (2 n or fewer, 3) around a disc.
-
-    Half of them are larger or smaller with the same near edge, because these fit almost equally well.
-    """
-    n = PATCH.n_refining
-    turn = rng.uniform(-np.pi, np.pi, size=n)
-    growth = PATCH.ridge_growth * step * rng.normal(size=n)
-    ridge = disc + growth[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(n)], axis=1)
-    ridge += PATCH.rim * rng.normal(size=ridge.shape)
-    near = np.concatenate([disc + step * rng.normal(size=(n, 3)), ridge])
-    low, high = PATCH.radius_range
-    return near[(near[:, 2] > low) & (near[:, 2] < high)]
+def _weights(log_w: Floats) -> Floats:
+    """Return weights (n,) that add up to 1."""
+    weight = np.exp(log_w - log_w.max())
+    return np.asarray(weight / weight.sum())
 
 
-def _posterior_mean(discs: Floats, gains: Floats, lost: Floats, track: float) -> SlipPatch:
-    """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r around it."""
-    # one disc per cell, because the density of the discs is that of the search, not of the posterior
-    best = np.argsort(-gains)
-    best = best[gains[best] > gains[best[0]] - PATCH.credible_fall]
-    _, first = np.unique(np.round(discs[best] / PATCH.posterior_cell), axis=0, return_index=True)
-    best = best[first]
-    # scale-invariant prior of a patch of unknown size: 1 / r³
-    weight = np.exp((gains[best] - gains.max()) / EVIDENCE.temperature) / discs[best, 2] ** 3
-    weight /= weight.sum()
-    values = np.column_stack([lost, discs])[best]
-    middle = weight @ values
-    nearest = int(np.argmin(((values[:, 1:] - middle[1:]) ** 2).sum(axis=1)))
-    x, y, r = (float(value) for value in discs[best[nearest]])
-    off = values - values[nearest]
-    return SlipPatch(x=x, y=y, r=r, track=track, covariance=(off * weight[:, None]).T @ off)
+def _tempered(log_w: Floats) -> Floats:
+    """Return weights (n,) to the largest power up to 1 that leaves LEAST_EFFECTIVE samples, 1 / Σ w²."""
+
+    def spare(power: float) -> float:
+        return float(1 / np.square(_weights(power * log_w)).sum()) - LEAST_EFFECTIVE
+
+    return _weights(log_w if spare(1.0) >= 0 else brentq(spare, 0.0, 1.0, xtol=1e-6) * log_w)
+
+
+def _discs(x: Floats) -> Floats:
+    """Return discs (n, 3) x, y, r of samples (n, 3) x, y, log r."""
+    return np.column_stack([x[:, :2], np.exp(x[:, 2])])

@@ -163,8 +163,7 @@ def _slip(model: WheelModel, i: int, share: float, error: float) -> Amendment:
     patch, settings = model.patches[i], ODOMETRY.patch
     width = np.sqrt(np.diag(patch.covariance))
     stderr = {"s": float(np.hypot(error, width[0]))} | {
-        key: float(np.hypot(settings.place_doubt * w, settings.min_place_error))
-        for key, w in zip("xyr", width[1:], strict=True)
+        key: float(np.hypot(w, settings.min_place_error)) for key, w in zip("xyr", width[1:], strict=True)
     }
     slip = WHEEL_SLIP(s=float(np.clip(share, 0, 1)), x=patch.x, y=patch.y, r=patch.r)
     return replace(slip, stderr=stderr).at(xy=(patch.x, patch.y))
