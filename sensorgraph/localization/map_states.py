@@ -38,12 +38,17 @@ class MapStates:
 def map_numbers(tracked: ScanTrack, closed: ClosedTrack, *, by_odometry: bool = True) -> Ints:
     """Return the number of the map of each track segment (n_pieces,): 1 for the largest, then by time.
 
-    Several closures connect segments; a single one can be false. With `by_odometry`, a carried pose does too.
+    Closures of several places connect segments; a single place can look like another, and then like its neighbours too.
+    With `by_odometry`, a carried pose does too.
     """
     n_pieces = int(tracked.piece[-1]) + 1
     label = np.arange(n_pieces)
     between = np.zeros((n_pieces, n_pieces), dtype=np.intp)
-    np.add.at(between, (tracked.piece[closed.closures.first], tracked.piece[closed.closures.second]), 1)
+    ends = np.column_stack([closed.closures.first, closed.closures.second])
+    joined = tracked.piece[ends]
+    for a, b in np.unique(joined, axis=0):
+        own = ends[(joined == [a, b]).all(axis=1)]
+        between[a, b] = min(len(np.unique(own[:, 0])), len(np.unique(own[:, 1])))
     carried = tracked.piece[1:][tracked.is_carried & by_odometry]
     between[carried - 1, carried] += FINAL.min_joining_closures
     between += between.T
