@@ -21,6 +21,9 @@ def crossed(
     points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
 ) -> tuple[Bools, Bools]:
     """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
+    if own.start == own.stop:
+        none = np.zeros(len(points), dtype=np.bool_)
+        return none, none
     start = scans.starts[own].mean(axis=0)
     rays = scans.points[own] - start
     bearing, length = np.arctan2(rays[:, 1], rays[:, 0]), np.hypot(*rays.T)

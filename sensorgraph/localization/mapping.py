@@ -8,6 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.company import verdict_on, without_company
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
@@ -67,7 +68,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
     with progress("tracking", "scans") as bar:
-        followed = track_run(run, bar)
+        followed = without_company(track_run(run, bar), bar)
     odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)
@@ -86,8 +87,14 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if not placed.matched.all():
         placed = _placed_again(scans, tracked, placed, smoothed)
         smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
+    wheels = steps.parameters(refined.poses)
+    verdict = verdict_on(run, scans, smoothed.poses, odometry, wheels)
+    if verdict.is_false.any():  # a few surfaces fit a wrong place
+        placed = replace(placed, matched=placed.matched & ~verdict.is_false)
+        smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
     matched = placed.matched
     covariances = placed.shared + np.where(matched[:, None, None], placed.own, smoothed.covariances)
+    covariances = covariances + verdict.doubt[:, :, None] ** 2 * np.eye(3)
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(smoothed.poses, covariances, origin)
     seen = refined.system.projections
@@ -99,7 +106,6 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     states = map_states(tracked, closed, poses, covariances, maps, matched, seen, has_odometry=has_odometry)
     narrow = _narrow_view(run)
     uncertain: dict[Status, Status] = {"ok": "ambiguous"} if narrow else {}
-    wheels = steps.parameters(refined.poses)
     return Localization(
         t=run.stamps,
         poses=poses,

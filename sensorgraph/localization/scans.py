@@ -53,6 +53,18 @@ class ScanPoints:
         """Return the slice of the points of a scan."""
         return slice(int(self.first[scan]), int(self.first[scan + 1]))
 
+    def without(self, dropped: Bools) -> ScanPoints:
+        """Return the returns without some of the points (n_points,)."""
+        kept = ~dropped
+        return ScanPoints(
+            first=np.concatenate([[0], np.cumsum(kept)])[self.first].astype(np.intp),
+            points=self.points[kept],
+            normals=self.normals[kept],
+            ranges=self.ranges[kept],
+            starts=self.starts[kept],
+            rays=self.rays[kept],
+        )
+
 
 def scan_points(
     run: Run,

@@ -1,0 +1,192 @@
+"""Readings that go along with the robot: of a trailer, of people beside it, or of the ground before a robot that pitches.
+
+If they fill most of the view, the scans seem to move less than the robot, or at random. So do they if wheels slip. Where scans
+and odometry contradict each other (`contrast.py`), the readings of two scans decide. A reading is a witness of one motion
+against the other if the first places it on what the other scan sees, and the second in space that rays of the other scan
+crossed. Readings that also fit if the robot stands are no witnesses: they may be fixed to the robot.
+
+Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again. Where that
+does not help, all their readings are. Where neither motion has witnesses, the poses are as uncertain as the two differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.run import Run
+from logs.transforms import compose, invert
+from sensorgraph.localization.contrast import Contrast
+from sensorgraph.localization.crossed_space import crossed, moved_points
+from sensorgraph.localization.front_end import track
+from sensorgraph.localization.missing_odometry import is_measured
+from sensorgraph.localization.odometry import odometry_of
+from sensorgraph.localization.ray_times import TrackedRun
+from sensorgraph.localization.result import WheelParameters, true_intervals
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.wheels import corrected_steps
+from sensorgraph.types import Bools, Floats, Progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompanySettings:
+    """Which of scans and odometry is right."""
+
+    margin: float = 0.1
+    """[m] Distance from the end of a ray up to which a reading fits it: noise, and the odometry's error within a second."""
+    min_witnesses: float = 4.0
+    """Mean number of witnesses of one motion between two scans; fewer may be chance ..."""
+    min_share: float = 0.1
+    """... unless they are this share of the readings of a scan, as with few rays."""
+    min_ratio: float = 0.2
+    """Witnesses of the odometry per witness of the scans from which the odometry is right. Where robots were pushed or slipped
+    (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
+    rounds: int = 3
+    """Maximum number of times that the scans are tracked again."""
+
+
+COMPANY = CompanySettings()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OdometryVerdict:
+    """What the readings say of poses that the odometry contradicts."""
+
+    is_false: Bools
+    """(n_scans,) The scan lies in a stretch where the odometry is right."""
+    doubt: Floats
+    """(n_scans, 3) [m, m, rad] Difference from the odometry where no readings decide between the two; 0 elsewhere."""
+
+    @classmethod
+    def none(cls, n: int) -> OdometryVerdict:
+        """Return a verdict without objection to any of n scans."""
+        return cls(is_false=np.zeros(n, dtype=np.bool_), doubt=np.zeros((n, 3)))
+
+
+def without_company(
+    followed: TrackedRun, progress: Progress, settings: CompanySettings = COMPANY
+) -> TrackedRun:
+    """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
+    run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
+    if odometry is None or measured is None or followed.track.wheels is None:
+        return followed
+    usable, whole = is_measured(measured, run.stamps), followed.scans
+    dropped = np.zeros(len(whole.points), dtype=np.bool_)
+    thinned = np.zeros(run.n_scans, dtype=np.bool_)
+    for _ in range(settings.rounds):
+        wheels = _wheels(followed)
+        contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
+        false = _judged(whole, contrast, settings).is_false
+        if not false.any():
+            break
+        for k in np.flatnonzero(false & thinned):
+            dropped[whole.of(int(k))] = True
+        for k in np.flatnonzero(false & ~thinned).tolist():
+            dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels, settings)
+        thinned |= false
+        scans = whole.without(dropped)
+        followed = replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
+    if not thinned.any():
+        return followed
+    return replace(followed, notes=(*followed.notes, _note(run.stamps, thinned, dropped, whole)))
+
+
+def verdict_on(
+    run: Run,
+    scans: ScanPoints,
+    poses: Floats,
+    odometry: Floats | None,
+    wheels: WheelParameters | None,
+    settings: CompanySettings = COMPANY,
+) -> OdometryVerdict:
+    """Judge the poses (n_scans, 3) [m, m, rad] of all scans by the odometry (n_scans, 3) at the scans, if there is any."""
+    measured = odometry_of(run)
+    if odometry is None or measured is None or wheels is None:
+        return OdometryVerdict.none(run.n_scans)
+    contrast = Contrast.of(run.stamps, poses, odometry, is_measured(measured, run.stamps), wheels)
+    return _judged(scans, contrast, settings)
+
+
+def _wheels(followed: TrackedRun) -> WheelParameters:
+    learned = followed.track.wheels
+    assert learned is not None
+    return WheelParameters(
+        way_scale=learned.way_scale, turn_scale=learned.turn_scale, heading_bias=learned.heading_bias
+    )
+
+
+def _judged(scans: ScanPoints, contrast: Contrast, settings: CompanySettings) -> OdometryVerdict:
+    """Judge each stretch in which the odometry contradicts the scans."""
+    s, found = settings, OdometryVerdict.none(scans.n_scans)
+    chosen = np.flatnonzero(contrast.is_contradiction)
+    within = np.zeros(scans.n_scans, dtype=np.bool_)
+    for i, j in zip(contrast.first[chosen], contrast.last[chosen], strict=True):
+        within[i : j + 1] = True
+    least = min(s.min_witnesses, s.min_share * len(scans.points) / scans.n_scans)
+    for start, stop in true_intervals(within):
+        own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]
+        counts = np.array([_witnesses(scans, contrast, int(one), s) for one in own])
+        of_scans, of_moving_scans, of_odometry = counts.mean(axis=0)
+        if of_odometry >= max(least, s.min_ratio * of_moving_scans):
+            found.is_false[start:stop] = True
+        elif of_scans < least:
+            off = np.abs(contrast.off[own]).max(axis=0)
+            found.doubt[start:stop] = [max(off[:2]), max(off[:2]), off[2]]
+    return found
+
+
+def _witnesses(
+    scans: ScanPoints, contrast: Contrast, one: int, settings: CompanySettings
+) -> tuple[int, int, int]:
+    """Return the number of witnesses of the scans' motion, of those that do not fit a standing robot, and of the odometry's."""
+    total = np.zeros(3, dtype=np.intp)
+    i, j = int(contrast.first[one]), int(contrast.last[one])
+    seen, driven = contrast.by_scans[one], contrast.by_odometry[one]
+    for of, to, a, b in ((j, i, seen, driven), (i, j, invert(seen), invert(driven))):
+        by_scans, not_scans = _fits(scans, of, to, a, settings)
+        by_odometry, not_odometry = _fits(scans, of, to, b, settings)
+        standing, _ = _fits(scans, of, to, np.zeros(3), settings)
+        for_scans, for_odometry = by_scans & not_odometry, by_odometry & not_scans
+        total += [for_scans.sum(), (for_scans & ~standing).sum(), (for_odometry & ~standing).sum()]
+    return int(total[0]), int(total[1]), int(total[2])
+
+
+def _fits(
+    scans: ScanPoints, of: int, to: int, motion: Floats, settings: CompanySettings
+) -> tuple[Bools, Bools]:
+    """Tell which points of a scan fit another, at `motion` (3,) from it, and which its rays crossed."""
+    points = moved_points(scans.points[scans.of(of)], motion)
+    seen, through = crossed(points, np.zeros(3), scans, scans.of(to), settings.margin)
+    return seen & ~through, through
+
+
+def _goes_along(
+    scans: ScanPoints,
+    k: int,
+    contrast: Contrast,
+    odometry: Floats,
+    wheels: WheelParameters,
+    settings: CompanySettings,
+) -> Bools:
+    """Tell which points of scan k the odometry places where rays of the scans about a second before or after it crossed."""
+    ends = [*contrast.last[contrast.first == k], *contrast.first[contrast.last == k]]
+    along = np.zeros(len(scans.points[scans.of(k)]), dtype=np.bool_)
+    for other in map(int, ends):
+        first, last = min(k, other), max(k, other)
+        step = compose(invert(odometry[first]), odometry[last])
+        step = corrected_steps(step, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
+        along |= _fits(scans, k, other, step if other == first else invert(step), settings)[1]
+    return along
+
+
+def _note(stamps: Floats, thinned: Bools, dropped: Bools, scans: ScanPoints) -> str:
+    """Return the note on the readings that were not used."""
+    stretches = true_intervals(thinned)
+    start, stop = max(stretches, key=lambda one: stamps[one[1] - 1] - stamps[one[0]])
+    more = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
+    share = dropped[scans.first[start] : scans.first[stop]].mean()
+    return (
+        f"from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, {share:.0%} of the readings contradict the odometry and other "
+        "readings confirm it: the laser sees what moves (people, a trailer, the ground); these readings were not used"
+    )

@@ -1,0 +1,52 @@
+"""Readings that go along with the robot, and fill so much of the view that the scans seem to stand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from localization_samples import room_run
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.locate import locate
+
+TRAILER = [(-0.5, -0.45), (-0.5, 0.45), (-1.9, 0.45), (-1.9, -0.45)]
+"""[m] Corners of a trailer behind the laser, in base_link."""
+
+
+def ranges_to(corners: list[tuple[float, float]], bearings: np.ndarray) -> np.ndarray:
+    """Return the ranges (n_rays,) to a convex polygon around which the laser looks; +inf beside it."""
+    a, b = np.array(corners), np.roll(corners, -1, axis=0)
+    d, u = b - a, np.column_stack([np.cos(bearings), np.sin(bearings)])[:, None]
+    across = u[..., 0] * d[:, 1] - u[..., 1] * d[:, 0]
+    with np.errstate(divide="ignore"):
+        way = (a[:, 0] * d[:, 1] - a[:, 1] * d[:, 0]) / across
+        along = (a[:, 0] * u[..., 1] - a[:, 1] * u[..., 0]) / across
+    return np.where((way > 0) & (along >= 0) & (along <= 1), way, np.inf).min(axis=1)
+
+
+@cache
+def with_trailer() -> tuple[Run, np.ndarray]:
+    """Return a drive along the room with a trailer in view, and its true poses."""
+    t = np.arange(0.0, 12.0, 0.1)
+    truth = np.column_stack([1.9 + 0.45 * t, 1.2 + 0.0 * t, 0.05 * np.sin(0.5 * t)])
+    run = room_run(truth, rate=10.0, n_rays=180)
+    rng = np.random.default_rng(3)
+    box = ranges_to(TRAILER, run.sensor.bearings) + 0.01 * rng.normal(size=run.ranges.shape)
+    return replace(run, ranges=np.minimum(run.ranges, box)), truth
+
+
+def errors(run: Run, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return errors (n,) [m] and [rad] of the located poses, and the notes."""
+    found = locate(run)
+    assert set(found.status) == {"ok"}
+    off = compose(compose(truth[0], invert(found.poses[0])), found.poses) - truth
+    return np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2])), found.notes
+
+
+def test_a_trailer_in_view_does_not_stop_the_robot() -> None:
+    way, turn, notes = errors(*with_trailer())
+    assert way.max() < 0.06 and turn.max() < np.radians(1)
+    assert any("contradict the odometry" in note for note in notes)
