@@ -89,3 +89,17 @@ def to_planar(transforms: Floats) -> Floats:
     x, y, z, w = transforms[:, 3:].T
     yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return np.column_stack([transforms[:, :2], yaw])
+
+
+def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
+    """Integrate twists (n, 2) from the origin to poses (n, 3); each twist is constant up to the next stamp.
+
+    Each step is an arc with chord v dt sinc(omega dt / 2) in the direction phi + omega dt / 2, which is exact.
+    """
+    steps = np.diff(stamps)
+    phi = np.concatenate([[0.0], np.cumsum(twists[:-1, 1] * steps)])
+    turn = twists[:-1, 1] * steps
+    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))
+    along = phi[:-1] + turn / 2
+    x, y = (np.concatenate([[0.0], np.cumsum(chord * f(along))]) for f in (np.cos, np.sin))
+    return np.column_stack([x, y, wrap(phi)])

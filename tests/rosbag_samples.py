@@ -81,11 +81,11 @@ def pose(
 
 
 def odometry(
-    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, *, topic: str = "/odom",
+    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, omega: float = 0.5, *, topic: str = "/odom",
     log: float | None = None,
 ) -> Message:  # fmt: skip
     strings = {"frame_id": "odom", "child_frame_id": "base_link"}
-    columns = {"pose": [x, y, 0, *quaternion(yaw)], "twist": [v, 0, 0, 0, 0, 0.5]}
+    columns = {"pose": [x, y, 0, *quaternion(yaw)], "twist": [v, 0, 0, 0, 0, omega]}
     return message(topic, ODOMETRY_TYPE, stamp, strings, log=log, **columns)
 
 

@@ -12,7 +12,7 @@ from logs_samples import assert_same_run, some_run
 
 import logs
 from logs import Run
-from logs.formats.table import dead_reckoning
+from logs.transforms import dead_reckoning
 
 
 def on_scan_stamps(run: Run) -> Run:

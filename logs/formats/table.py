@@ -29,7 +29,7 @@ from logs.formats.text import read_lines
 from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
 from logs.run import RangeSensor, Run, pair, with_rare_times
-from logs.transforms import interpolate, twists_of, wrap
+from logs.transforms import dead_reckoning, interpolate, twists_of
 from logs.types import Floats, Mounts, Progress
 
 POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS = (
@@ -170,20 +170,6 @@ def _write_rows(path: Path, facts: Mapping[str, str], names: list[str], table: F
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(table.tolist())
-
-
-def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
-    """Integrate twists (n, 2) from the origin to poses (n, 3); each twist is constant up to the next stamp.
-
-    Each step is an arc with chord v dt sinc(omega dt / 2) in the direction phi + omega dt / 2, which is exact.
-    """
-    steps = np.diff(stamps)
-    phi = np.concatenate([[0.0], np.cumsum(twists[:-1, 1] * steps)])
-    turn = twists[:-1, 1] * steps
-    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))
-    along = phi[:-1] + turn / 2
-    x, y = (np.concatenate([[0.0], np.cumsum(chord * f(along))]) for f in (np.cos, np.sin))
-    return np.column_stack([x, y, wrap(phi)])
 
 
 def _values(path: Path, rows: Sequence[str], width: int, separator: str, progress: Progress | None) -> Floats:

@@ -25,7 +25,7 @@ from logs.ros.recording import (
 )
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame
-from logs.transforms import are_oriented, to_planar, twists_of
+from logs.transforms import are_oriented, dead_reckoning, to_planar, twists_of
 from logs.types import Bools, Floats
 
 FLOOR_FRAME = "base_footprint"
@@ -34,6 +34,8 @@ MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", FLOOR_FRAME, "base")
 ODOM_FRAME = "odom"
 MIN_JUMP, MIN_JUMPS = 0.02, 0.02
 """[m] smallest step that counts as a jump of the odometry, and the share of such steps that is reported."""
+MIN_DRIVEN = 0.1
+"""[m, rad] Motion by the twists of odometry above which its constant pose was not filled in."""
 FIXED_FRAMES = (*MAP_FRAMES, ODOM_FRAME)
 """Words in the names of stationary frames; poses in other frames may not refer to the map."""
 
@@ -77,7 +79,16 @@ def odometry_of_topic(recording: Recording, name: str | None) -> Track | None:
     if unoriented.any():
         pose.notes.append(f"{_unoriented_text(name, unoriented, pose.values)}: their heading was set to 0")
         pose.values[unoriented, 3:] = [0.0, 0.0, 0.0, 1.0]
-    pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
+    planar, twists = to_planar(pose.values), twist.values[:, [0, 5]]
+    known = planar[np.isfinite(planar).all(axis=1)]
+    if len(planar) and (len(known) == 0 or not np.ptp(known, axis=0).any()):
+        driven = dead_reckoning((pose.stamps - pose.stamps[0]) / 1e9, twists)
+        if (np.ptp(driven, axis=0) > MIN_DRIVEN).any():
+            pose.notes.append(
+                f"{name}: its pose never changes while its twist drives: the twist was integrated"
+            )
+            planar = driven
+    pose.values = np.column_stack([planar, twists])  # (n, 5)
     return pose
 
 
