@@ -19,8 +19,6 @@ MOVED = 0.05
 """[m, rad] motion during equal scans above which they are repeated; smaller ones move no reading by more than noise."""
 MIN_RETURNS = 10
 """Scans with fewer returns may be equal by chance."""
-MIN_MEASURED = 10
-"""Number of measured scans below which no reading is left out, as the laser stood still."""
 MIN_UNKNOWN = 5
 """Number of equal scans in a row that is reported if nothing shows the motion."""
 
@@ -34,10 +32,6 @@ def blank_repeated(run: Run) -> Run:
     ends = np.flatnonzero(np.diff(equal.astype(np.int8), append=0) == -1)
     lost = [np.arange(a, b + 1) for a, b in zip(starts, ends, strict=True) if _moves(run, int(a) - 1, int(b))]
     index: Ints = np.concatenate([*lost, np.zeros(0, dtype=np.intp)])
-    if lost and run.n_scans - len(index) < MIN_MEASURED:
-        return with_note(
-            run, f"{len(index)} of {run.n_scans} scans are equal in every ray although the robot moves"
-        )
     if lost:
         ranges = run.ranges.copy()
         ranges[index] = np.nan

@@ -45,7 +45,7 @@ def drive(
     for i in range(n):
         k = stuck[0] - 1 if i in stuck else i - i % held
         out.append(scan(i / 10, room(1 + speed * k / 10, k), angle_min=-np.pi, increment=increment))
-        out.append(odometry(i / 10, speed * i / 10, 0, 0, speed))
+        out.append(odometry(i / 10, speed * i / 10, 0, 0, speed, omega=0.0))
     return out
 
 
@@ -120,6 +120,35 @@ def test_scans_that_a_driver_repeats_while_the_robot_moves_state_nothing(tmp_pat
 def test_a_driver_that_repeats_most_scans_leaves_those_that_were_measured(tmp_path: Path) -> None:
     run = read(tmp_path, drive(n=36, held=3))
     assert np.isfinite(run.ranges).all(axis=1).tolist() == 12 * [True, False, False]
+
+
+def test_a_laser_that_measures_once_gives_no_poses(tmp_path: Path) -> None:
+    run = read(tmp_path, drive(n=36, held=36))
+    assert np.isfinite(run.ranges).all(axis=1).sum() == 1
+    with pytest.raises(SensorgraphError, match=r"only 1 of the 36 scans have returns.*the driver was stuck"):
+        sg.locate(run)
+
+
+@pytest.mark.parametrize("time_increment", [np.nan, np.inf])
+def test_a_time_increment_that_is_not_finite_is_none(time_increment: float, tmp_path: Path) -> None:
+    bag = with_angles(drive(), time_increment=time_increment, scan_time=np.nan)
+    run = read(tmp_path, bag)
+    assert run.sensor.sweep_time == 0
+    assert any("time_increment" in note and "0 was used" in note for note in assumptions_of(run))
+
+
+@pytest.mark.parametrize("stuck", [0.0, np.nan])
+def test_odometry_that_fills_in_only_its_twist_is_integrated(stuck: float, tmp_path: Path) -> None:
+    scans = [one for one in drive() if one[0] == "/scan"]
+    wheels = [odometry(i / 20, stuck, stuck, 0.0, v=0.4) for i in range(61)]  # turns by 0.5 rad/s
+    run = read(tmp_path, [*scans, *wheels])
+    radius, turn = 0.4 / 0.5, 1.5
+    np.testing.assert_allclose(
+        run.odometry[-1], [radius * np.sin(turn), radius * (1 - np.cos(turn)), turn], atol=1e-6
+    )
+    assert any("the twist was integrated" in note for note in assumptions_of(run))
+    alone = read(tmp_path / "pose", [*scans, *(odometry(i / 20, 0.02 * i, 0, 0) for i in range(61))])
+    np.testing.assert_allclose(alone.odometry[-1], [1.2, 0, 0], atol=1e-6)
 
 
 def test_a_reference_that_stopped_is_noticed_by_the_odometry(tmp_path: Path) -> None:

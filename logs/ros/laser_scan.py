@@ -338,9 +338,8 @@ def check_sweep(scans: LaserScans) -> None:
         scans.time_increment,
         f"{n} rays would take {sweep:.3g} s of the {period:.3g} s between scans",
     )
-    whole = next(
-        (turn for turn in (scans.scan_time, period) if turn > 0 and not differs(abs(stated), turn)), None
-    )
+    turns = (scans.scan_time, period) if np.isfinite(sweep) else ()
+    whole = next((turn for turn in turns if turn > 0 and not differs(abs(stated), turn)), None)
     unit = _unit(sweep, period) if np.isfinite(sweep) else None
     if whole is not None:
         scans.time_increment = stated / n

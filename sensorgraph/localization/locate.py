@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.notes import notes_of
 from logs.run import RARE_TIMES, Run
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
@@ -49,8 +50,8 @@ def locate(
 
     Raises
     ------
-    SensorgraphError : There are too few scans, the rays are wide cones, the scans fit nowhere in the place,
-        or scans and odometry turn in opposite directions.
+    SensorgraphError : There are too few scans, or too few of them have returns, the rays are wide cones, the scans fit
+        nowhere in the place, or scans and odometry turn in opposite directions.
     """
     if run.n_scans < MIN_SCANS:
         raise SensorgraphError(
@@ -59,6 +60,13 @@ def locate(
         )
     check_rays(run.sensor, "the run", takes="locate takes", remedy="give the run of a laser", one_place=False)
     check_returns(run)
+    n_measured = int(np.isfinite(run.ranges).any(axis=1).sum())
+    if n_measured < MIN_SCANS:
+        why = next((f" ({note})" for note in notes_of(run) if "repeat the one before" in note), "")
+        raise SensorgraphError(
+            f"only {n_measured} of the {run.n_scans} scans have returns, expected {MIN_SCANS} or more{why}; check the laser "
+            "with `sensorgraph inspect`"
+        )
     given, run = run, with_spread_stamps(run)
     is_spread = run is not given
     run, notes = with_checked_odometry(run)
