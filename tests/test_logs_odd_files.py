@@ -28,7 +28,9 @@ ROWS = "# bearings: -1 to 1 in 3\n# range_max: 8.0\nt,x,y,phi,r0,r1,r2\n0,0,0,0,
 
 def archive(kind: str) -> bytes:
     out = io.BytesIO()
-    if kind == "zip":
+    if kind == "npz":
+        np.savez(out, ranges=np.ones((2, 3)))
+    elif kind == "zip":
         with zipfile.ZipFile(out, "w") as packed:
             packed.writestr("run.mcap", b"nothing")
     else:
@@ -41,6 +43,9 @@ def archive(kind: str) -> bytes:
     ("data", "words"),
     [
         (archive("zip"), "is a zip archive; unpack it"),
+        (archive("npz"), r"is a numpy archive \(npz\); give the log from"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(90), "is a MATLAB file; give the log from"),
+        (b"PAR1" + bytes(20) + b"PAR1", "is a Parquet table"),
         (archive("w"), "is a tar archive; unpack it"),
         (archive("w:gz"), "is a tar archive; unpack it"),
         (lzma.compress(b"a log"), "is compressed with xz"),
@@ -61,7 +66,7 @@ def archive(kind: str) -> bytes:
         (b"image: a.pgm\nresolution: 0.05\n", "is a map of map_server; give a log here, and the map with --arena"),
     ],
     ids=[
-        "zip", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap", "gazebo", "xml", "pbstream", "posegraph",
+        "zip", "npz", "mat", "parquet", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap", "gazebo", "xml", "pbstream", "posegraph",
         "tum", "kitti", "g2o", "table", "echo", "geojson", "map",
     ],  # gzip holds the time
 )  # fmt: skip

@@ -39,6 +39,11 @@ OTHER_FILES: tuple[tuple[bytes, str], ...] = (
     (b"\x89HDF\r\n", "an HDF5 file"),
     (b"\x93NUMPY", "a numpy array"),
     (b"RRF2", "a recording of rerun"),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+    (b"PAR1", "a Parquet table"),
+    (b"LASF", "a point cloud (LAS)"),
+    (b"\x80\x04\x95", "a pickle of Python"),
+    (b"\x80\x05\x95", "a pickle of Python"),
 )
 """Files that hold no scans as messages: (first bytes, what such a file is)."""
 GRAPH_LINE = re.compile(r"(VERTEX|EDGE)(2|3|_SE2|_SE3:QUAT)\s")
@@ -62,6 +67,8 @@ def described(head: bytes, name: str) -> str:
         at, member = GRAPH_HEADER
         if head[at:].startswith(member):
             return "a sensorgraph; give a log here, and the sensorgraph as GRAPH"
+        if head[at : at + int.from_bytes(head[26:28], "little")].endswith(b".npy"):
+            return f"a numpy archive (npz); {GIVE_LOG}"
         return f"a zip archive; unpack it and give the log in it: unzip {name}"
     for at, starts, what in PACKED:
         if head[at:].startswith(starts):
