@@ -8,13 +8,13 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.company import verdict_on, without_company
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import close_loops, spread
 from sensorgraph.localization.map_states import map_numbers, map_states, state_notes, with_unknown_motion
 from sensorgraph.localization.matching import match
+from sensorgraph.localization.moving_returns import verdict_on, without_moving_returns
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
@@ -68,7 +68,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
     with progress("tracking", "scans") as bar:
-        followed = without_company(track_run(run, bar), bar)
+        followed = without_moving_returns(track_run(run, bar), bar)
     odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)

@@ -1,12 +1,12 @@
 """Readings that go along with the robot: of a trailer, of people beside it, or of the ground before a robot that pitches.
 
 If they fill most of the view, the scans seem to move less than the robot, or at random. So do they if wheels slip. Where scans
-and odometry contradict each other (`contrast.py`), the readings of two scans decide. A reading is a witness of one motion
-against the other if the first places it on what the other scan sees, and the second in space that rays of the other scan
-crossed. Readings that also fit if the robot stands are no witnesses: they may be fixed to the robot.
+and odometry contradict each other (`contrast.py`), the readings of two scans decide. A reading supports one motion against the
+other if the first places it on what the other scan sees, and the second in space that rays of the other scan crossed.
+Readings that also fit if the robot stands support none: they may be fixed to the robot.
 
 Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again. Where that
-does not help, all their readings are. Where neither motion has witnesses, the poses are as uncertain as the two differ.
+does not help, all their readings are. Where no readings support either motion, the poses are as uncertain as the two differ.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from sensorgraph.types import Bools, Floats, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompanySettings:
+class MovingReturnSettings:
     """Which of scans and odometry is right."""
 
     margin: float = 0.1
     """[m] Distance from the end of a ray up to which a reading fits it: noise, and the odometry's error within a second."""
-    min_witnesses: float = 4.0
-    """Mean number of witnesses of one motion between two scans; fewer may be chance ..."""
+    min_supporting: float = 4.0
+    """Mean number of readings that support one motion between two scans; fewer may be chance ..."""
     min_share: float = 0.1
     """... unless they are this share of the readings of a scan, as with few rays."""
     min_ratio: float = 0.2
-    """Witnesses of the odometry per witness of the scans from which the odometry is right. Where robots were pushed or slipped
-    (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
+    """Ratio of readings that support the odometry to those that support the scans, from which the odometry is right. Where robots
+    were pushed or slipped (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
     rounds: int = 3
     """Maximum number of times that the scans are tracked again."""
 
 
-COMPANY = CompanySettings()
+MOVING_RETURNS = MovingReturnSettings()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,8 +64,8 @@ class OdometryVerdict:
         return cls(is_false=np.zeros(n, dtype=np.bool_), doubt=np.zeros((n, 3)))
 
 
-def without_company(
-    followed: TrackedRun, progress: Progress, settings: CompanySettings = COMPANY
+def without_moving_returns(
+    followed: TrackedRun, progress: Progress, settings: MovingReturnSettings = MOVING_RETURNS
 ) -> TrackedRun:
     """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
     run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
@@ -98,7 +98,7 @@ def verdict_on(
     poses: Floats,
     odometry: Floats | None,
     wheels: WheelParameters | None,
-    settings: CompanySettings = COMPANY,
+    settings: MovingReturnSettings = MOVING_RETURNS,
 ) -> OdometryVerdict:
     """Judge the poses (n_scans, 3) [m, m, rad] of all scans by the odometry (n_scans, 3) at the scans, if there is any."""
     measured = odometry_of(run)
@@ -116,17 +116,17 @@ def _wheels(followed: TrackedRun) -> WheelParameters:
     )
 
 
-def _judged(scans: ScanPoints, contrast: Contrast, settings: CompanySettings) -> OdometryVerdict:
+def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSettings) -> OdometryVerdict:
     """Judge each stretch in which the odometry contradicts the scans."""
     s, found = settings, OdometryVerdict.none(scans.n_scans)
     chosen = np.flatnonzero(contrast.is_contradiction)
     within = np.zeros(scans.n_scans, dtype=np.bool_)
     for i, j in zip(contrast.first[chosen], contrast.last[chosen], strict=True):
         within[i : j + 1] = True
-    least = min(s.min_witnesses, s.min_share * len(scans.points) / scans.n_scans)
+    least = min(s.min_supporting, s.min_share * len(scans.points) / scans.n_scans)
     for start, stop in true_intervals(within):
         own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]
-        counts = np.array([_witnesses(scans, contrast, int(one), s) for one in own])
+        counts = np.array([_supporting(scans, contrast, int(one), s) for one in own])
         of_scans, of_moving_scans, of_odometry = counts.mean(axis=0)
         if of_odometry >= max(least, s.min_ratio * of_moving_scans):
             found.is_false[start:stop] = True
@@ -136,10 +136,10 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: CompanySettings) ->
     return found
 
 
-def _witnesses(
-    scans: ScanPoints, contrast: Contrast, one: int, settings: CompanySettings
+def _supporting(
+    scans: ScanPoints, contrast: Contrast, one: int, settings: MovingReturnSettings
 ) -> tuple[int, int, int]:
-    """Return the number of witnesses of the scans' motion, of those that do not fit a standing robot, and of the odometry's."""
+    """Return the number of readings that support the scans, of those that do not fit a standing robot, and that for the odometry."""
     total = np.zeros(3, dtype=np.intp)
     i, j = int(contrast.first[one]), int(contrast.last[one])
     seen, driven = contrast.by_scans[one], contrast.by_odometry[one]
@@ -153,7 +153,7 @@ def _witnesses(
 
 
 def _fits(
-    scans: ScanPoints, of: int, to: int, motion: Floats, settings: CompanySettings
+    scans: ScanPoints, of: int, to: int, motion: Floats, settings: MovingReturnSettings
 ) -> tuple[Bools, Bools]:
     """Tell which points of a scan fit another, at `motion` (3,) from it, and which its rays crossed."""
     points = moved_points(scans.points[scans.of(of)], motion)
@@ -167,7 +167,7 @@ def _goes_along(
     contrast: Contrast,
     odometry: Floats,
     wheels: WheelParameters,
-    settings: CompanySettings,
+    settings: MovingReturnSettings,
 ) -> Bools:
     """Tell which points of scan k the odometry places where rays of the scans about a second before or after it crossed."""
     ends = [*contrast.last[contrast.first == k], *contrast.first[contrast.last == k]]
