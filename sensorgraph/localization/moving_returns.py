@@ -5,8 +5,8 @@ and odometry contradict each other (`contrast.py`), the readings of two scans de
 other if the first places it on what the other scan sees, and the second in space that rays of the other scan crossed.
 Readings that also fit if the robot stands support none: they may be fixed to the robot.
 
-Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again. Where that
-does not help, all their readings are. Where no readings support either motion, the poses are as uncertain as the two differ.
+Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again.
+Where no readings support either motion, the poses are as uncertain as the two differ.
 """
 
 from __future__ import annotations
@@ -77,12 +77,10 @@ def without_moving_returns(
     for _ in range(settings.rounds):
         wheels = _wheels(followed)
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
-        false = _judged(whole, contrast, settings).is_false
+        false = _judged(whole, contrast, settings).is_false & ~thinned
         if not false.any():
             break
-        for k in np.flatnonzero(false & thinned):
-            dropped[whole.of(int(k))] = True
-        for k in np.flatnonzero(false & ~thinned).tolist():
+        for k in np.flatnonzero(false).tolist():
             dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels, settings)
         thinned |= false
         scans = whole.without(dropped)
@@ -139,7 +137,7 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
 def _supporting(
     scans: ScanPoints, contrast: Contrast, one: int, settings: MovingReturnSettings
 ) -> tuple[int, int, int]:
-    """Return the number of readings that support the scans, of those that do not fit a standing robot, and that for the odometry."""
+    """Count the readings that support the scans, those of them that do not fit a standing robot, and those for the odometry."""
     total = np.zeros(3, dtype=np.intp)
     i, j = int(contrast.first[one]), int(contrast.last[one])
     seen, driven = contrast.by_scans[one], contrast.by_odometry[one]
