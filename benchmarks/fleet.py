@@ -139,6 +139,7 @@ def _worn(run: Run, quantity: str, size: float) -> Run:
     turn = wrap(steps[:, 2])
     middle = run.odometry[:-1, 2] + turn / 2
     way = np.cos(middle) * steps[:, 0] + np.sin(middle) * steps[:, 1]
+    across = np.cos(middle) * steps[:, 1] - np.sin(middle) * steps[:, 0]  # wear does not change this
     left, right = way - turn * BASE / 2, way + turn * BASE / 2
     if (
         quantity == "left_wheel"
@@ -148,8 +149,9 @@ def _worn(run: Run, quantity: str, size: float) -> Run:
         right = right / (1 + size)
     way, turn = (left + right) / 2, (right - left) / BASE
     phi = run.odometry[0, 2] + np.concatenate([[0.0], np.cumsum(turn)])
-    ahead = np.stack([np.cos(phi[:-1] + turn / 2), np.sin(phi[:-1] + turn / 2)], axis=1)
-    xy = run.odometry[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(way[:, None] * ahead, axis=0)])
+    c, s = np.cos(phi[:-1] + turn / 2), np.sin(phi[:-1] + turn / 2)
+    moved = np.stack([c * way - s * across, s * way + c * across], axis=1)
+    xy = run.odometry[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
     return replace(run, odometry=np.column_stack([xy, wrap(phi)]))
 
 
@@ -182,15 +184,16 @@ def compare(folder: Path) -> None:
     rows, n_invented, n_found = found["rows"], 0, 0
     print("| robot | planted | since day | found | since | size |\n|---|---|---:|---|---:|---|")
     for one in planted:
-        hits = [c for c in found["changes"] if (c["robot"], c["quantity"]) == (one["robot"], one["quantity"])]
-        hit = max(hits, key=lambda c: c["probability"], default=None)
+        names = [one["quantity"], *(["wheel_difference"] if "wheel" in one["quantity"] else [])]
+        hits = [c for c in found["changes"] if c["robot"] == one["robot"] and c["quantity"] in names]
+        hit = max(hits, key=lambda c: (c["quantity"] == one["quantity"], c["probability"]), default=None)
         n_found += hit is not None
         unit = 57.2958 if one["quantity"] == "mount_phi" else 1.0
         day = "" if hit is None else str(int(Path(hit["after"]).stem.rsplit("day", 1)[1]))
         size = "" if hit is None else f"{hit['size'] * unit:+.4f} ± {hit['sigma'] * unit:.4f}"
         print(
             f"| {one['robot']} | {one['quantity']} {one['size']:+.4f} | {one['day']} | "
-            f"{'drift' if hit and hit['is_drift'] else 'yes' if hit else 'NO'} | {day} | {size} |"
+            f"{'drift' if hit and hit['is_drift'] else hit['quantity'] if hit else 'NO'} | {day} | {size} |"
         )
     kinds = {one["robot"]: one["quantity"] for one in planted}
     for change in found["changes"]:

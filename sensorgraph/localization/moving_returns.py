@@ -5,8 +5,8 @@ and odometry contradict each other (`contrast.py`), the readings of two scans de
 other if the first places it on what the other scan sees, and the second in space that rays of the other scan crossed.
 Readings that also fit if the robot stands support none: they may be fixed to the robot.
 
-Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again.
-Where no readings support either motion, the poses are as uncertain as the two differ.
+Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again. If that
+does not help, and no readings support the scans, all are dropped. Where no readings support either motion, the poses are as uncertain as the two differ.
 """
 
 from __future__ import annotations
@@ -55,13 +55,16 @@ class OdometryVerdict:
 
     is_false: Bools
     """(n_scans,) The scan lies in a stretch where the odometry is right."""
+    is_sure: Bools
+    """(n_scans,) ... and no readings of the stretch support the scans, as where wheels slip."""
     doubt: Floats
     """(n_scans, 3) [m, m, rad] Difference from the odometry where no readings decide between the two; 0 elsewhere."""
 
     @classmethod
     def none(cls, n: int) -> OdometryVerdict:
         """Return a verdict without objection to any of n scans."""
-        return cls(is_false=np.zeros(n, dtype=np.bool_), doubt=np.zeros((n, 3)))
+        none = np.zeros(n, dtype=np.bool_)
+        return cls(is_false=none, is_sure=none.copy(), doubt=np.zeros((n, 3)))
 
 
 def without_moving_returns(
@@ -77,12 +80,15 @@ def without_moving_returns(
     for _ in range(settings.rounds):
         wheels = _wheels(followed)
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
-        false = _judged(whole, contrast, settings).is_false & ~thinned
-        if not false.any():
+        verdict = _judged(whole, contrast, settings)
+        thin, useless = verdict.is_false & ~thinned, verdict.is_sure & thinned
+        if not (thin | useless).any():
             break
-        for k in np.flatnonzero(false).tolist():
+        for k in np.flatnonzero(useless).tolist():
+            dropped[whole.of(k)] = True
+        for k in np.flatnonzero(thin).tolist():
             dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels, settings)
-        thinned |= false
+        thinned |= thin
         scans = whole.without(dropped)
         followed = replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
     if not thinned.any():
@@ -128,6 +134,8 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
         of_scans, of_moving_scans, of_odometry = counts.mean(axis=0)
         if of_odometry >= max(least, s.min_ratio * of_moving_scans):
             found.is_false[start:stop] = True
+            slips = (counts[:, 1] >= least) & (counts[:, 2] < s.min_ratio * counts[:, 1])
+            found.is_sure[start:stop] = not slips.any()
         elif of_scans < least:
             off = np.abs(contrast.off[own]).max(axis=0)
             found.doubt[start:stop] = [max(off[:2]), max(off[:2]), off[2]]

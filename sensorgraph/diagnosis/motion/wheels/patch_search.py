@@ -16,7 +16,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import multivariate_t
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
@@ -124,19 +123,32 @@ def _sampled(
     gains, lost = gains_of_discs(model, disc[None], track, terms)
     proposals = []
     for _ in range(PATCH.rounds):
-        proposals.append(multivariate_t(middle, covariance, df=TAILS))
-        drawn = proposals[-1].rvs(PATCH.n_samples, random_state=rng)
+        proposals.append((middle, covariance))
+        drawn = _draw(rng, middle, covariance)
         drawn = drawn[(drawn[:, 2] > low) & (drawn[:, 2] < high)]
         more_gains, more_lost = gains_of_discs(model, _discs(drawn), track, terms)
         x = np.concatenate([x, drawn])
         gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
-        log_q = np.logaddexp.reduce([one.logpdf(x) for one in proposals], axis=0)
+        log_q = np.logaddexp.reduce([_log_density(x, *one) for one in proposals], axis=0)
         log_w = gains / EVIDENCE.temperature - 2 * x[:, 2] - log_q
         broad = _tempered(log_w)
         middle = broad @ x
         off = x - middle
         covariance = (off * broad[:, None]).T @ off + 1e-8 * np.eye(3)
     return _discs(x), gains, lost, _weights(log_w)
+
+
+def _draw(rng: np.random.Generator, middle: Floats, scale: Floats) -> Floats:
+    """Draw samples (n_samples, 3) of Student's t with a middle (3,) and a scale matrix (3, 3)."""
+    normal = rng.multivariate_normal(np.zeros(3), scale, size=PATCH.n_samples)
+    return middle + normal / np.sqrt(rng.chisquare(TAILS, size=(PATCH.n_samples, 1)) / TAILS)
+
+
+def _log_density(x: Floats, middle: Floats, scale: Floats) -> Floats:
+    """Return the log-density (n,) of Student's t at samples (n, 3), without constants."""
+    off = x - middle
+    square = np.einsum("ij,ij->i", off, np.linalg.solve(scale, off.T).T)
+    return np.asarray(-0.5 * (TAILS + 3) * np.log1p(square / TAILS) - 0.5 * np.linalg.slogdet(scale)[1])
 
 
 def _weights(log_w: Floats) -> Floats:
