@@ -32,8 +32,7 @@ from benchmarks.arguments import existing, parser_of
 from benchmarks.measures import cpu
 from logs.run import Run
 from logs.transforms import wrap
-from sensorgraph.surveying.fleet import quantities_of
-from sensorgraph.surveying.quantities import LABELS
+from sensorgraph.surveying.quantities import LABELS, quantities_of
 from sensorgraph.surveying.trends import SURE, steps_of
 
 SOURCES = {"intel": ("amr", 0.7), "fr079": ("bot", 0.3)}
@@ -52,10 +51,10 @@ SIZES = {
 }
 """Sizes: share of the radius lost; degrees; metres."""
 FOLLOWS = {
-    "left_wheel": {"turn_scale", "wheel_difference"}, "right_wheel": {"turn_scale", "wheel_difference"}, "mount_phi": {"mount_x", "mount_y"},
+    "mount_phi": {"mount_x", "mount_y"},
     "range_offset": {"mount_x", "mount_y", "left_wheel", "right_wheel"},
-}  # fmt: skip
-"""Quantities that a planted change moves as well: half a worn wheel is a turn scale, for example."""
+}
+"""Quantities that a planted change moves as well."""
 
 
 def make(source: Path, out: Path, n_logs: int, each: int, seed: int, names: list[str]) -> None:
@@ -184,9 +183,8 @@ def compare(folder: Path) -> None:
     rows, n_invented, n_found = found["rows"], 0, 0
     print("| robot | planted | since day | found | since | size |\n|---|---|---:|---|---:|---|")
     for one in planted:
-        names = [one["quantity"], *(["wheel_difference"] if "wheel" in one["quantity"] else [])]
-        hits = [c for c in found["changes"] if c["robot"] == one["robot"] and c["quantity"] in names]
-        hit = max(hits, key=lambda c: (c["quantity"] == one["quantity"], c["probability"]), default=None)
+        hits = [c for c in found["changes"] if (c["robot"], c["quantity"]) == (one["robot"], one["quantity"])]
+        hit = max(hits, key=lambda c: c["probability"], default=None)
         n_found += hit is not None
         unit = 57.2958 if one["quantity"] == "mount_phi" else 1.0
         day = "" if hit is None else str(int(Path(hit["after"]).stem.rsplit("day", 1)[1]))

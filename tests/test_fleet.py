@@ -18,6 +18,7 @@ import logs
 import sensorgraph as sg
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.surveying.building import changed_places
+from sensorgraph.surveying.causes import Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, task
 from sensorgraph.surveying.limited import (
     TaskError,
@@ -78,6 +79,75 @@ def test_a_robot_differs_from_its_sisters_only_if_it_does() -> None:
     assert not [one for one in odd_robots("mount_phi", same) if one.probability > SURE]
     [odd] = odd_robots("mount_phi", same | {"amr10": (0.05, 0.002)})
     assert odd.robot == "amr10" and odd.probability > SURE and abs(odd.size - 0.05) < 3 * odd.sigma
+
+
+def wheels(
+    change: tuple[int, float, float, float], n: int = 20, way_error: float = 0.006
+) -> dict[str, Series]:
+    """Return the series of a robot whose wheels and base change by shares at a log: (log, left, right, base).
+
+    A wheel that is smaller by a share rolls so much less: written from the wheels' ways alone.
+    """
+    rng, (at, left, right, base) = np.random.default_rng(7), change
+    t = np.arange(n, dtype=float)
+    rolls_left, rolls_right, b = (np.where(t >= at, 1 + one, 1.0) for one in (left, right, base))
+    errors = {"way_scale": way_error, "wheel_difference": 0.002, "turn_scale": 0.008}
+    means = {
+        "way_scale": (rolls_left + rolls_right) / 2,
+        "wheel_difference": rolls_right - rolls_left,
+        "turn_scale": (rolls_left + rolls_right) / 2 / b,
+    }
+    d = {name: mean + errors[name] * rng.normal(size=n) for name, mean in means.items()}
+    d |= {
+        "left_wheel": d["way_scale"] - d["wheel_difference"] / 2,
+        "right_wheel": d["way_scale"] + d["wheel_difference"] / 2,
+    }
+    errors |= {"left_wheel": way_error, "right_wheel": way_error}
+    return {name: Series(t=t, values=one, sigmas=np.full(n, errors[name])) for name, one in d.items()}
+
+
+@pytest.mark.parametrize(
+    ("change", "cause", "size"),
+    [
+        ((9, -0.03, 0.0, 0.0), "left_wheel", -0.03),
+        ((12, 0.0, -0.03, 0.0), "right_wheel", -0.03),
+        ((9, -0.03, -0.03, 0.0), "way_scale", -0.03),
+        ((9, 0.0, 0.0, 0.04), "turn_scale", -0.04),
+    ],
+)
+def test_a_change_of_the_wheels_is_one_change_with_its_cause(
+    change: tuple[int, float, float, float], cause: str, size: float
+) -> None:
+    [found] = changes_of_wheels(wheels(change))
+    assert found.step.quantity == cause and found.t == change[0] - 1
+    assert abs(found.step.size - size) < 4 * found.step.sigma < 0.02
+
+
+def test_which_wheel_changed_is_not_said_where_the_distance_does_not_show_it() -> None:
+    found = changes_of_wheels(
+        {
+            name: one
+            for name, one in wheels((9, -0.02, 0.0, 0.0), way_error=0.2).items()
+            if name != "turn_scale"
+        }
+    )
+    assert [one.step.quantity for one in found] == ["wheel_difference"]
+    assert abs(found[0].step.size - 0.02) < 4 * found[0].step.sigma
+
+
+def test_two_wheels_that_change_on_two_days_are_two_changes() -> None:
+    one, two = wheels((8, -0.03, 0.0, 0.0), 30), wheels((20, 0.0, -0.04, 0.0), 30)
+    base = wheels((30, 0.0, 0.0, 0.0), 30)
+    both = {
+        name: replace(one[name], values=one[name].values + two[name].values - base[name].values)
+        for name in base
+    }
+    found = sorted(changes_of_wheels(both), key=lambda change: change.t)
+    assert [(change.step.quantity, change.t) for change in found] == [
+        ("left_wheel", 7.0),
+        ("right_wheel", 19.0),
+    ]
+    assert all("wheel_difference" in change.seen_in for change in found)
 
 
 def test_every_quantity_has_a_name_and_a_prior() -> None:

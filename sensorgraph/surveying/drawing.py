@@ -26,7 +26,7 @@ def trend(points: Sequence[tuple[float, float, float, str]], changes: Sequence[f
     """
     values = np.array([one[1] - label.neutral for one in points]) * label.factor
     sigmas = np.array([one[2] for one in points]) * label.factor
-    low, high = float(np.quantile(values - sigmas, 0.03)), float(np.quantile(values + sigmas, 0.97))
+    low, high = _extent(values, sigmas)
     pad = 0.1 * max(high - low, 1e-9)
     low, high = low - pad, high + pad
     n = len(points)
@@ -59,6 +59,14 @@ def trend(points: Sequence[tuple[float, float, float, str]], changes: Sequence[f
         f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">{points[-1][3]}</text>'
     )
     return _svg(WIDTH, HEIGHT, "".join(parts) + ends)
+
+
+def _extent(values: Floats, sigmas: Floats) -> tuple[float, float]:
+    """Return lowest and highest value to draw, without far outliers (Tukey's outer fences, 3 interquartile ranges)."""
+    first, third = np.quantile(values, [0.25, 0.75])
+    fence = 3 * (third - first)
+    inside = (values >= first - fence) & (values <= third + fence)
+    return float((values - sigmas)[inside].min()), float((values + sigmas)[inside].max())
 
 
 def change_map(walls: Floats, cells: Mapping[str, Mapping[tuple[float, float], int]]) -> str:

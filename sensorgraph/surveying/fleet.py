@@ -18,15 +18,16 @@ from sensorgraph.files import atomic_folder
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.localization.locate import place_of
+from sensorgraph.surveying.causes import MEASURED, SHOWN_IN, CausedStep, Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, surveyed
 from sensorgraph.surveying.limited import TaskLimits, end_all
 from sensorgraph.surveying.page import fleet_page, log_page
 from sensorgraph.surveying.parquet import write_parquet
-from sensorgraph.surveying.quantities import LABELS, QUANTITIES
+from sensorgraph.surveying.quantities import LABELS, QUANTITIES, quantities_of
 from sensorgraph.surveying.rerun_layer import write_layer
 from sensorgraph.surveying.result import Fleet, RobotChange
 from sensorgraph.surveying.store import ResultStore, find_logs
-from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, TrendStep, level, odd_robots, steps_of
+from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, level, odd_robots, steps_of
 from sensorgraph.types import Floats, Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import load_robot
@@ -214,28 +215,34 @@ def series(rows: Sequence[Mapping[str, Any]], quantity: str) -> tuple[list[int],
     return index, t, pairs[:, 0], np.hypot(pairs[:, 1], floor)
 
 
-def quantities_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the quantities to compare: each wheel if its size is known, else distance and heading."""
-    known = {name for row in rows for name in row["quantities"]}
-    redundant = {"way_scale", "heading_bias"} if "left_wheel" in known else set()
-    return [name for name in QUANTITIES if name in known - redundant]
-
-
 def _changes(rows: Sequence[Mapping[str, Any]]) -> list[RobotChange]:
+    """Return the changes of each robot: of its wheels by their causes, and of each other quantity."""
     out = []
     for robot, own in _by_robot(rows).items():
-        for quantity in quantities_of(own):
-            index, t, values, sigmas = series(own, quantity)
-            for step in steps_of(quantity, t, values, sigmas):
-                after = own[index[min(step.before + 1, len(index) - 1)]]
-                out.append(_change(robot, step, after))
+        names = quantities_of(own)
+        wheels = [name for name in names if name in SHOWN_IN] if "left_wheel" in names else []
+        measured = {name: _series(own, name) for name in (*wheels, *MEASURED)} if wheels else {}
+        found = changes_of_wheels({name: one for name, one in measured.items() if len(one.t)})
+        for name in names:
+            if name not in wheels:
+                one = _series(own, name)
+                steps = steps_of(name, one.t, one.values, one.sigmas)
+                found += [CausedStep(step=step, t=float(one.t[step.before])) for step in steps]
+        out += [_change(robot, one, own) for one in found]
     return sorted(out, key=lambda one: (-one.probability, one.robot))
 
 
-def _change(robot: str, step: TrendStep, after: Mapping[str, Any]) -> RobotChange:
+def _series(own: Sequence[Mapping[str, Any]], name: str) -> Series:
+    _, t, values, sigmas = series(own, name)
+    return Series(t=t, values=values, sigmas=sigmas)
+
+
+def _change(robot: str, found: CausedStep, own: Sequence[Mapping[str, Any]]) -> RobotChange:
+    step = found.step
+    after = next((row for row in own if row["epoch_s"] > found.t), own[-1])
     return RobotChange(
         robot=robot, quantity=step.quantity, day=str(after["day"]), after=str(after["log"]), size=step.size,
-        sigma=step.sigma, probability=step.probability, is_drift=step.is_drift,
+        sigma=step.sigma, probability=step.probability, is_drift=step.is_drift, seen_in=found.seen_in,
     )  # fmt: skip
 
 
@@ -253,7 +260,7 @@ def _odd(rows: Sequence[Mapping[str, Any]], changes: Sequence[RobotChange]) -> l
                 ends = [
                     k
                     for one in changes
-                    if (one.robot, one.quantity) == (robot, quantity)
+                    if one.robot == robot and quantity in (one.quantity, *one.seen_in)
                     for k, at in enumerate(index)
                     if own[at]["log"] == one.after
                 ]

@@ -9,23 +9,26 @@ from typing import Any
 
 from sensorgraph.diagnosis.report.page_shell import page_shell
 from sensorgraph.surveying.drawing import change_map, trend
-from sensorgraph.surveying.quantities import LABELS, QUANTITIES
-from sensorgraph.surveying.result import Fleet
+from sensorgraph.surveying.quantities import LABELS, quantities_of
+from sensorgraph.surveying.result import Fleet, RobotChange
 from sensorgraph.version import __version__
 
 MAX_TRENDS = 60
-"""Maximum number of trends that are drawn; those with changes come first."""
-WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(25rem,1fr));gap:1.4rem} .trends figure{margin:0} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
+"""Maximum number of trends without a change that are drawn."""
+MAX_LINES = 12
+"""Maximum number of changes above the table."""
+WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(25rem,1fr));gap:1.4rem} .trends figure{margin:0} .trends figcaption{margin:0 0 .3rem;color:var(--ink)} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
 
 
 def fleet_page(fleet: Fleet) -> str:
     """Return fleet.html."""
     changes = [str(one) for one in fleet.changes]
     return page_shell(
-        headline=changes[0] if len(changes) == 1 else f"{len(changes)} changes" if changes else "No robot changed",
+        headline=changes[0] if len(changes) == 1 else fleet.changed_robots,
         lead=[
             f"{fleet.extent}; {len(fleet.failures)} failed.",
-            *([] if len(changes) < 2 else [f"{one}." for one in changes[:12]]),
+            *([] if len(changes) < 2 else [f"{one}." for one in changes[:MAX_LINES]]),
+            *([f"{len(changes) - MAX_LINES} more are in the table."] if len(changes) > MAX_LINES else []),
         ],
         eyebrow=f"sensorgraph fleet {__version__}",
         kind="found" if changes or fleet.odd else "",
@@ -42,12 +45,13 @@ def _changes(fleet: Fleet) -> str:
         f"<tr><td>{escape(one.robot)}</td><td>{escape(LABELS[one.quantity].title)}</td>"
         f'<td class="n">{LABELS[one.quantity].change(one.size, one.sigma)}</td>'
         f"<td>{'drift over all logs' if one.is_drift else escape(one.day)}</td>"
-        f'<td class="n">{_percent(one.probability)}</td></tr>'
+        f'<td class="n">{_percent(one.probability)}</td>'
+        f"<td>{', '.join(LABELS[name].title for name in one.seen_in)}</td></tr>"
         for one in (*fleet.changes, *fleet.possible)
     ]
     return (
         "<h2>Changes</h2><table><tr><th>robot</th><th>quantity</th><th class='n'>change</th><th>since</th>"
-        f"<th class='n'>probability</th></tr>{''.join(rows)}</table>"
+        f"<th class='n'>probability</th><th>explains the change of</th></tr>{''.join(rows)}</table>"
         '<p class="note">Changes from 95 % on are stated; less probable ones are possible. ± is one standard error.</p>'
     )
 
@@ -68,41 +72,50 @@ def _odd(fleet: Fleet) -> str:
 
 
 def _trends(fleet: Fleet) -> str:
-    """Draw each quantity of each robot over its logs."""
-    drawn: list[tuple[bool, str]] = []
+    """Draw each quantity of each robot over its logs: those with a change, and then the others."""
+    changed, steady = [], []
     for robot in sorted({str(row["robot"]) for row in fleet.rows}):
         own = [row for row in fleet.rows if row["robot"] == robot]
-        for quantity in QUANTITIES:
-            points = [
-                (float(row["epoch_s"]), *row["quantities"][quantity], str(row["day"]))
-                for row in own
-                if quantity in row["quantities"]
+        for quantity in quantities_of(own):
+            found = [
+                one
+                for one in fleet.changes
+                if one.robot == robot and quantity in (one.quantity, *one.seen_in)
             ]
-            found = [one for one in fleet.changes if (one.robot, one.quantity) == (robot, quantity)]
-            if len(points) < 2 or (
-                {"way_scale", "heading_bias"} & {quantity} and "left_wheel" in own[0]["quantities"]
-            ):
-                continue
-            at = {str(row["log"]): float(row["epoch_s"]) for row in own}
-            label = LABELS[quantity]
-            picture = trend(points, [at[one.after] for one in found if not one.is_drift], label)
-            caption = "; ".join(label.change(one.size, one.sigma) for one in found) or "no change"
-            drawn.append(
-                (
-                    bool(found),
-                    f"<figure>{picture}<figcaption>{escape(robot)}, {label.title} [{label.unit}]: {caption}</figcaption></figure>",
-                )
-            )
-    if not drawn:
+            picture = _trend(own, quantity, found)
+            if picture:
+                (changed if found else steady).append(picture)
+    rest = len(steady) - MAX_TRENDS
+    more = f'<p class="note">{rest} more are not drawn; fleet.csv has all values.</p>' if rest > 0 else ""
+    parts = [f'<h2>Trends</h2><div class="trends">{"".join(changed)}</div>'] if changed else []
+    if steady:
+        parts.append(
+            f"<details><summary>Trends without a change ({len(steady)})</summary>"
+            f'<div class="trends">{"".join(steady[:MAX_TRENDS])}</div>{more}</details>'
+        )
+    return "".join(parts)
+
+
+def _trend(own: Sequence[Mapping[str, Any]], quantity: str, found: Sequence[RobotChange]) -> str:
+    """Draw one quantity of one robot; nothing if fewer than two logs have it."""
+    points = [
+        (float(row["epoch_s"]), *row["quantities"][quantity], str(row["day"]))
+        for row in own
+        if quantity in row["quantities"]
+    ]
+    if len(points) < 2:
         return ""
-    drawn.sort(key=lambda one: not one[0])
-    rest = len(drawn) - MAX_TRENDS
-    more = (
-        f'<p class="note">{rest} trends without a change are not drawn; fleet.csv has all values.</p>'
-        if rest > 0
-        else ""
+    at = {str(row["log"]): float(row["epoch_s"]) for row in own}
+    label = LABELS[quantity]
+    said = "; ".join(
+        label.change(one.size, one.sigma)
+        if one.quantity == quantity
+        else f"explained by {LABELS[one.quantity].title}"
+        for one in found
     )
-    return f'<h2>Trends</h2><div class="trends">{"".join(text for _, text in drawn[:MAX_TRENDS])}</div>{more}'
+    title = f"{own[0]['robot']}, {label.title} [{label.unit}]"
+    picture = trend(points, [at[one.after] for one in found if not one.is_drift], label)
+    return f"<figure><figcaption>{escape(title)}{': ' if said else ''}{said}</figcaption>{picture}</figure>"
 
 
 def _maps(fleet: Fleet) -> str:
@@ -144,9 +157,7 @@ def _failures(fleet: Fleet) -> str:
 
 
 def _table(fleet: Fleet) -> str:
-    names = [name for name in QUANTITIES if any(name in row["quantities"] for row in fleet.rows)]
-    if "left_wheel" in names:
-        names = [name for name in names if name not in ("way_scale", "heading_bias")]
+    names = quantities_of(fleet.rows)
     head = "".join(f"<th class='n'>{LABELS[name].title}</th>" for name in names)
     rows = []
     for row in fleet.rows:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,3 +50,10 @@ LABELS: Mapping[str, Label] = {
     ),
 }
 QUANTITIES = tuple(LABELS)
+
+
+def quantities_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the quantities to compare: each wheel if its size is known, else distance and heading."""
+    known = {name for row in rows for name in row["quantities"]}
+    redundant = {"way_scale", "heading_bias"} if "left_wheel" in known else set()
+    return [name for name in QUANTITIES if name in known - redundant]

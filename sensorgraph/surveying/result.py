@@ -25,6 +25,8 @@ class RobotChange:
     sigma: float
     probability: float
     is_drift: bool
+    seen_in: tuple[str, ...] = ()
+    """Quantities that show the change as well, and none once it is taken out."""
 
     def __str__(self) -> str:
         label = LABELS[self.quantity]
@@ -64,6 +66,12 @@ class Fleet:
             f"{n:,} log{'' if n == 1 else 's'} of {robots} robot{'' if robots == 1 else 's'}, {hours:.1f} h"
         )
 
+    @property
+    def changed_robots(self) -> str:
+        """Number of robots that changed, in words."""
+        n, total = len({one.robot for one in self.changes}), len({str(row["robot"]) for row in self.rows})
+        return f"{n} of {total} robots changed" if n else "No robot changed"
+
     def lines(self) -> list[str]:
         """Return the summary as lines."""
         out = [f"{self.extent}; {self.n_new} analysed now, {len(self.failures)} failed"]
@@ -71,7 +79,7 @@ class Fleet:
             out.append(
                 f"{self.n_outdated} logs had results of another version or of other settings, and were analysed again"
             )
-        out += [str(one) for one in self.changes] or ["no robot changed"]
+        out += [f"{self.changed_robots}{':' if self.changes else ''}", *(f"  {one}" for one in self.changes)]
         out += [
             f"{one.robot} differs from its sisters: {LABELS[one.quantity].title} "
             f"{LABELS[one.quantity].change(one.size, one.sigma)}"

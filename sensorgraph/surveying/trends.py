@@ -82,6 +82,33 @@ def steps_of(quantity: str, t: Floats, values: Floats, sigmas: Floats) -> list[T
     return sorted(found, key=lambda one: -one.probability)
 
 
+def change_at(
+    quantity: str, t: Floats, values: Floats, sigmas: Floats, at: float, is_drift: bool
+) -> tuple[float, float]:
+    """Return the change of a quantity at a given time, or its drift, with its standard error.
+
+    Parameters
+    ----------
+    t : (n,) [s] Times of the logs, increasing.
+    at : [s] Time of the last log before the change. Without a log on either side, the standard error is infinite.
+    """
+    n, before = len(t), int(np.sum(t <= at))
+    if n < 2 or not (is_drift or 0 < before < n):
+        return 0.0, np.inf
+    grid = _Grid.of(values, sigmas, SPREAD[quantity])
+    if is_drift:
+        return _slope(grid, 0, n, t)
+    (one, one_error), (two, two_error) = grid_mean(grid, 0, before), grid_mean(grid, before, n)
+    return two - one, float(np.hypot(one_error, two_error))
+
+
+def profile(t: Floats, at: float, *, is_drift: bool) -> Floats:
+    """Return how much of a change each log has (n,): 0 until its time and 1 after it, or the share of a drift."""
+    if is_drift:
+        return np.asarray((t - t[0]) / max(t[-1] - t[0], 1e-9))
+    return np.asarray((t > at).astype(np.float64))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Grid:
     """Likelihoods of values on a grid of centres and scatters."""
