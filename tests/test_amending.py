@@ -203,6 +203,24 @@ def test_sdf_changes_only_the_lines_of_its_effects(write: Callable[..., Path]) -
     assert path.read_bytes() == found.files[0].text
 
 
+def test_an_included_laser_is_placed_by_the_include(write: Callable[..., Path]) -> None:
+    """A laser of another file, turned by 90 degrees where the robot includes it: ahead is -y there."""
+    laser = """<sdf version="1.9"><model name="lidar"><link name="head">
+  <sensor name="lds" type="gpu_lidar"><pose>0.1 0 0.2 0 0 0</pose><lidar><range><max>10</max></range></lidar></sensor>
+</link></model></sdf>
+"""
+    robot = """<sdf version="1.9"><model name="bot"><link name="base_link"/>
+  <include><uri>model://lidar</uri><name>front</name><pose>0 0 0 0 0 1.5707963</pose></include>
+</model></sdf>
+"""
+    paths = [write("bot.sdf", robot), write("lidar.sdf", laser)]
+    found = sg.amend(paths, [effect("mount_xy", dx=0.012, dy=-0.02)])
+    assert "<pose>0.08 -0.012 0.2 0 0 0</pose>" in without_comments(found.files[1].text.decode())
+    assert found.files[0].text == robot.encode()
+    alone = sg.amend(paths[1], [effect("mount_xy", dx=0.012, dy=-0.02)])
+    assert "<pose>0.112 -0.02 0.2 0 0 0</pose>" in without_comments(alone.files[0].text.decode())
+
+
 def test_a_driver_that_assumes_large_wheels_overstates_the_distance(write: Callable[..., Path]) -> None:
     """The plugin's number over the geometry's is the ratio of reported to true distance: 1 + s."""
     found = sg.amend(

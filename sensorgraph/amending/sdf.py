@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -96,6 +97,7 @@ class _SdfModel:
     """Links, lasers, joints and plugins of an SDF."""
 
     def __init__(self, document: Document, laser: str | None, file: str) -> None:
+        _place_included(document)
         self.document = document
         self._new = NewPose()
         self.links = {node.get("name"): node for node in document.all("link")}
@@ -210,13 +212,38 @@ class _SdfModel:
             file.insert(first.end, inserted, "; ".join(self._new.phrases))
 
 
+def _place_included(document: Document) -> None:
+    """Put a model that one `<include>` of another given file names in its place, with its name and pose, as SDF does."""
+    includes = list(document.all("include"))
+    for root in document.roots:
+        for model in [one for one in root.children if one.tag == "model"]:
+            names = {
+                model.get("name"),
+                model.origin.file.path.absolute().parent.name,
+                model.origin.file.path.name,
+            }
+            found = [one for one in includes if names & set(Path(one.content("uri")).parts[-1:])]
+            if len(found) != 1 or found[0].parent is None or root in _above(found[0]):
+                continue
+            [include] = found
+            model.parent = include.parent
+            include.parent.children.append(model)
+            root.children.remove(model)
+            model.children[:0] = [one for one in include.children if one.tag == "pose"]
+            if (name := include.child("name")) is not None and name.text is not None:
+                model.attributes["name"] = name.text
+
+
+def _above(node: Node) -> Iterator[Node]:
+    """Yield the nodes around a node, from the inside out."""
+    while node.parent is not None:
+        node = node.parent
+        yield node
+
+
 def _models(node: Node) -> Iterator[Node]:
     """Yield the models around a node, from the inside out."""
-    above = node.parent
-    while above is not None:
-        if above.tag == "model":
-            yield above
-        above = above.parent
+    return (one for one in _above(node) if one.tag == "model")
 
 
 def _nested_model(node: Node) -> Node | None:
