@@ -223,11 +223,11 @@ def _place_included(document: Document) -> None:
                 model.origin.file.path.name,
             }
             found = [one for one in includes if names & set(Path(one.content("uri")).parts[-1:])]
-            if len(found) != 1 or found[0].parent is None or root in _above(found[0]):
+            around = found[0].parent if len(found) == 1 else None
+            if around is None or root in _above(found[0]):
                 continue
-            [include] = found
-            model.parent = include.parent
-            include.parent.children.append(model)
+            model.parent, include = around, found[0]
+            around.children.append(model)
             root.children.remove(model)
             model.children[:0] = [one for one in include.children if one.tag == "pose"]
             if (name := include.child("name")) is not None and name.text is not None:

@@ -73,7 +73,8 @@ def _odd(fleet: Fleet) -> str:
 
 def _trends(fleet: Fleet) -> str:
     """Draw each quantity of each robot over its logs: those with a change, and then the others."""
-    changed, steady = [], []
+    changed: list[str] = []
+    steady: list[str] = []
     for robot in sorted({str(row["robot"]) for row in fleet.rows}):
         own = [row for row in fleet.rows if row["robot"] == robot]
         for quantity in quantities_of(own):
