@@ -69,7 +69,9 @@ def urdf(tmp_path: Path) -> Path:
 def test_the_parser_of_ros_reads_an_amended_urdf(urdf: Path) -> None:
     parser = pytest.importorskip("urdf_parser_py.urdf", reason="urdf_parser_py is not installed")
     joints = parser.URDF.from_xml_string(urdf.read_text()).joint_map
-    assert joints["front_joint"].origin.xyz[:2] == pytest.approx([-0.06, -0.012], abs=1e-6)  # in the turned shell
+    assert joints["front_joint"].origin.xyz[:2] == pytest.approx(
+        [-0.06, -0.012], abs=1e-6
+    )  # in the turned shell
     assert joints["front_joint"].origin.rpy[2] == pytest.approx(1.5707963 + 0.015, abs=1e-6)
     left, right = (joints[f"{side}_wheel_joint"].origin.xyz[1] for side in ("left", "right"))
     assert left - right == pytest.approx(0.38 / 1.03, rel=1e-5)
