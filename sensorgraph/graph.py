@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.thin_rays import noise_of_poses
 from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.models.unknown_space import UnknownSpace
 from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.sensor_model import (
     GraphRays,
@@ -30,6 +32,7 @@ from sensorgraph.sensor_model import (
     likelihood_of,
     near_of,
     sample_of,
+    unknown_space,
     warn_of_sweep,
 )
 from sensorgraph.sensor_model_input import check_poses, check_readings, numbers_of, rays_of
@@ -116,7 +119,7 @@ class Sensorgraph:
         rays : Indices of the rays that count. None: all rays.
         correlated : Temper the sum by the correlation of neighbouring readings, which `memory` knows.
         per_ray : Return the terms of the sum, (n_poses, n_rays).
-        unanswered : What rays count that no training ray crossed. "broad": any reading is as probable; "skip": nothing.
+        unanswered : What rays count that no training ray crossed. "broad": the distribution of `unknown_space`; "skip": nothing.
 
         Returns
         -------
@@ -173,6 +176,11 @@ class Sensorgraph:
         """
         where, index = self._asked(poses, rays)
         return sample_of(self, where, n, seed, index, residual_memory=residual_memory)
+
+    @cached_property
+    def unknown_space(self) -> UnknownSpace:
+        """Distribution of readings in space that no training ray has crossed."""
+        return unknown_space(self)
 
     def lasers(self, poses: Floats) -> Floats:
         """Return the poses (..., 3) of the laser in map for poses (..., 3) of `pose_frame`."""

@@ -24,9 +24,10 @@ from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.likelihood import MIN_DENSITY, information_share
+from sensorgraph.models.likelihood import information_share
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.models.unknown_space import N_POSES, N_RAYS, UnknownSpace
 from sensorgraph.nearby_likelihood import NearbyLikelihood, tabulated
 from sensorgraph.sensor_model_input import check_count
 from sensorgraph.types import Bools, Floats, Ints
@@ -34,7 +35,7 @@ from sensorgraph.world.scene import apply_range_limits
 
 logger = logging.getLogger(__name__)
 Unanswered = Literal["broad", "skip"]
-"""What a ray counts that no training data support: a reading anywhere up to range_max, or nothing."""
+"""What a ray counts that no training data support: the distribution of unknown space, or nothing."""
 UNANSWERED: tuple[str, ...] = ("broad", "skip")
 POSES_PER_MIXTURE = 16
 """Number of poses whose mixtures are in memory at once."""
@@ -51,6 +52,8 @@ class Graph(Protocol):
     def sensor(self) -> RangeSensor: ...
     @property
     def memory(self) -> ResidualMemory | None: ...
+    @property
+    def unknown_space(self) -> UnknownSpace: ...
     def lasers(self, poses: Floats) -> Floats: ...
     def predict(self, poses: Floats, *, rays: Ints) -> Prediction: ...
 
@@ -120,7 +123,7 @@ def likelihood_of(
     found, supported = ray_likelihoods(graph, ranges, poses, rays)
     known = ~np.isnan(np.broadcast_to(ranges, found.shape))
     if unanswered == "broad":
-        found = np.where(supported | ~known, found, _broad(ranges, graph.sensor))
+        found = np.where(supported | ~known, found, graph.unknown_space.log_likelihood(ranges, graph.sensor))
         counts = known
     else:
         found = np.where(supported, found, 0.0)
@@ -142,7 +145,8 @@ def near_of(
         )
     if graph.sensor.scan_duration > 0:
         warn_of_sweep(graph.sensor.scan_duration)
-    broad = _broad(ranges, graph.sensor)[0] if unanswered == "broad" else np.zeros(len(rays))
+    known = graph.unknown_space.log_likelihood(ranges, graph.sensor)[0]
+    broad = known if unanswered == "broad" else np.zeros(len(rays))
     share = float(_shares(graph, ranges, rays, correlated=correlated)[0])
     mount = graph.lasers(np.zeros((1, 3)))[0]
     return tabulated(graph.model, graph.sensor.bearings, mount, ranges[0], poses, rays, broad, share)
@@ -234,11 +238,20 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(len(os.sched_getaffinity(0)), 8), thread_name_prefix="likelihood")
 
 
-def _broad(ranges: Floats, sensor: RangeSensor) -> Floats:
-    """Return the log-likelihood of readings where nothing is known: with equal chances none, or any up to range_max."""
-    chance = np.where(np.isposinf(ranges), 0.5, 0.5 / sensor.range_max)  # [1/m] of a return
-    too_close = 0.5 * sensor.range_min / sensor.range_max
-    return np.log(np.where(np.isneginf(ranges), max(too_close, MIN_DENSITY), chance))
+def unknown_space(graph: Graph) -> UnknownSpace:
+    """Return the distribution of readings where nothing is known, from predictions all over the known space."""
+    model = graph.model
+    if not isinstance(model, Faces | CellModel):
+        return UnknownSpace(median=graph.sensor.range_max, p_no_return=0.0)
+    rng = np.random.default_rng(0)
+    corner, side, known = crossed_cells(model)
+    cells = np.argwhere(known)[rng.integers(known.sum(), size=N_POSES)]
+    places = corner + (cells + rng.uniform(size=cells.shape)) * side
+    poses = np.column_stack([places, rng.uniform(-np.pi, np.pi, N_POSES)])
+    rays = np.unique(np.linspace(0, graph.sensor.n_rays - 1, N_RAYS).astype(np.intp))
+    where = poses[:, None].repeat(len(rays), axis=1) if graph.sensor.is_composite else poses
+    found = graph.predict(where, rays=rays)
+    return UnknownSpace.of(found.median[found.answered], found.p_no_return[found.answered], graph.sensor)
 
 
 def _ends_in_laser(ranges: Floats, sensor: RangeSensor, rays: Ints) -> Floats:

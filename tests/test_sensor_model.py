@@ -253,8 +253,28 @@ def test_unanswered_rays_count_broad_or_not_at_all(graphs: dict[str, Sensorgraph
     outside = np.array([[3.6, 0.5, 0.0], [1.0, 1.0, 0.0], [20.0, 0.0, 0.0]])
     scan = np.full(graph.sensor.n_rays, 1.0)
     broad = graph.log_likelihood(scan, outside, per_ray=True)[2]
-    np.testing.assert_allclose(broad, np.log(0.5 / graph.sensor.range_max))
+    np.testing.assert_allclose(broad, graph.unknown_space.log_likelihood(np.array(1.0), graph.sensor))
     assert (graph.log_likelihood(scan, outside, per_ray=True, unanswered="skip")[2] == 0).all()
+
+
+def test_readings_of_unknown_space_have_a_probability_of_one_and_the_median_of_known_space(
+    graphs: dict[str, Sensorgraph],
+) -> None:
+    graph = graphs["faces"]
+    space, sensor = graph.unknown_space, graph.sensor
+    z = np.linspace(0.0, sensor.range_max, 100_001)
+    density = np.exp(space.log_likelihood(z, sensor))
+    none, too_close = np.exp(space.log_likelihood(np.array([np.inf, -np.inf]), sensor))
+    inside = np.trapezoid(density, z)
+    assert inside + none == pytest.approx(1.0, abs=1e-3)
+    assert too_close == pytest.approx(
+        np.trapezoid(density[z < sensor.range_min], z[z < sensor.range_min]), abs=1e-3
+    )
+    poses = somewhere(400, np.random.default_rng(3))
+    ranges = graph.predict(poses).ranges
+    assert np.median(ranges[np.isfinite(ranges)]) == pytest.approx(
+        space.median, rel=0.4
+    )  # the crossed space is larger
 
 
 @pytest.mark.parametrize("name", ["faces", "cells"])
