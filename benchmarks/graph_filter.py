@@ -96,10 +96,15 @@ def spread_of(particles: Floats) -> Floats:
     return np.asarray(np.sqrt(np.diag(covariance)))
 
 
-def tempered(log_likelihood: Floats, exponent: float) -> Floats:
+def weights_of(log_weights: Floats) -> Floats:
     """Return weights that sum to 1."""
-    weights = np.exp(exponent * (log_likelihood - log_likelihood.max()))
+    weights = np.exp(log_weights - log_weights.max())
     return np.asarray(weights / weights.sum())
+
+
+def is_effective(log_weights: Floats) -> bool:
+    """Return whether at least half of the particles are effective: 1 / sum(w²) >= n / 2 (Kong, Liu and Wong 1994)."""
+    return bool((weights_of(log_weights) ** 2).sum() <= 2.0 / len(log_weights))
 
 
 class ScanLikelihood:
@@ -131,10 +136,11 @@ def updated(particles: Floats, likelihood: ScanLikelihood, rng: np.random.Genera
     """Return particles of the posterior, from those of the prior, by annealed importance sampling.
 
     Groups of rays come one after the other, the first ones far from each other. The exponent of a group grows in steps that
-    keep half of the particles effective. A drawn particle moves by the difference of two of its neighbours, which keeps
-    the shape of each of several modes.
+    keep half of the particles effective. New ones are drawn only when fewer would be (Del Moral, Doucet and Jasra 2006): where
+    the graph knows nothing, the prior stays as it is. A drawn particle moves by the difference of two of its neighbours,
+    which keeps the shape of each of several modes.
     """
-    n, scale = len(particles), np.array([1.0, 1.0, TURN_SCALE])
+    n, scale, log_weights = len(particles), np.array([1.0, 1.0, TURN_SCALE]), np.zeros(len(particles))
     for first in range(N_GROUPS):
         if first == N_GROUPS // 2 and not likelihood.is_near(particles):
             break  # the other half of the rays would say as little, and casts for each particle take long
@@ -142,13 +148,14 @@ def updated(particles: Floats, likelihood: ScanLikelihood, rng: np.random.Genera
         while done < 1.0:
             found = likelihood.of(particles, some)
             low, step = 0.0, 1.0 - done
-            while step - low > 1e-2 * step and (tempered(found, step) ** 2).sum() > 2.0 / n:
+            while step - low > 1e-2 * step and not is_effective(log_weights + step * found):
                 middle = 0.5 * (low + step)
-                low, step = (
-                    (low, middle) if (tempered(found, middle) ** 2).sum() > 2.0 / n else (middle, step)
-                )
+                low, step = (middle, step) if is_effective(log_weights + middle * found) else (low, middle)
             done += step
-            at = drawn(tempered(found, step), rng)
+            log_weights += step * found
+            if done >= 1.0 and is_effective(log_weights):
+                continue
+            at = drawn(weights_of(log_weights), rng)
             _, neighbours = cKDTree(particles * scale).query(particles * scale, k=N_NEIGHBOURS + 1)
             two = neighbours[at][np.arange(n), rng.integers(1, N_NEIGHBOURS + 1, (2, n))]
             difference = particles[two[0]] - particles[two[1]]
@@ -157,7 +164,8 @@ def updated(particles: Floats, likelihood: ScanLikelihood, rng: np.random.Genera
             if n > LEAST:  # fewer suffice for a narrower posterior
                 n = min(n, number_of(particles))
                 particles = rng.permutation(particles)[:n]
-    return particles
+            log_weights = np.zeros(n)
+    return particles[drawn(weights_of(log_weights), rng)]
 
 
 def number_of(particles: Floats) -> int:
