@@ -19,6 +19,7 @@ from sensorgraph.building import training_data
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization import kept
 from sensorgraph.models.faces import reduction
 from sensorgraph.world.raycast import cast
 
@@ -56,6 +57,33 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=90, margin_ns=1_000_000_000))
     for module in (training_data, reduction):
         monkeypatch.setattr(module, "SCANS_PER_BLOCK", 128)
+
+
+def test_a_log_without_poses_is_located_with_all_its_odometry(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stamps = np.linspace(run.stamps[0], run.stamps[-1], 3 * stream.SETTINGS.first_messages)
+    wheels = run.poses_at(stamps)
+    short = replace(
+        run.take_scans(slice(0, stream.SETTINGS.first_messages)),
+        pose_stamps=np.zeros(0),
+        poses=np.zeros((0, 3)),
+        pose_covariances=np.zeros((0, 3, 3)),
+        odom_stamps=stamps,
+        odometry=wheels,
+        odom_twists=np.zeros((len(stamps), 2)),
+    )
+    logs.write(short, tmp_path / "short.mcap")
+    given: list[Run] = []
+
+    def located(path: Path, run: Run, *_: object, **__: object) -> kept.KeptRun:
+        given.append(run)
+        raise SensorgraphError("located")
+
+    monkeypatch.setattr(kept, "located", located)
+    command(["build", str(tmp_path / "short.mcap"), "-o", str(tmp_path / "x.sensorgraph")])
+    assert len(given[0].odom_stamps) == len(stamps)
+    assert given[0].n_scans == short.n_scans
 
 
 def bytes_of(graph, path: Path) -> bytes:

@@ -146,7 +146,8 @@ def _open(
     with reading_bar() as tick:
         log = open_log(path, **reading, progress=tick)
     log = replace(log, head=with_robot(log.head, str(path), robot))
-    run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=log.n_scans, options=reading)
+    n_scans = None if isinstance(log, WholeRun) else log.n_scans
+    run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=n_scans, options=reading)
     if run is log.head:
         return log
     if not is_alone and place[0] is None:

@@ -156,7 +156,7 @@ def with_poses(
     if not needs_locating(run, run.n_scans if n_scans is None else n_scans, poses):
         return run
     settings = {**(options or {}), **_stated(run)}
-    if n_scans is not None and n_scans != run.n_scans:
+    if n_scans is not None:  # the start may hold all scans, but not all odometry
         whole, sensor = logs.read(path, **(options or {})), run.sensor
         later = sensor.ray_0_after_first - whole.sensor.ray_0_after_first
         run = replace(whole, sensor=sensor, stamps=whole.stamps + later, meta={**run.meta, **whole.meta})
