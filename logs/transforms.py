@@ -92,14 +92,15 @@ def to_planar(transforms: Floats) -> Floats:
 
 
 def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
-    """Integrate twists (n, 2) from the origin to poses (n, 3); each twist is constant up to the next stamp.
+    """Integrate twists (n, 3) [m/s, m/s, rad/s], ahead, left and turn, from the origin to poses (n, 3).
 
-    Each step is an arc with chord v dt sinc(omega dt / 2) in the direction phi + omega dt / 2, which is exact.
+    A step has the mean of the twists at its ends. It is an arc with chord (v_x + i v_y) dt sinc(omega dt / 2) in the
+    direction phi + omega dt / 2, which is exact for a constant twist.
     """
     steps = np.diff(stamps)
-    phi = np.concatenate([[0.0], np.cumsum(twists[:-1, 1] * steps)])
-    turn = twists[:-1, 1] * steps
-    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))
-    along = phi[:-1] + turn / 2
-    x, y = (np.concatenate([[0.0], np.cumsum(chord * f(along))]) for f in (np.cos, np.sin))
-    return np.column_stack([x, y, wrap(phi)])
+    mean = 0.5 * (twists[:-1] + twists[1:])
+    turn = mean[:, 2] * steps
+    phi = np.concatenate([[0.0], np.cumsum(turn)])
+    chord = (mean[:, 0] + 1j * mean[:, 1]) * steps * np.sinc(turn / (2 * np.pi))
+    place = np.concatenate([[0.0], np.cumsum(chord * np.exp(1j * (phi[:-1] + turn / 2)))])
+    return np.column_stack([place.real, place.imag, wrap(phi)])

@@ -82,10 +82,10 @@ def pose(
 
 def odometry(
     stamp: float, x: float, y: float, yaw: float, v: float = 0.0, omega: float = 0.5, *, topic: str = "/odom",
-    log: float | None = None,
+    log: float | None = None, left: float = 0.0,
 ) -> Message:  # fmt: skip
     strings = {"frame_id": "odom", "child_frame_id": "base_link"}
-    columns = {"pose": [x, y, 0, *quaternion(yaw)], "twist": [v, 0, 0, 0, 0, omega]}
+    columns = {"pose": [x, y, 0, *quaternion(yaw)], "twist": [v, left, 0, 0, 0, omega]}
     return message(topic, ODOMETRY_TYPE, stamp, strings, log=log, **columns)
 
 

@@ -69,7 +69,7 @@ def test_twists_alone_are_integrated_to_odometry(tmp_path: Path) -> None:
 @given(v=st.floats(-1, 1), omega=st.floats(-3, 3), n=st.integers(2, 40))
 def test_dead_reckoning_of_a_constant_twist_is_a_circle(v: float, omega: float, n: int) -> None:
     stamps = np.linspace(0, 2, n)
-    poses = dead_reckoning(stamps, np.tile([v, omega], (n, 1)))
+    poses = dead_reckoning(stamps, np.tile([v, 0.0, omega], (n, 1)))
     chord = 2 * v * np.sinc(omega / np.pi)  # of the arc driven in 2 s
     np.testing.assert_allclose(poses[-1, :2], [chord * np.cos(omega), chord * np.sin(omega)], atol=1e-9)
 

@@ -151,6 +151,17 @@ def test_odometry_that_fills_in_only_its_twist_is_integrated(stuck: float, tmp_p
     np.testing.assert_allclose(alone.odometry[-1], [1.2, 0, 0], atol=1e-6)
 
 
+def test_twists_are_integrated_with_their_sideways_part_and_without_a_lag(tmp_path: Path) -> None:
+    scans = [one for one in drive() if one[0] == "/scan"]
+    at = np.arange(61) / 20
+    wheels = [odometry(t, 0, 0, 0, v=0.3, left=-0.4, omega=0.0) for t in at]
+    run = read(tmp_path, [*scans, *wheels])
+    np.testing.assert_allclose(run.odometry[-1], [0.9, -1.2, 0.0], atol=1e-6)
+    faster = [odometry(t, 0, 0, 0, v=0.2 * t, omega=0.0) for t in at]
+    run = read(tmp_path / "faster", [*scans, *faster])
+    np.testing.assert_allclose(run.odometry[:, 0], 0.1 * at**2, atol=1e-6)
+
+
 def test_a_reference_that_stopped_is_noticed_by_the_odometry(tmp_path: Path) -> None:
     stuck = [pose(i / 10, 1 + 0.5 * min(i, 10) / 10, 0, 0) for i in range(30)]
     run = read(tmp_path, [*drive(), *stuck])

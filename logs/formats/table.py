@@ -114,7 +114,7 @@ def read(
     }
     odometry, twists = parts[ODOMETRY_COLUMNS], parts[TWIST_COLUMNS]
     if odometry is None and twists is not None:
-        odometry = dead_reckoning(stamps, twists)
+        odometry = dead_reckoning(stamps, np.insert(twists, 1, 0.0, axis=1))
     if odometry is not None:
         odometry = np.column_stack([odometry, twists_of(stamps, odometry) if twists is None else twists])
     pose_stamps, poses = _whole(stamps, parts[POSE_COLUMNS], 3)

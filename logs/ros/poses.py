@@ -82,7 +82,7 @@ def odometry_of_topic(recording: Recording, name: str | None) -> Track | None:
     planar, twists = to_planar(pose.values), twist.values[:, [0, 5]]
     known = planar[np.isfinite(planar).all(axis=1)]
     if len(planar) and (len(known) == 0 or not np.ptp(known, axis=0).any()):
-        driven = dead_reckoning((pose.stamps - pose.stamps[0]) / 1e9, twists)
+        driven = dead_reckoning((pose.stamps - pose.stamps[0]) / 1e9, twist.values[:, [0, 1, 5]])
         if (np.ptp(driven, axis=0) > MIN_DRIVEN).any():
             pose.notes.append(
                 f"{name}: its pose never changes while its twist drives: the twist was integrated"
