@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.run_warnings import warnings_of
 from logs.stream import LogStream
+from sensorgraph.building.robot_parts import rays_on_robot, robot_parts_text
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps, check_ranges
@@ -126,6 +128,8 @@ class _LogIntake:
         self.end: float | None = None
         """[s] Stamp of the last scan, if it was used."""
         self.n_stretches = 0
+        self.on_robot: Bools = np.zeros(0, dtype=np.bool_)
+        """(n_rays,) Rays that end at the robot itself, from the first piece."""
 
     def take(self, run: Run) -> tuple[Floats, ...]:
         """Return poses, stamps with stretch numbers, and ranges of the training scans of a piece.
@@ -158,6 +162,7 @@ class _LogIntake:
             self.dropped[reason] = self.dropped.get(reason, 0) + count
         for text in warnings_of(run):
             self.warnings.setdefault("".join(c for c in text if not c.isdigit())[:30], text)
+        run = self._without_robot(run, pairing, is_first=start == 0)
         poses = pairing.poses[use]
         if len(poses):
             self.box = np.array(
@@ -188,6 +193,16 @@ class _LogIntake:
         check_jumps(run, pairing, force=self.force, name=self.name, last=self.last)
         if pairing.paired.any():
             self.last = run.stamps[pairing.paired][-1:], pairing.poses[pairing.paired][-1:]
+
+    def _without_robot(self, run: Run, pairing: Pairing, *, is_first: bool) -> Run:
+        """Return the piece without readings of the robot itself, which would be surfaces wherever it drives."""
+        if is_first:
+            self.on_robot = rays_on_robot(run, pairing)
+            if self.on_robot.any():
+                self.warnings["robot"] = robot_parts_text(self.on_robot, run.sensor.bearings)
+        if not self.on_robot.any():
+            return run
+        return replace(run, ranges=np.where(self.on_robot, np.nan, run.ranges))
 
     def _check_first_piece(self, run: Run) -> None:
         """Refuse ranges in another unit, and warn of a mirrored or turned scan, and of scans that contradict each other."""
