@@ -74,10 +74,13 @@ def test_a_covered_sector_is_named_and_the_pose_stays_ok() -> None:
     run = laps(1, seed=14)
     ranges = run.ranges.copy()
     ranges[40:, 50:55] = 0.06  # a thumb on 15 degrees, from 8 s
+    ranges[40:, 20:25] = 0.06  # another one, far from it
     said = list(sg.watch(graph(), replace(run, ranges=ranges)))
     first = next(status for status in said if names(status))
     assert names(first) == {"blocked_sector"}
     assert 8.0 <= first.t < 13.0
+    sector = said[-1].faults[0].parameters
+    assert sector["to_rad"] - sector["from_rad"] < np.radians(31)  # one of the two, not all between them
     assert {status.pose.status for status in said} == {"ok"}
 
 

@@ -164,6 +164,8 @@ class RobotHealth:
         blocked = np.flatnonzero(self.sectors.blocked())
         if len(blocked) == 0:
             return []
+        runs = np.split(blocked, np.flatnonzero(np.diff(blocked) > 1) + 1)
+        blocked = max(runs, key=len)  # the widest of several
         nats = float(self.sectors.nats[blocked].max())
         middles = self.sectors.middle[blocked]
         width = self.priors.sector
