@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import loop_poses, room_run
+from localization_samples import loop_poses, room_run, seen
 from watching_samples import believing, graph
 
 import sensorgraph as sg
-from logs.run import Run
+from logs.run import RangeSensor, Run
+from logs.transforms import compose
 from sensorgraph.watching.kept_scans import KeptScans
 from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
-from sensorgraph.watching.scan_input import changed_share, view_of
+from sensorgraph.watching.scan_input import at_stamp, changed_share, view_of
 from sensorgraph.watching.settings import TRACKING
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.tracker import PoseTracker
@@ -183,3 +184,18 @@ def test_a_laser_all_of_whose_rays_count_as_covered_is_still_watched() -> None:
         tracker.update(observation)
         tracker.usable[:] = False
     assert tracker.main is not None and np.hypot(*(tracker.main.pose - poses[-1])[:2]) < 0.05
+
+
+def test_the_readings_of_a_sweep_are_those_at_the_stamp_of_its_scan() -> None:
+    bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    sensor = RangeSensor(bearings=bearings, range_max=20.0, sigma=0.01, rate=10.0, sweep_time=0.1)
+    velocity = np.array([0.4, 0.0, 1.0])
+    pose = np.array([2.0, 1.2, 0.3])
+    rays = compose(pose, sensor.ray_delays[:, None] * velocity)
+    swept = np.array([seen(ray[None], bearings[k : k + 1])[0, 0] for k, ray in enumerate(rays)])
+    still = seen(pose[None], bearings)[0]
+    found = at_stamp(sensor, Observation(stamp=0.0, ranges=swept), velocity).ranges
+    assert np.median(np.abs(swept - still)) > 0.02
+    both = np.isfinite(found)  # no ray looked into the angle by which the robot turned during the sweep
+    assert both.mean() > 0.95
+    assert np.quantile(np.abs(found - still)[both], 0.9) < 0.01

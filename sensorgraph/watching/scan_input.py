@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from logs.motion import Motion
+from logs.resampling import resample
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.global_search import LocalView, local_view
@@ -42,6 +43,25 @@ def points_of(sensor: RangeSensor, observation: Observation, velocity: Floats) -
         poses = times[:, None] * velocity  # straight in the short time of a sweep
         motion = Motion(stamps=times, poses=poses)
     return scan_points(run, motion)
+
+
+def at_stamp(sensor: RangeSensor, observation: Observation, velocity: Floats) -> Observation:
+    """Return a scan with the ranges that its rays would have at its stamp, for a velocity (3,) [m/s, m/s, rad/s].
+
+    The ends of the rays are seen from the laser at the stamp and resampled to its bearings. A missing return only turns.
+    """
+    if not sensor.has_ray_delays or sensor.is_composite or not velocity.any():
+        return observation
+    lasers = compose(sensor.ray_delays[:, None] * velocity, sensor.mount)
+    moved = compose(invert(sensor.mount), lasers)
+    bearings, ranges = sensor.bearings + moved[:, 2], np.array(observation.ranges)
+    is_end = np.isfinite(ranges)
+    x = moved[is_end, 0] + ranges[is_end] * np.cos(bearings[is_end])
+    y = moved[is_end, 1] + ranges[is_end] * np.sin(bearings[is_end])
+    ranges[is_end] = np.hypot(x, y)
+    bearings[is_end] += wrap(np.arctan2(y, x) - bearings[is_end])
+    bearings, first = np.unique(bearings, return_index=True)
+    return replace(observation, ranges=resample(ranges[None, first], bearings, sensor.bearings)[0])
 
 
 def view_of(kept: Sequence[ScanInput]) -> LocalView:

@@ -34,6 +34,7 @@ from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
+    at_stamp,
     changed_share,
     moved_covariance,
     new_share,
@@ -115,14 +116,17 @@ class PoseTracker:
         dt, step, deviations, is_jump = odometry_step(self._last, observation, s)
         if is_jump:
             self.missing = math.inf
-        scan = points_of(self.readings.sensor, observation, self.velocity)
+        has_step = dt > 0 and not is_jump and bool(step.any())
+        velocity = step / dt if has_step else self.velocity
+        scan = points_of(self.readings.sensor, observation, velocity)
         slip = self.slip * dt
         weight, changed = 1.0, 0.0
         if self._last is not None:  # a robot that stands and sees something else was carried
             changed = changed_share(self._last.ranges, observation.ranges, PLACE.least_difference)
             weight = max(new_share(step, slip, dt, s), changed)
         self._last, self.drift = observation, compose(self.drift, step)
-        now = ScanInput(observation=observation, scan=scan, drift=self.drift, weight=weight, changed=changed)
+        seen = at_stamp(self.readings.sensor, observation, velocity)
+        now = ScanInput(observation=seen, scan=scan, drift=self.drift, weight=weight, changed=changed)
         before = self.main
         expected = np.hypot(deviations, slip)
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
