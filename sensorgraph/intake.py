@@ -8,12 +8,15 @@ from logs.alternating_scans import alternating_text
 from logs.jumps import find_jumps
 from logs.notes import assumptions_of
 from logs.range_limits import BEYOND, median_text
+from logs.ros.transform_tree import MOVES
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.described import MOUNT
 from sensorgraph.world.overlap import OVERLAP, contradiction
 from sensorgraph.world.raycast import laser_poses
+from sensorgraph.world.sweep import FROM_ROBOT
 
 STANDSTILL = 1e-3
 """[m, rad] Poses of a run that vary by less than this are constant."""
@@ -69,13 +72,21 @@ def check_jumps(
 
 
 def check_ranges(run: Run, name: str) -> None:
-    """Refuse a run whose ranges are in another unit than metres, or of two scanners on one topic.
+    """Refuse a run whose ranges are in another unit than metres, of two scanners on one topic, or of a laser that moves.
 
     Raises
     ------
-    SensorgraphError : The median range is that of millimetres or centimetres, or the scans alternate between two views.
+    SensorgraphError : The median range is that of millimetres or centimetres, the scans alternate between two views, or the
+        transforms move the laser on the robot and no robot.yaml states its mount.
     """
-    beyond = next((note for note in assumptions_of(run) if note.startswith(BEYOND)), "")
+    notes = assumptions_of(run)
+    moves = next((note for note in notes if MOVES in note), "")
+    if moves and run.meta.get(MOUNT) != FROM_ROBOT:
+        raise SensorgraphError(
+            f"{name}: {moves}, which makes poses of the robot wrong by as much; expected a laser that is fixed to the robot: "
+            "select another with `topics` scan=NAME, or state the mount in a robot.yaml if the transforms are wrong"
+        )
+    beyond = next((note for note in notes if note.startswith(BEYOND)), "")
     if beyond and not np.isfinite(run.ranges).any():
         raise SensorgraphError(f"{name}: {beyond}")
     if text := median_text(run.ranges) or alternating_text(run.ranges):

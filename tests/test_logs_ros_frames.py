@@ -16,6 +16,8 @@ from logs.notes import assumptions_of
 from logs.ros.transform_tree import TransformTree
 from logs.transforms import compose, invert, to_translation_quaternion
 from sensorgraph.cli import run as cli
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import check_ranges
 
 T = np.arange(40) / 10
 MOUNT = transform(0, "base_link", "laser", 0.2, 0, 0, static=True)
@@ -282,3 +284,19 @@ def test_inspection_shows_the_sources(tmp_path: Path) -> None:
         write_bag2(tmp_path / "bag", in_order([MOUNT], moving("odom", "base_link", PATH), scans()))
     ).lines()
     assert "  40 odometry poses and twists from /tf odom -> base_link" in lines
+
+
+@pytest.mark.parametrize(("turn", "is_refused"), [(0.01, False), (0.5, True)])
+def test_a_laser_that_pans_on_the_robot_is_refused_and_one_that_trembles_is_not(
+    turn: float, is_refused: bool, tmp_path: Path
+) -> None:
+    pan = np.column_stack([np.full(len(T), 0.1), np.zeros(len(T)), turn * np.sin(3 * T)])
+    run = read(
+        tmp_path, in_order(moving("base_link", "laser", pan), moving("odom", "base_link", PATH), scans())
+    )
+    assert any("the laser moves on the robot" in note for note in assumptions_of(run))
+    if not is_refused:
+        check_ranges(run, "pan.bag")
+        return
+    with pytest.raises(SensorgraphError, match=r"pan\.bag: .*moves on the robot by up to 0\.00 m and \d\d°"):
+        check_ranges(run, "pan.bag")

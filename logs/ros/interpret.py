@@ -303,8 +303,8 @@ def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Fl
         scans.notes.append(
             f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, but assumed to be level"
         )
-    if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
-        scans.notes.append("the laser moves on the robot: its first mount was used")
+    if not place.is_static and place.moves:
+        scans.notes.append(place.moving_text)
     floor = tree.in_namespace_of(scans.frame, FLOOR_FRAME)
     above_floor = tree.place(floor, scans.frame) or place
     return place.poses[0], above_floor.height, place.up < 0

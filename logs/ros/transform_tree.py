@@ -17,6 +17,10 @@ HOLD_NS = 1_000_000_000
 
 MIN_MOTION = 1e-3
 """[m, rad] smaller changes of a transform are rounding and noise, not motion."""
+MAX_SWAY = (0.05, np.radians(2.0))
+"""[m, rad] Larger motion of a laser on its robot makes poses of the robot wrong."""
+MOVES = "the laser moves on the robot by "
+"""Begin of the note on such motion."""
 
 
 def to_matrices(transforms: Floats) -> Floats:
@@ -49,8 +53,21 @@ class RelativePose:
     @property
     def moves(self) -> bool:
         """Return whether the pose changes by more than `MIN_MOTION`."""
-        change = np.abs(self.poses - self.poses[0])
-        return bool(max(change[:, :2].max(), np.abs(wrap(change[:, 2])).max()) > MIN_MOTION)
+        return max(self.change) > MIN_MOTION
+
+    @property
+    def change(self) -> tuple[float, float]:
+        """Return the largest distance [m] and turn [rad] from the first pose."""
+        change = self.poses - self.poses[0]
+        return float(np.hypot(*change[:, :2].T).max()), float(np.abs(wrap(change[:, 2])).max())
+
+    @property
+    def moving_text(self) -> str:
+        """Return the note on a mount that moves; `MOVES` begins it if poses of the robot would be wrong."""
+        way, turn = self.change
+        if way < MAX_SWAY[0] and turn < MAX_SWAY[1]:
+            return "the laser moves on the robot, hardly: its first mount was used"
+        return f"{MOVES}up to {way:.2f} m and {np.degrees(turn):.0f}° by its transforms: its first mount was used"
 
 
 @dataclass(frozen=True)
