@@ -61,13 +61,15 @@ def archive(kind: str) -> bytes:
         (3 * b"1 0 0 5 0 1 0 6 0 0 1 0\n", "is a trajectory .KITTI: 3 x 4 matrices"),
         (b"VERTEX_SE2 0 1 2 0.5\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", "is a pose graph .g2o or TORO., without scans"),
         (b"t,x,y,phi\n0,1,2,3\n1,1,2,3\n", "is a table without ranges .its columns are t, x, y, phi."),
+        (b"__time,/scan/ranges[0],/scan/ranges[1]\n0.1,2,3\n0.2,2,3\n", "is a table of a LaserScan topic .with the column /scan/ranges.0.."),
+        (b"Time,angle_min,ranges_0,ranges_1\n0.1,-1,2,3\n0.2,-1,2,3\n", "is a table of a LaserScan topic .with the column ranges_0."),
         (b"header:\n  stamp:\nangle_min: -1\n", "is a text printed by `ros2 topic echo`"),
         (b'{"type": "FeatureCollection"}', "is an arena .GeoJSON.; give a log here, and the arena with --arena"),
         (b"image: a.pgm\nresolution: 0.05\n", "is a map of map_server; give a log here, and the map with --arena"),
     ],
     ids=[
         "zip", "npz", "mat", "parquet", "tar", "tar.gz", "xz", "web page", "git lfs", "git annex", "pcap", "gazebo", "xml", "pbstream", "posegraph",
-        "tum", "kitti", "g2o", "table", "echo", "geojson", "map",
+        "tum", "kitti", "g2o", "table", "plotjuggler", "bagpy", "echo", "geojson", "map",
     ],  # gzip holds the time
 )  # fmt: skip
 def test_a_file_that_is_given_for_a_log_is_named(data: bytes, words: str, tmp_path: Path) -> None:

@@ -49,6 +49,8 @@ OTHER_FILES: tuple[tuple[bytes, str], ...] = (
 GRAPH_LINE = re.compile(r"(VERTEX|EDGE)(2|3|_SE2|_SE3:QUAT)\s")
 TRAJECTORIES = {8: "TUM: stamp x y z qx qy qz qw", 12: "KITTI: 3 x 4 matrices"}
 """Numbers in a line of a trajectory -> its format."""
+RANGES_COLUMN = re.compile(r"\branges(\b|_?\d)")
+"""Name of a column with ranges of a topic: `/scan/ranges[0]`, `ranges_0`, `field.ranges0`, or `ranges` with all of them."""
 MAX_COLUMNS = 8
 """Number of column names that a message lists."""
 UNIT_TOLERANCE = 0.01
@@ -110,6 +112,12 @@ def _described_table(lines: list[str]) -> str:
     names, *cells = [[cell.strip() for cell in row] for row in csv.reader([*lines[:1], *lines[-1:]])] or [[]]
     is_header = len(names) > 2 and all(names) and not any(map(parses_as_number, names))
     if is_header and len(names) == len(cells[0]) and any(map(parses_as_number, cells[0])):
+        ranges = [name for name in names if RANGES_COLUMN.search(name)]
+        if ranges:
+            return (
+                f"a table of a LaserScan topic (with the column {ranges[0]}), as PlotJuggler or bagpy export it; give the log from "
+                "which it was made, or name the columns t and r0, r1, ... below a line such as `# bearings: -1.57 to 1.57 in 181`"
+            )
         more = ", ..." if len(names) > MAX_COLUMNS else ""
         return (
             f"a table without ranges (its columns are {', '.join(names[:MAX_COLUMNS])}{more}); give one with the columns "
