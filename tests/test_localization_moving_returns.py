@@ -28,11 +28,17 @@ def ranges_to(corners: list[tuple[float, float]], bearings: np.ndarray) -> np.nd
 
 
 @cache
-def with_trailer() -> tuple[Run, np.ndarray]:
-    """Return a drive along the room with a trailer in view, and its true poses."""
+def drive() -> tuple[Run, np.ndarray]:
+    """Return a drive along the room, and its true poses."""
     t = np.arange(0.0, 12.0, 0.1)
     truth = np.column_stack([1.9 + 0.45 * t, 1.2 + 0.0 * t, 0.05 * np.sin(0.5 * t)])
-    run = room_run(truth, rate=10.0, n_rays=180)
+    return room_run(truth, rate=10.0, n_rays=180), truth
+
+
+@cache
+def with_trailer() -> tuple[Run, np.ndarray]:
+    """Return the drive with a trailer in view."""
+    run, truth = drive()
     rng = np.random.default_rng(3)
     box = ranges_to(TRAILER, run.sensor.bearings) + 0.01 * rng.normal(size=run.ranges.shape)
     return replace(run, ranges=np.minimum(run.ranges, box)), truth
@@ -49,4 +55,13 @@ def errors(run: Run, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[s
 def test_a_trailer_in_view_does_not_stop_the_robot() -> None:
     way, turn, notes = errors(*with_trailer())
     assert way.max() < 0.06 and turn.max() < np.radians(1)
+    assert any("contradict the odometry" in note for note in notes)
+
+
+def test_scans_that_a_driver_turns_for_two_seconds_do_not_move_the_robot() -> None:
+    run, truth = drive()
+    ranges = run.ranges.copy()
+    ranges[60:80] = np.roll(ranges[60:80], 30, axis=1)  # by 60 degrees
+    way, turn, notes = errors(replace(run, ranges=ranges), truth)
+    assert way.max() < 0.1 and turn.max() < np.radians(1)
     assert any("contradict the odometry" in note for note in notes)

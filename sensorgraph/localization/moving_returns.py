@@ -7,6 +7,9 @@ Readings that also fit if the robot stands support none: they may be fixed to th
 
 Where the odometry is right, the readings that it places in crossed space are dropped, and the scans are tracked again. If that
 does not help, and no readings support the scans, all are dropped. Where no readings support either motion, the poses are as uncertain as the two differ.
+
+A motion by the scans that places many readings in crossed space is a wrong match, as of scans that are turned, or of few surfaces
+behind much that moves. It counts for nothing, however many readings it explains by chance.
 """
 
 from __future__ import annotations
@@ -25,8 +28,9 @@ from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.ray_times import TrackedRun
 from sensorgraph.localization.result import WheelParameters, true_intervals
 from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import CLOSURES
 from sensorgraph.localization.wheels import corrected_steps
-from sensorgraph.types import Bools, Floats, Progress
+from sensorgraph.types import Bools, Floats, Ints, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +46,11 @@ class MovingReturnSettings:
     min_ratio: float = 0.2
     """Ratio of readings that support the odometry to those that support the scans, from which the odometry is right. Where robots
     were pushed or slipped (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
-    rounds: int = 3
-    """Maximum number of times that the scans are tracked again."""
+    see_through: float = CLOSURES.see_through
+    """Share of the readings, of those that the other scan sees, in space that its rays crossed, above which the scans do not fit
+    each other at their motion: it is a wrong match. Of robots that were pushed or slipped, it is up to 0.02."""
+    rounds: int = 6
+    """Maximum number of times that the scans are tracked again; each shows contradictions that larger ones had hidden."""
 
 
 MOVING_RETURNS = MovingReturnSettings()
@@ -131,22 +138,24 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
     for start, stop in true_intervals(within):
         own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]
         counts = np.array([_supporting(scans, contrast, int(one), s) for one in own])
-        of_scans, of_moving_scans, of_odometry = counts.mean(axis=0)
-        if of_odometry >= max(least, s.min_ratio * of_moving_scans):
+        of_scans, of_moving_scans, of_odometry, n_seen, n_through = counts.mean(axis=0)
+        is_mismatch = n_through > s.see_through * n_seen
+        if of_odometry >= max(least, 0.0 if is_mismatch else s.min_ratio * of_moving_scans):
             found.is_false[start:stop] = True
             slips = (counts[:, 1] >= least) & (counts[:, 2] < s.min_ratio * counts[:, 1])
             found.is_sure[start:stop] = not slips.any()
-        elif of_scans < least:
+        elif of_scans < least or is_mismatch:
             off = np.abs(contrast.off[own]).max(axis=0)
             found.doubt[start:stop] = [max(off[:2]), max(off[:2]), off[2]]
     return found
 
 
-def _supporting(
-    scans: ScanPoints, contrast: Contrast, one: int, settings: MovingReturnSettings
-) -> tuple[int, int, int]:
-    """Count the readings that support the scans, those of them that do not fit a standing robot, and those for the odometry."""
-    total = np.zeros(3, dtype=np.intp)
+def _supporting(scans: ScanPoints, contrast: Contrast, one: int, settings: MovingReturnSettings) -> Ints:
+    """Count (5,) the readings that support the scans, those of them that do not fit a standing robot, and those for the odometry.
+
+    The last two are those that the other scan sees at the motion by the scans, and those of them in space that its rays crossed.
+    """
+    total = np.zeros(5, dtype=np.intp)
     i, j = int(contrast.first[one]), int(contrast.last[one])
     seen, driven = contrast.by_scans[one], contrast.by_odometry[one]
     for of, to, a, b in ((j, i, seen, driven), (i, j, invert(seen), invert(driven))):
@@ -154,8 +163,14 @@ def _supporting(
         by_odometry, not_odometry = _fits(scans, of, to, b, settings)
         standing, _ = _fits(scans, of, to, np.zeros(3), settings)
         for_scans, for_odometry = by_scans & not_odometry, by_odometry & not_scans
-        total += [for_scans.sum(), (for_scans & ~standing).sum(), (for_odometry & ~standing).sum()]
-    return int(total[0]), int(total[1]), int(total[2])
+        total += [
+            for_scans.sum(),
+            (for_scans & ~standing).sum(),
+            (for_odometry & ~standing).sum(),
+            (by_scans | not_scans).sum(),
+            not_scans.sum(),
+        ]
+    return total
 
 
 def _fits(
@@ -194,5 +209,5 @@ def _note(stamps: Floats, thinned: Bools, dropped: Bools, scans: ScanPoints) -> 
     share = dropped[scans.first[start] : scans.first[stop]].mean()
     return (
         f"from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, {share:.0%} of the readings contradict the odometry and other "
-        "readings confirm it: the laser sees what moves (people, a trailer, the ground); these readings were not used"
+        "readings confirm it: the laser sees what moves (people, a trailer, the ground), or its bearings were wrong; these readings were not used"
     )
