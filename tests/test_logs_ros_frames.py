@@ -286,11 +286,15 @@ def test_inspection_shows_the_sources(tmp_path: Path) -> None:
     assert "  40 odometry poses and twists from /tf odom -> base_link" in lines
 
 
-@pytest.mark.parametrize(("turn", "is_refused"), [(0.01, False), (0.5, True)])
+@pytest.mark.parametrize(
+    ("turns", "is_refused"),
+    [(0.01 * np.sin(3 * T), False), (0.5 * (T == 2.0), False), (0.5 * np.sin(3 * T), True)],
+    ids=["trembles", "one wrong transform", "pans"],
+)
 def test_a_laser_that_pans_on_the_robot_is_refused_and_one_that_trembles_is_not(
-    turn: float, is_refused: bool, tmp_path: Path
+    turns: np.ndarray, is_refused: bool, tmp_path: Path
 ) -> None:
-    pan = np.column_stack([np.full(len(T), 0.1), np.zeros(len(T)), turn * np.sin(3 * T)])
+    pan = np.column_stack([np.full(len(T), 0.1), np.zeros(len(T)), turns])
     run = read(
         tmp_path, in_order(moving("base_link", "laser", pan), moving("odom", "base_link", PATH), scans())
     )

@@ -19,6 +19,8 @@ MIN_MOTION = 1e-3
 """[m, rad] smaller changes of a transform are rounding and noise, not motion."""
 MAX_SWAY = (0.05, np.radians(2.0))
 """[m, rad] Larger motion of a laser on its robot makes poses of the robot wrong."""
+MAX_SWAYING = 0.1
+"""Share of the time above which such motion is no single wrong transform."""
 MOVES = "the laser moves on the robot by "
 """Begin of the note on such motion."""
 
@@ -53,21 +55,21 @@ class RelativePose:
     @property
     def moves(self) -> bool:
         """Return whether the pose changes by more than `MIN_MOTION`."""
-        return max(self.change) > MIN_MOTION
+        return bool(self.change.max() > MIN_MOTION)
 
     @property
-    def change(self) -> tuple[float, float]:
-        """Return the largest distance [m] and turn [rad] from the first pose."""
+    def change(self) -> Floats:
+        """Return distance [m] and turn [rad] of each pose from the first one (n, 2)."""
         change = self.poses - self.poses[0]
-        return float(np.hypot(*change[:, :2].T).max()), float(np.abs(wrap(change[:, 2])).max())
+        return np.column_stack([np.hypot(change[:, 0], change[:, 1]), np.abs(wrap(change[:, 2]))])
 
     @property
     def moving_text(self) -> str:
-        """Return the note on a mount that moves; `MOVES` begins it if poses of the robot would be wrong."""
-        way, turn = self.change
-        if way < MAX_SWAY[0] and turn < MAX_SWAY[1]:
-            return "the laser moves on the robot, hardly: its first mount was used"
-        return f"{MOVES}up to {way:.2f} m and {np.degrees(turn):.0f}° by its transforms: its first mount was used"
+        """Return the note on a mount that moves; `MOVES` begins it if poses of the robot would often be wrong."""
+        way, turn = self.change.max(axis=0)
+        often = (np.quantile(self.change, 1.0 - MAX_SWAYING, axis=0) > MAX_SWAY).any()
+        begin = MOVES if often else "the laser moves on the robot, a little or rarely, by "
+        return f"{begin}up to {way:.2f} m and {np.degrees(turn):.0f}°: its first mount was used"
 
 
 @dataclass(frozen=True)
