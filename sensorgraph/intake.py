@@ -83,8 +83,8 @@ def check_ranges(run: Run, name: str) -> None:
     moves = next((note for note in notes if MOVES in note), "")
     if moves and run.meta.get(MOUNT) != FROM_ROBOT:
         raise SensorgraphError(
-            f"{name}: {moves}, which makes poses of the robot wrong by as much; expected a laser that is fixed to the robot: "
-            "select another with `topics` scan=NAME, or state the mount in a robot.yaml if the transforms are wrong"
+            f"{name}: {moves}. Poses of the robot would be wrong by as much: select a laser that is fixed with `topics` scan=NAME, "
+            "or state the mount in a robot.yaml if the transforms are wrong"
         )
     beyond = next((note for note in notes if note.startswith(BEYOND)), "")
     if beyond and not np.isfinite(run.ranges).any():
