@@ -20,28 +20,9 @@ from sensorgraph.diagnosis.motion.reference_noise import (
     robust_log_likelihood,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.wheels.fused_motion import _lasting_walk, _variances
 from sensorgraph.diagnosis.motion.whitening import filter_of
 
 STEP = 0.02
-
-
-@pytest.mark.parametrize("memory", [0.5, 0.7, 0.9])
-@pytest.mark.parametrize("level", [0.2, 1.0])
-def test_steps_that_last_are_told_from_the_noise_of_the_level(memory: float, level: float) -> None:
-    rng, n = np.random.default_rng(1), 60_000
-    steps = lfilter([np.sqrt(1 - memory**2)], [1.0, -memory], rng.normal(size=n))
-    rows = steps + np.diff(np.sqrt(level) * rng.normal(size=n + 1))
-    found = _lasting_walk(rows)
-    assert found is not None and found == pytest.approx((1.0, level), rel=0.15)
-    assert _variances(rows, 0.1) == found
-
-
-def test_steps_that_do_not_last_are_no_lasting_walk() -> None:
-    rng, n = np.random.default_rng(2), 60_000
-    rows = 0.3 * rng.normal(size=n) + np.diff(rng.normal(size=n + 1))
-    found = _lasting_walk(rows)
-    assert found is None or found[1] == pytest.approx(1.0, rel=0.05)
 
 
 def integrated(way: Floats, turn: Floats) -> Floats:

@@ -17,8 +17,6 @@ from sensorgraph.diagnosis.motion import whitening
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
-from sensorgraph.diagnosis.motion.wheels.fused_motion import turn_of_a_tick
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
@@ -99,9 +97,7 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
     for k in range(1, n):
         rows[:, k] = memory * rows[:, k - 1] + np.sqrt(1 - memory**2) * rng.normal(size=2)
     test = StructureTest(np.ones(n, dtype=np.bool_), rows.ravel(), lambda *_: plain)
-    family = StructureFamily(
-        kind="any", columns=rng.normal(size=(2 * n, 1)), labels=[""], sigma=0.1, statement=""
-    )
+    family = StructureFamily(kind="any", columns=rng.normal(size=(2 * n, 1)), sigma=0.1, statement="")
     test.gain(np.ones((2 * n, 1)), family)
     assert low <= test.dispersion(4.0, 0.1) < high
 
@@ -112,7 +108,7 @@ def test_structure_is_judged_under_the_same_noise_as_what_it_competes_with() -> 
     patch = (np.arange(n) % 150 < 40).astype(float)  # what an effect does
     hump = np.sin(np.arange(n) * 2 * np.pi / 150)  # what a family makes of it
     y = 0.05 * patch + 0.01 * rng.normal(size=n)
-    family = StructureFamily(kind="any", columns=hump[:, None], labels=[""], sigma=0.1, statement="")
+    family = StructureFamily(kind="any", columns=hump[:, None], sigma=0.1, statement="")
     one = np.ones((n, 1))
 
     def slow_to_learn(_kind: int, residual: Floats, _valid: object) -> WhiteningFilter:
@@ -133,38 +129,6 @@ def test_structure_is_judged_under_the_same_noise_as_what_it_competes_with() -> 
 def test_two_effects_are_both_named() -> None:
     result = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
     assert {a.name for a in result.effects} == {"wheel_base", "pose_clock_offset"}
-
-
-def counted(run: Run, tick: float) -> Run:
-    """Return the run as wheels report it whose encoders count ticks of some length [m]."""
-    base = ROBOT.wheels.base
-    turn, step = np.asarray(wrap(np.diff(run.odometry[:, 2]))), np.diff(run.odometry[:, :2], axis=0)
-    heading = run.odometry[:-1, 2] + turn / 2
-    way = (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)) / np.sinc(turn / (2 * np.pi))
-    rims = np.cumsum(np.stack([way - turn * base / 2, way + turn * base / 2], axis=1), axis=0)
-    left, right = np.diff(tick * np.floor(rims / tick), axis=0, prepend=np.zeros((1, 2))).T
-    way, turn = (left + right) / 2, (right - left) / base
-    phi = np.concatenate([[0.0], np.cumsum(turn)])
-    middle = (phi[1:] + phi[:-1]) / 2
-    chord = way * np.sinc(turn / (2 * np.pi))
-    xy = np.cumsum(chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
-    return replace(run, odometry=np.column_stack([np.vstack([np.zeros(2), xy]), wrap(phi)]))
-
-
-def test_counting_of_ticks_is_taken_out_of_the_motion() -> None:
-    plain, tick = make_run(1), 0.005
-    run = counted(plain, tick)
-    wheels, smooth = motion_signals(run).wheels, motion_signals(plain).wheels
-    assert turn_of_a_tick(wheels.turn) == pytest.approx(tick / ROBOT.wheels.base, rel=1e-6)
-    assert turn_of_a_tick(smooth.turn) == 0.0
-    model = WheelModel(aligned_rows(motion_signals(run)), wheels, ROBOT)
-    model.denoise_motion()
-    true, read, fused = (np.cumsum(model.rows.D_yaw @ one.turn) for one in (smooth, wheels, model.motion))
-    slow = np.ones(20) / 20  # what drifts is not the ticks
-    before, after = (
-        float(np.std((e - np.convolve(e, slow, mode="same"))[20:-20])) for e in (read - true, fused - true)
-    )
-    assert after < 0.5 * before
 
 
 @pytest.mark.parametrize("seed", [13, *further(14)])

@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.backwards import counts_backwards
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
-from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming, odometry_result
+from sensorgraph.diagnosis.motion.wheels.report import odometry_result
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
@@ -50,11 +50,10 @@ def diagnose_odometry(
     moved = rows_at(signals, rows.clock + late) if abs(late) > ODOMETRY.min_clock_shift else None
     if moved is not None:
         model = WheelModel(moved, signals.wheels, robot)
-    deviations = deviations_before_naming(model)
     terms = select(model, rng, is_reference_straight=is_reference_straight)
     own_heading = run.pose_frame == "base_link" and not is_located(run)
     aside = sideways_structure(model, heading_is_of_base=own_heading)
-    return odometry_result(model, terms, aside, deviations, signals.notes, rng)
+    return odometry_result(model, terms, aside, signals.notes, rng)
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:

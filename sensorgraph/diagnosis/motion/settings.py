@@ -33,6 +33,9 @@ class EvidenceSettings:
     """[nats] evidence, after the complexity penalty, that a name needs."""
     max_tolerances: float = SCAN.nuisance.max_tolerances
     """Bound of a nuisance, in tolerances; a larger error must be an effect."""
+    lead_over_unknown: float = 3.0
+    """Ratio of the evidence of an effect to that of a difference that no effect explains, above which it keeps its name.
+    Evidence grows with the square of a size."""
     temperature: float = 4.0
     """Divisor of the evidence before it becomes a probability, since models are wrong in more ways than noise."""
     huber_limit: float = 3.0

@@ -227,14 +227,7 @@ def _channels_section(finding: Finding) -> str:
         f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel_text(result))}</td></tr>"
         for name, result in finding.channels.items()
     )
-    notes = "".join(
-        f"<li>{escape(f'{w.family} at {w.partition} {w.label}'.rstrip())}: {w.strength()}</li>"
-        for name, result in finding.channels.items()
-        if name != "scan"
-        for w in result.deviations[:4]
-    )
-    listed = f"<p>Deviations of odometry and drive before any effect:</p><ul>{notes}</ul>" if notes else ""
-    return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
+    return f"<h2>Channels</h2><table class='pairs'>{rows}</table>"
 
 
 def _driving_section(finding: Finding, pictures: Mapping[str, Path]) -> str:

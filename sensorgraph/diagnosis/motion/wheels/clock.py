@@ -64,8 +64,7 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
         scale = np.repeat(spreads, rows.n)
         theta = np.asarray(np.linalg.lstsq((A / scale[:, None])[some], (y / scale)[some], rcond=1e-9)[0])
         residual = np.asarray(y - A @ theta)
-    most = ROWS.max_clock_correction
-    return float(np.clip(theta[columns.clock], -most, most))
+    return float(theta[columns.clock])
 
 
 def _coarse_offset(signals: MotionSignals) -> float:

@@ -45,7 +45,6 @@ def reversals(rows: OdometryRows, wheels: WheelIncrements, rates: Floats, base: 
     return StructureFamily(
         kind="reversal",
         columns=column[:, None],
-        labels=["after a wheel reverses"],
         sigma=1.0,
         statement="a loss of motion after a wheel reverses: play",
     )
@@ -68,9 +67,6 @@ def spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struct
     return StructureFamily(
         kind="spinning",
         columns=np.stack(columns, axis=1),
-        labels=[
-            f"the {1 - q:.0%} with the largest acceleration" for q in ODOMETRY.structure.spinning_quantiles
-        ],
         statement="a loss of motion while wheels speed up: they spin",
     )
 
@@ -91,7 +87,6 @@ def turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) 
             StructureFamily(
                 kind="turns of a wheel",
                 columns=np.stack(columns, axis=1),
-                labels=[f"{wheel} wheel, once per turn" for wheel in ("left", "left", "right", "right")],
                 statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
                 choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
             )

@@ -128,7 +128,7 @@ class WheelModel:
 
     def denoise_motion(self) -> None:
         """Recompute all columns from the motion without the wheels' noise, as far as the residual shows it."""
-        self.motion = fused_motion(self.rows, self.wheels, self.residual, self.robot.wheels.base)
+        self.motion = fused_motion(self.rows, self.wheels, self.residual)
         self.A = self.layout.evaluate(self.rows, self.motion, self.robot.wheels.base)
         self.fit_noise()
 

@@ -62,7 +62,6 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
         StructureFamily(
             kind=REFERENCE_YAW,
             columns=np.stack(yaw, axis=1),
-            labels=["yaw of the reference over the place"] * len(yaw),
             sigma=ODOMETRY.structure.yaw_sigma,
             statement="a yaw error of the reference that depends on the place",
             is_of_reference=True,
@@ -70,8 +69,6 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
         StructureFamily(
             kind=REFERENCE_PLACE,
             columns=np.stack(position, axis=1),
-            labels=["position of the reference over the place"] * len(position),
-            sigma=ODOMETRY.structure.position_sigma,
             statement="a position error of the reference that depends on the place",
             is_of_reference=True,
         ),
@@ -100,7 +97,6 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
             StructureFamily(
                 kind="reference jumps",
                 columns=columns,
-                sigma=ODOMETRY.structure.jump_sigma,
                 statement="jumps of the reference at single moments, or wheel counts that were lost then",
                 is_of_reference=True,
                 choice_price=float(gammaln(rows.n + 1) - gammaln(k + 1) - gammaln(rows.n - k + 1)),

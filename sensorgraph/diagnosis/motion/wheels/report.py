@@ -22,14 +22,12 @@ from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
-from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, price
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, gains_of_discs
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import (
     ChannelResult,
-    Deviation,
     FitQuality,
     Gap,
     MotionDifference,
@@ -50,7 +48,6 @@ def odometry_result(
     model: WheelModel,
     terms: Sequence[WheelTerm],
     aside: AcceptedStructure | None,
-    deviations: tuple[Deviation, ...],
     notes: Mapping[str, object],
     rng: np.random.Generator,
 ) -> ChannelResult:
@@ -59,17 +56,22 @@ def odometry_result(
     Parameters
     ----------
     aside : Structure that moves the body across its heading.
-    deviations : Of the bare simulator, before any selection.
     """
     fit = model.regression.solve(model.prior(terms))
     covariance = model.regression.clustered_covariance(fit, model.clusters)
-    found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
-    entries = [_entry_of(model, term, a, fit) for term, a in zip(terms, found, strict=True)]
+    found, entries, rivals = list[Amendment](), [], list[Rival]()
+    for term in terms:
+        alternatives = _alternatives(model, term, terms, rng)
+        a = _amendment(model, term, terms, fit, covariance, alternatives)
+        found.append(a)
+        entries.append(_entry_of(model, term, a, fit))
+        rival = strongest_rival(term.effect, alternatives)
+        rivals += [] if rival is None else [rival]
     found.sort(key=lambda a: -(a.evidence or 0.0))
     absorbed = list[Amendment]()
     if model.structure is not None:  # effects that structure absorbs are not named
         taken = _taken_by_structure(model, terms, fit)
-        absorbed = [a for a in found if not _is_determined(a) or a.effect in taken]
+        absorbed = [a for a in found if a.effect in taken]
         found = [a for a in found if a not in absorbed]
     named = [a for a in found if _is_material(a)]
     return ChannelResult(
@@ -78,8 +80,7 @@ def odometry_result(
         within_tolerance=tuple(a for a in found if not _is_material(a)),
         withdrawn=tuple(Withdrawn(amendment=a, objection=ABSORBED) for a in absorbed),
         unknown=_unknown(model, aside),
-        rivals=tuple(_rivals(model, terms, named, rng)),
-        deviations=deviations,
+        rivals=tuple(rival for rival in rivals if any(a.name == rival.instead_of for a in named)),
         gap=_gap(model, terms),
         not_observable=_not_observable(model, terms),
         considered=(
@@ -143,11 +144,16 @@ def _amendment(
     terms: Sequence[WheelTerm],
     fit: RegressionFit,
     covariance: Floats,
-    rng: np.random.Generator,
+    alternatives: Mapping[Effect, float],
 ) -> Amendment:
-    """Return an effect with sizes, standard errors, evidence and probability."""
+    """Return an effect with sizes, standard errors, evidence and probability.
+
+    Parameters
+    ----------
+    alternatives : [nats] Evidence of each effect that could replace it.
+    """
     evidence = model.evidence(terms, term)
-    sure = probability(evidence, _alternatives(model, term, terms, rng).values())
+    sure = probability(evidence, alternatives.values())
     theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
     if term.effect is WHEEL_SLIP:
         amendment = _slip(model, term.column - model.layout.n, theta, error)
@@ -187,25 +193,19 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
 
 
 def _taken_by_structure(model: WheelModel, terms: Sequence[WheelTerm], fit: RegressionFit) -> set[Effect]:
-    """Return whole-run effects that structure absorbs, because its contribution is at least half of theirs.
+    """Return whole-run effects that structure absorbs, because they are not much larger (`lead_over_unknown`).
 
     They may be the even part of another cause. For example, a floor that takes a share of left turns only is
     equivalent to half a wheelbase error and half a difference between left and right.
     """
     A, structure = model.regression.A, model.layout.n + len(model.patches)
-    size = float(np.linalg.norm(A[:, structure:] @ fit.theta[structure:]))
+    least = np.sqrt(EVIDENCE.lead_over_unknown) * np.linalg.norm(A[:, structure:] @ fit.theta[structure:])
     return {
         term.effect
         for term in terms
         if term.effect is not WHEEL_SLIP
-        and size > ODOMETRY.structure.even_part * np.linalg.norm(A[:, term.column] * fit.theta[term.column])
+        and np.linalg.norm(A[:, term.column] * fit.theta[term.column]) < least
     }
-
-
-def _is_determined(a: Amendment) -> bool:
-    """Tell whether a whole-run effect is determined next to structure: its error is less than its materiality."""
-    is_local = a.effect.place is not None
-    return is_local or all(a.stderr.get(key, 0.0) < limit for key, limit in a.effect.sizes.items())
 
 
 def _is_material(a: Amendment) -> bool:
@@ -228,49 +228,12 @@ def _alternatives(
     return out
 
 
-def _rivals(
-    model: WheelModel, terms: Sequence[WheelTerm], named: Sequence[Amendment], rng: np.random.Generator
-) -> list[Rival]:
-    material = [term for term in terms if any(a.effect is term.effect for a in named)]
-    found = (strongest_rival(term.effect, _alternatives(model, term, terms, rng)) for term in material)
-    return [rival for rival in found if rival is not None]
-
-
 # criticism -----------------------------------------------------------------------------------------------------------
 
 
 def _steady(families: Sequence[StructureFamily]) -> list[StructureFamily]:
     """Return the families with a fixed choice of columns; the moments of a jump are one choice among many."""
     return [family for family in families if not family.choice_price]
-
-
-def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
-    """Return where the bare simulator differs, by score tests on the columns of structure."""
-    regression = model.regression
-    motion = fused_motion(model.rows, model.wheels, model.residual, model.robot.wheels.base)
-    fit = regression.solve(model.prior([]))
-    residual = regression.y - regression.A @ fit.theta
-    out = []
-    for family in _steady(odometry_families(model.rows, motion, model.robot.wheels)):
-        Z = model.whitener(family.columns)
-        sums = np.stack([np.bincount(model.clusters, weights=z) for z in (Z * residual[:, None]).T])
-        information = (Z**2).sum(axis=0)
-        variance = np.maximum(information, (sums**2).sum(axis=1))
-        z = Z.T @ residual / np.sqrt(np.maximum(variance, 1e-12))
-        for i in np.flatnonzero((np.abs(z) > EVIDENCE.listed_z) & (information > 1e-6)).tolist():
-            out.append(
-                Deviation(
-                    family="bias",
-                    partition=family.kind,
-                    label=family.labels[i],
-                    z=float(z[i]),
-                    size=float(Z[:, i] @ residual / information[i]),
-                    n_rays=int((np.abs(family.columns[:, i]) > 1e-9).sum()),
-                    channel="odometry",
-                )
-            )
-    out.sort(key=lambda deviation: -abs(deviation.z))
-    return tuple(out[: ODOMETRY.max_listed])
 
 
 def _unknown(model: WheelModel, aside: AcceptedStructure | None) -> Unknown | None:

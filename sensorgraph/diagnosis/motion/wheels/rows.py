@@ -137,7 +137,7 @@ def _smooth_positions(
     steps = wheels.distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     by_wheels = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
-    width = ROWS.position_window / period
+    width = EVIDENCE.cluster / period
     offsets = [_moving_average(column, width) for column in (averages[:, :2] - by_wheels).T]
     return np.asarray(by_wheels + np.stack(offsets, axis=1))
 

@@ -28,12 +28,10 @@ from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_p
 from sensorgraph.diagnosis.motion.wheels.reference_structure import reference_jumps
 from sensorgraph.diagnosis.motion.wheels.structure import (
     JUMP,
-    evidence_needed,
     jump_spacing,
     nearer_jumps,
     odometry_families,
 )
-from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
@@ -164,9 +162,9 @@ def _admit_structure(
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
     beside = model.A if candidate.replaces_patches else own
-    needed = evidence_needed(dispersion, model.rows)
+    needed = ODOMETRY.structure.threshold * dispersion
     if not candidate.replaces_patches:
-        needed = max(needed, _inexactness(model, terms))
+        needed = max(needed, _left_by_rims(model, terms))
     if candidate.evidence < needed:
         model.tested.append(TestedStructure(families=test.tested, threshold=needed))
         return
@@ -182,8 +180,6 @@ def _admit_structure(
         rivals=[text for text in rivals if text != candidate.family.statement][:2],
     )
     is_material = size.is_material(model.robot.limits.v, candidate.evidence)
-    if not candidate.replaces_patches and not is_material:
-        is_material = _stands_for_clock(model, terms, accepted)
     tested = TestedStructure(families=test.tested, threshold=needed, best=accepted, is_material=is_material)
     model.tested.append(tested)
     if not candidate.replaces_patches and not is_material:
@@ -195,22 +191,6 @@ def _admit_structure(
         model.structure = accepted
     model.fit_noise()
     engine.remove_superfluous(WheelChannel(model, rng), terms)
-
-
-def _stands_for_clock(model: WheelModel, terms: Sequence[WheelTerm], structure: AcceptedStructure) -> bool:
-    """Tell whether structure explains a material clock offset: play also delays the motion."""
-    clock = next((term for term in terms if term.effect is POSE_CLOCK_OFFSET), None)
-    if clock is None:
-        return False
-    offset = model.rows.clock + model.regression.solve(model.prior(terms)).theta[clock.column]
-    if abs(offset) < max(clock.effect.sizes.values()):
-        return False
-    model.structure = structure
-    model.fit_noise()
-    is_gone = model.evidence(terms, clock) < EVIDENCE.threshold
-    model.structure = None
-    model.fit_noise()
-    return bool(is_gone)
 
 
 def _best_structure(
@@ -256,11 +236,12 @@ def _in_stead_of_patches(
     return beside
 
 
-def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
-    """Return the evidence for structure that inexact models of the effects may cause [nats]."""
+def _left_by_rims(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
+    """Return the evidence for structure [nats] that the rim of a patch may cause.
+
+    Beside several patches it is 0: they imitate something else.
+    """
     wheels = [term for term in terms if term.effect is not WHEEL_SLIP]
-    patch = max(model.log_posterior(terms) - model.log_posterior(wheels), 0.0)
-    if len(terms) - len(wheels) > 1:  # several patches and still structure: they imitate something else
-        patch = 0.0
-    gain = model.log_posterior(wheels) - model.log_posterior([])
-    return ODOMETRY.structure.wheel_share * gain + ODOMETRY.structure.patch_share * patch
+    if len(terms) - len(wheels) != 1:
+        return 0.0
+    return ODOMETRY.structure.patch_share * (model.log_posterior(terms) - model.log_posterior(wheels))

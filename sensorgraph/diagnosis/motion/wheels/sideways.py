@@ -26,7 +26,6 @@ from sensorgraph.diagnosis.motion.structure_test import (
 )
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
-from sensorgraph.diagnosis.motion.wheels.structure import evidence_needed
 from sensorgraph.types import Floats
 
 CURVE = "curve"
@@ -86,7 +85,7 @@ def _askew(
     family = StructureFamily(kind="askew", columns=distance[:, None], statement="")
     gain, missing = test.gain(own, family), test.explained(own, [family])
     angle = float(distance @ missing) / max(float(distance @ distance), 1e-12)
-    needed = evidence_needed(test.dispersion(EVIDENCE.cluster, limits[0].period), rows)
+    needed = ODOMETRY.structure.threshold * test.dispersion(EVIDENCE.cluster, limits[0].period)
     side = "left" if angle > 0 else "right"
     words = f"a direction of travel {np.degrees(abs(angle)):.1f}° to the {side} of the body's heading"
     family = replace(family, statement=f"{words}: the axle or the markers of the reference are misaligned")
@@ -117,8 +116,7 @@ def _sliding(
     own = rows.masked(np.stack([aside.distance, aside.turn], axis=1))
     families = sideways_families(rows, aside)
     family, gain = test.best(own, families)
-    dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
-    needed = evidence_needed(dispersion, rows)
+    needed = ODOMETRY.structure.threshold * test.dispersion(EVIDENCE.cluster, limits[0].period)
     if gain < needed:
         model.tested.append(TestedStructure(families=test.tested, threshold=needed, prefix=SIDEWAYS))
         return None

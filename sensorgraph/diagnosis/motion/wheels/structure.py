@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -26,8 +26,8 @@ from sensorgraph.world.robot import Wheels
 Part = Literal["distance", "turn", "distance and turn", "left wheel", "right wheel"]
 PARTS: tuple[Part, ...] = ("left wheel", "right wheel", "turn")
 """Quantities that may change separately: each wheel, and the distance between them."""
-Scale = tuple[str, Part, Bools | Floats]
-"""Label, scaled quantity, and (n_increments,) the share of each increment that is scaled."""
+Scale = tuple[Part, Bools | Floats]
+"""Scaled quantity, and (n_increments,) the share of each increment that is scaled."""
 JUMP = "jump"
 """Kind of the families of a scale that changes once."""
 CLOCK = "clock"
@@ -47,24 +47,15 @@ def odometry_families(
     base = size.base
     rates, phi = _rates(wheels), rows.increment_poses[:, 2]
     ahead, passed = np.sign(wheels.distance), (wheels.middle - wheels.start[0]) / np.ptp(wheels.middle)
-    by_direction: list[Scale] = [
-        ("backward", "distance", rates[:, 0] < 0),
-        ("to the right", "turn", rates[:, 1] < 0),
-    ]
-    by_heading: list[Scale] = [
-        (f"along {axis} of the map", "distance", ahead * share)
-        for axis, share in (("x", np.cos(phi)), ("y", np.sin(phi)))
-    ]
-    by_compass: list[Scale] = [
-        (f"towards {axis} of the map", "turn", share)
-        for axis, share in (("x", np.cos(phi)), ("y", np.sin(phi)))
-    ]
+    by_direction: list[Scale] = [("distance", rates[:, 0] < 0), ("turn", rates[:, 1] < 0)]
+    by_heading: list[Scale] = [("distance", ahead * np.cos(phi)), ("distance", ahead * np.sin(phi))]
+    by_compass: list[Scale] = [("turn", np.cos(phi)), ("turn", np.sin(phi))]
     scales: list[tuple[str, str, Sequence[Scale]]] = [
         ("time", "a scale that changes over time", _pieces(wheels)),
         (
             "steady change",
             "a steady change of the wheels during the run: a tyre that loses air, a load that shifts",
-            [("from start to end", part, passed - 0.5) for part in PARTS],
+            [(part, passed - 0.5) for part in PARTS],
         ),
         ("speed", "a scale that depends on speed or turn rate", _speeds(rates)),
         (
@@ -86,23 +77,13 @@ def odometry_families(
     ]
     families = [_scales(rows, wheels, base, *one) for one in scales if one[2]]
     families += [_at_rest(rows, wheels), *_jumps(rows, wheels, base), *_for_a_while(rows, wheels, base)]
-    families += [_clock_pieces(rows, wheels, n) for n in ODOMETRY.structure.n_clock_pieces]
+    families += [_clock_pieces(rows, n) for n in ODOMETRY.structure.n_clock_pieces]
     families += [reversals(rows, wheels, rates, base), spinning(rows, wheels, base)]
     families += turns_of_a_wheel(rows, wheels, size)
     is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
     if is_wide and not is_reference_straight:
         families += distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
-
-
-def evidence_needed(dispersion: float, rows: OdometryRows) -> float:
-    """Return the evidence that structure needs [nats].
-
-    Parameters
-    ----------
-    dispersion : Of the residual, over white noise (`StructureTest.dispersion`).
-    """
-    return max(ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * rows.n)
 
 
 def _scales(
@@ -115,11 +96,10 @@ def _scales(
     choice_price: float = 0.0,
 ) -> StructureFamily:
     """Return the family of columns that scale shares of the motion of the wheels."""
-    columns = [_scaled(rows, wheels, base, part, share) for _, part, share in scales]
+    columns = [_scaled(rows, wheels, base, part, share) for part, share in scales]
     return StructureFamily(
         kind=kind,
         columns=np.stack(columns, axis=1),
-        labels=[f"{label}, {part}" for label, part, _ in scales],
         statement=statement,
         choice_price=choice_price,
     )
@@ -148,8 +128,6 @@ def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     return StructureFamily(
         kind="at rest",
         columns=rows.of_wheels(np.zeros_like(turns), turns),
-        labels=["turn", *(f"turn, {span}" for span in _spans(wheels, n))],
-        sigma=ODOMETRY.structure.rest_sigma,
         statement="a turn that continues at rest: a gyro bias in the odometry, or a reference whose heading drifts",
     )
 
@@ -163,8 +141,7 @@ def _piece(wheels: WheelIncrements) -> Ints:
 
 def _pieces(wheels: WheelIncrements) -> list[Scale]:
     piece = _piece(wheels)
-    labels = _spans(wheels, EVIDENCE.n_pieces)
-    return [(label, part, piece == k) for k, label in enumerate(labels) for part in PARTS]
+    return [(part, piece == k) for k in range(EVIDENCE.n_pieces) for part in PARTS]
 
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
@@ -193,7 +170,7 @@ def _for_a_while(rows: OdometryRows, wheels: WheelIncrements, base: float) -> li
     for begin, end in pairs:
         span = f"from {begin:.0f} s to {end:.0f} s"
         meanwhile = (wheels.middle > begin) & (wheels.middle < end)
-        scales: list[Scale] = [(span, part, meanwhile) for part in PARTS]
+        scales: list[Scale] = [(part, meanwhile) for part in PARTS]
         price = float(np.log(len(pairs)))
         out.append(
             _scales(rows, wheels, base, "while", f"a temporary change of scale, {span}", scales, price)
@@ -219,7 +196,7 @@ def _changes_at(
             base,
             JUMP,
             f"a scale that changes once, {begin}",
-            [(begin, part, later) for part in PARTS],
+            [(part, later) for part in PARTS],
             choice_price=float(np.log(n_tried)),
         )
         out.append(replace(family, moment=moment))
@@ -241,44 +218,34 @@ def _speeds(rates: Floats) -> list[Scale]:
     cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
     rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
     parts: tuple[Part, ...] = ("distance", "turn")  # a fast car turns less than its wheels are steered
-    out: list[Scale] = [(f"|v| above {c:.2f} m/s", part, v > c) for part in parts for c in cuts]
-    return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
+    out: list[Scale] = [(part, v > c) for part in parts for c in cuts]
+    return out + [("turn", omega > c) for c in rate_cuts]
 
 
 def _tight_turns(rates: Floats, base: float) -> list[Scale]:
     """Return turns about a centre within some half wheelbases: in place, about a wheel, in curves."""
     v, at_rim = np.abs(rates[:, 0]), base / 2 * np.abs(rates[:, 1])
-    return [
-        (f"centre within {c:g} half wheelbases", "turn", v < c * at_rim)
-        for c in ODOMETRY.structure.tight_turns
-    ]
+    return [("turn", v < c * at_rim) for c in ODOMETRY.structure.tight_turns]
 
 
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
     smooth = np.stack([smoothed(x, wheels) for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
-    return [
-        (f"above {a:.2f} m/s²", "distance", acceleration[:, 0] > a),
-        (f"above {alpha:.2f} rad/s²", "turn", acceleration[:, 1] > alpha),
-    ]
+    return [("distance", acceleration[:, 0] > a), ("turn", acceleration[:, 1] > alpha)]
 
 
 def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
     """Return the cells of the raster with the longest path of the robot."""
     cells = np.floor(rows.increment_poses[:, :2] / ODOMETRY.structure.cell).astype(np.intp)
-    keys, cell = np.unique(cells, axis=0, return_inverse=True)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
     travel = np.bincount(cell.ravel(), weights=np.abs(wheels.distance))
     large = np.argsort(-travel)[: ODOMETRY.structure.max_cells]
     large = large[travel[large] > ODOMETRY.structure.min_cell_travel]
-    centres = (keys + 0.5) * ODOMETRY.structure.cell
-    return [
-        (f"around ({centres[k][0]:.1f}, {centres[k][1]:.1f})", "distance and turn", cell.ravel() == k)
-        for k in large
-    ]
+    return [("distance and turn", cell.ravel() == k) for k in large]
 
 
-def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements, n: int) -> StructureFamily:
+def _clock_pieces(rows: OdometryRows, n: int) -> StructureFamily:
     """Return the family of clock offsets that change over time, in n pieces of the run."""
     share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
@@ -286,12 +253,5 @@ def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements, n: int) -> Struct
     return StructureFamily(
         kind=CLOCK,
         columns=np.stack(columns, axis=1),
-        labels=[f"{span}, clock" for span in _spans(wheels, n)],
         statement="a clock offset that changes over time",
     )
-
-
-def _spans(wheels: WheelIncrements, n: int) -> list[str]:
-    """Return labels of n equal pieces of the run."""
-    edges = np.linspace(wheels.start[0], wheels.end[-1], n + 1)
-    return [f"{a:.0f} to {b:.0f} s" for a, b in pairwise(edges)]
