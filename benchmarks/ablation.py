@@ -31,7 +31,7 @@ from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
 from sensorgraph.effects import EFFECTS
 
-DUE_TO_UNKNOWN = ("absorbed_by_unknown", "echo_of_wheels", "part_of_unknown", "weaker_than_unknown")
+DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown", "weaker_than_unknown")
 """Rules that take a name because of a difference that no effect explains."""
 FACTORS = (0.5, 2.0)
 Change = Callable[[Ledger], Ledger]

@@ -126,8 +126,8 @@ def test_a_simulation_that_slides_aside_is_as_far_off_as_it_slid() -> None:
     assert size.speed == pytest.approx(0.001)
 
 
-@pytest.mark.parametrize(("evidence", "kept"), [(60.0, 0), (200.0, 1)])
-def test_a_name_beside_an_unknown_needs_more_evidence_than_that(evidence: float, kept: int) -> None:
+@pytest.mark.parametrize(("evidence", "kept"), [(60.0, 0), (380.0, 0), (400.0, 1)])
+def test_a_name_beside_an_unknown_needs_three_times_its_evidence(evidence: float, kept: int) -> None:
     slip = replace(EFFECTS["wheel_slip"](s=0.3, x=1.0, y=1.0, r=0.3), evidence=evidence)
     unknown = Unknown(statement="play", statistic=130.0)
     result = name_motion_effects(ChannelResult(channel="odometry", effects=(slip,), unknown=unknown), ())

@@ -15,6 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+SURELY = 0.975
+"""Probability that a size exceeds a bound by about two standard errors."""
+
 
 class Verdict(StrEnum):
     """Answer about one hypothesis."""

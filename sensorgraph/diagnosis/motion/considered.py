@@ -41,7 +41,6 @@ def _tested(entry: Entry, tested: TestedStructure, kind: str) -> Entry:
             evidence=best.evidence,
             threshold=tested.threshold,
             is_material=tested.is_material,
-            objection=tested.objection,
         )
         size, words = best.size.to_dict(), best.size.sentence()
         return replace(

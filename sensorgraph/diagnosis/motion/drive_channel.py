@@ -12,13 +12,13 @@ from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
 from sensorgraph.diagnosis.motion.motors.constant_gain import select_under_any_gain, with_constant_gain
 from sensorgraph.diagnosis.motion.motors.model import DriveModel
-from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming, drive_result
+from sensorgraph.diagnosis.motion.motors.report import drive_result
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
-from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, confirmed, with_structure
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, with_structure
 from sensorgraph.diagnosis.motion.motors.slow_leftover import with_slow_leftover
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, MotionDifference
+from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
 from sensorgraph.effects import Amendment
 from sensorgraph.world.robot import Robot
 
@@ -48,24 +48,19 @@ def diagnose_drive(
         rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
-    model, selected, deviations = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
+    model, selected = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
     said = with_slow_leftover(model, selected)
     if said.terms or said.structure is not None:
-        ramped, other, listed = _explain(model.with_ramped_set_point(), named_wheels)
+        ramped, other = _explain(model.with_ramped_set_point(), named_wheels)
         if other.log_likelihood(ramped) > selected.log_likelihood(model) + EVIDENCE.threshold:
-            model, said, deviations = ramped, with_slow_leftover(ramped, other), listed
-    selected, evidence = confirmed(model, said)
-    return drive_result(model, selected, evidence, deviations)
+            model, said = ramped, with_slow_leftover(ramped, other)
+    return drive_result(model, said)
 
 
-def _explain(
-    model: DriveModel, named_wheels: Sequence[Amendment]
-) -> tuple[DriveModel, MotorSelection, tuple[Deviation, ...]]:
+def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> tuple[DriveModel, MotorSelection]:
     """Select effects and structure under the acceleration limits of the model, with a separate noise fit.
 
-    Returns the model, with its gains bounded or free, the selection, and the deviations before any effect is named.
+    Returns the model, with its gains bounded or free, and the selection.
     """
     model, selected = select_under_any_gain(model)
-    deviations = deviations_before_naming(model)
-    selected = with_constant_gain(model, with_structure(model, selected), named_wheels)
-    return model, selected, deviations
+    return model, with_constant_gain(model, with_structure(model, selected), named_wheels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +14,11 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
-from sensorgraph.effects.effect import Effect, size_ratio
+from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
-from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
-PART_OF_UNKNOWN = Objection("weaker_than_unknown", "it may be a part of a difference that no effect explains")
 ABSURD = Objection("absurd_wheels", "odometry and reference poses do not belong together")
 """Why effects with sufficient evidence are not named."""
-CANCELS = 4.0
-"""Minimum ratio of a clock offset to its standard error; below it, a dead time may cancel it by chance."""
 WRONG_BY_HALF = 0.5
 """Absolute scale error of a wheel, above which odometry and reference poses do not belong together."""
 
@@ -40,41 +36,37 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
         )
         gone = dict.fromkeys(range(len(result.effects)), ABSURD)
         return without_close_calls(replace(result.without(gone), unknown=Unknown(statement=words)))
-    if result.unknown is not None:  # an effect with less evidence may be a part of it
-        least = result.unknown.statistic
-        weaker = [i for i, a in enumerate(result.effects) if (a.evidence or 0.0) <= least]
-        result = result.without(dict.fromkeys(weaker, PART_OF_UNKNOWN))
-    slips = [a for a in result.effects if a.effect.place == "spot"]
-    # several patches may imitate the unknown
-    mimics = slips if len(slips) > 1 and result.unknown is not None else []
+    result = result.without(
+        _weaker(result, result.unknown, "it may be a part of a difference that no effect explains")
+    )
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     as_known = {a.name for a in result.effects if _is_expected(a, expected)}
-    why = {i: PART_OF_UNKNOWN for i, a in enumerate(result.effects) if a in mimics}
     given = Objection("given", "it is already in the model, as given")
-    why |= {i: given for i, a in enumerate(result.effects) if a.name in as_known}
+    why = {i: given for i, a in enumerate(result.effects) if a.name in as_known}
     rivals = tuple(rival for rival in result.rivals if rival.instead_of not in as_known)
     return without_close_calls(replace(result.without(why), rivals=rivals))
 
 
-def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
-    """Remove motor effects that unexplained wheel errors may imitate.
+def _weaker(result: ChannelResult, unknown: Unknown | None, words: str) -> dict[int, Objection]:
+    """Return the effects that may be a part of a difference that no effect explains (`lead_over_unknown`)."""
+    if unknown is None:
+        return {}
+    why, least = Objection("weaker_than_unknown", words), EVIDENCE.lead_over_unknown * unknown.statistic
+    return {i: why for i, a in enumerate(result.effects) if (a.evidence or 0.0) < least}
 
-    Wheels that misread at speed resemble a speed limit. A wheel error with more evidence than the effect
-    (clock drift, one late encoder) may resemble a lag or a dead time.
-    """
+
+def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
+    """Remove motor effects that an error of the wheels may imitate: clock drift, misreading at speed, one late encoder."""
     unknown = odometry.unknown
     if unknown is None or "reference_m" in unknown.size:
         return drive
-    words = "the odometry has an unexplained error: wheels that misread at speed resemble a speed limit"
-    why = {SPEED_SATURATION: Objection("echo_of_wheels", words)}
-    weak = {a.effect for a in drive.effects if (a.evidence or 0.0) <= unknown.statistic}
-    stronger = Objection("echo_of_wheels", "the odometry has an unexplained error with more evidence")
-    why |= dict.fromkeys(weak - why.keys(), stronger)
-    return _without(drive, why)
+    words = "the odometry has an unexplained error that may cause it"
+    why = _weaker(drive, unknown, words)
+    return _unseen(drive.without(why), [drive.effects[i].name for i in why], words)
 
 
 def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> ChannelResult:
-    """Remove wheel effects whose evidence is too small for a reference as inaccurate as the scans show.
+    """Require more evidence of wheel effects if the reference is as inaccurate as the scans show.
 
     Evidence is half a chi-square statistic, in which the error of the reference is the scale. It falls with
     the square of that scale.
@@ -86,18 +78,21 @@ def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> Channe
     if pose_scale < SCAN.nuisance.stretched_scale:
         return odometry
     least = EVIDENCE.threshold * pose_scale**2
+    weak = {a.name for a in odometry.effects if (a.evidence or 0.0) < least}
+    considered = (
+        replace(one, facts=replace(one.facts, accepted=False, threshold=least)) if one.name in weak else one
+        for one in odometry.considered
+    )
+    kept = tuple(a for a in odometry.effects if a.name not in weak)
     words = (
         f"the scans show a reference error of {pose_scale:.1f} times the specified one, which may cause this"
     )
-    why = Objection("poor_reference", words)
-    return _without(odometry, {a.effect: why for a in odometry.effects if (a.evidence or 0.0) < least})
+    return _unseen(replace(odometry, effects=kept, considered=tuple(considered)), weak, words)
 
 
-def _without(result: ChannelResult, why: Mapping[Effect, Objection]) -> ChannelResult:
-    """Return a channel without some effects; each becomes not observable, for the given reason."""
-    gone = {i: why[a.effect] for i, a in enumerate(result.effects) if a.effect in why}
-    left_out = {result.effects[i].name: objection.words for i, objection in gone.items()}
-    return replace(result.without(gone), not_observable={**result.not_observable, **left_out})
+def _unseen(result: ChannelResult, names: Iterable[str], words: str) -> ChannelResult:
+    """Return a channel with some effects not observable, for a reason."""
+    return replace(result, not_observable={**result.not_observable, **dict.fromkeys(names, words)})
 
 
 def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
@@ -112,7 +107,7 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
         return odometry, drive
     (clock,), (delay,) = clocks, delays
     error = float(np.hypot(clock.stderr["tau"], delay.stderr["L"]))
-    if abs(clock["tau"] + delay["L"]) > 2 * error or abs(clock["tau"]) < CANCELS * error:
+    if abs(clock["tau"] + delay["L"]) > 2 * error:
         return odometry, drive
     words = f"poses come {1000 * abs(clock['tau']):.0f} ms {'after' if clock['tau'] < 0 else 'before'} commands and odometry"
     unknown = Unknown(
@@ -127,7 +122,7 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
         ),
     )
     words = "a clock offset and a dead time cancel, so that one unknown cause explains both"
-    why = Objection("cancelling_delays", words)
+    why = Objection("weaker_than_unknown", words)
     return (
         replace(odometry.without({odometry.effects.index(clock): why}), unknown=unknown),
         drive.without({drive.effects.index(delay): why}),

@@ -43,11 +43,10 @@ class EvidenceSettings:
     clip_limit: float = 4.0
     """Robust standard deviations at which a residual is clipped before its autocovariance is estimated."""
     cluster: float = 2.0
-    """[s] within which errors may be correlated, beyond the whitening filter."""
+    """[s] within which errors may be correlated, beyond the whitening filter; over longer times, the reference is
+    more accurate than the wheels."""
     held_out_block: float = 5.0
     """[s] duration of the blocks that are held out for the gap."""
-    listed_z: float = 4.0
-    """z above which a deviation is listed."""
     observable_size: float = 3.0
     """Size of an effect that should be observable, in materialities."""
     reckoning_time: float = 60.0
@@ -69,7 +68,7 @@ class EvidenceSettings:
     """Number of moments that are tried first for a single change."""
     scale_sigma: float = 0.1
     """Prior standard deviation of a coefficient of structure, unless its family says otherwise: of a scale, a gain, an
-    angle [rad], or a clock offset [s]."""
+    angle [rad], a speed [m/s], a turn rate [rad/s], a clock offset [s], or a jump [m, rad]."""
     max_gap: float = 0.35
     """[s] maximum gap in poses, odometry or commands, across which motion is compared."""
     clock_tolerance_share: float = 0.6
@@ -101,14 +100,10 @@ class RowSettings:
     """[s] half the window over which rates are compared."""
     min_clock_overlap: float = 5.0
     """[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
-    max_clock_correction: float = 0.05
-    """[s] maximum Gauss-Newton step of the clock offset."""
     clock_resolution: float = 2e-4
     """[s] step of the clock offset, below which it has converged."""
     heading_window: float = 1.0
     """[s] averaging time of the offset between the headings of reference and wheels."""
-    position_window: float = 2.0
-    """[s] averaging time of the offset between positions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,24 +159,12 @@ class OdometryStructureSettings:
     """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
     max_askew: float = 0.035
     """[rad] maximum misalignment of the heading of a reference that counts as setup: 2°."""
-    even_part: float = 0.5
-    """Share of the contribution of a whole-run effect, above which structure takes its name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of jumps of the reference that are tried, each within a tenth of a second."""
-    jump_sigma: float = 0.05
-    """[m or rad] prior standard deviation of each jump of the reference."""
-    rest_sigma: float = 0.01
-    """[rad/s] prior standard deviation of a turn rate at rest."""
     yaw_sigma: float = 0.02
     """[rad] prior standard deviation of each wave of a distorted heading."""
-    position_sigma: float = 0.2
-    """[1] prior standard deviation of each power of a distorted position."""
     threshold: float = 20.0
     """[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
-    min_gain_per_row: float = 1e-3
-    """[nats] minimum evidence per row; less is 0.2 % of the noise variance, and does not matter."""
-    wheel_share: float = 0.02
-    """Share of the evidence of all wheel effects, below which structure only reflects their inexact models."""
     patch_share: float = 0.1
     """Share of the evidence of a patch, below which structure only reflects its rim: no patch is a sharp disc."""
 
@@ -229,9 +212,6 @@ class OdometryChannelSettings:
     patch: PatchSettings = field(default_factory=PatchSettings)
     filter_order: int = 24
     """Order of the whitening filters."""
-    walk_over_level: tuple[float, float] = (1e-3, 10.0)
-    """Minimum and maximum ratio of the step variance of the wheels' random walk to the variance of an
-    averaged reference."""
     marker_sigma: float = 0.003
     """[m] standard deviation of the distance between the axle and the base_link of the reference."""
     max_effects: int = 7
@@ -244,8 +224,6 @@ class OdometryChannelSettings:
     """Ratio of the tolerance of one stamp to the error of the mean over a run."""
     min_distance: float = 1.0
     """[m] minimum path for a slip to be observable."""
-    max_listed: int = 12
-    """Maximum number of deviations listed before any effect is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,8 +234,6 @@ class DriveStructureSettings:
     """Shares of the maximum speed, below which the gain may differ."""
     rate_cuts: tuple[float, ...] = (0.12, 0.2, 0.35, 0.6)
     """Shares of the maximum turn rate, below which the gain may differ."""
-    deadbands: tuple[float, ...] = (0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.21, 0.24, 0.28, 0.33)
-    """Shares of the maximum command, below which the motors may not move."""
     still_share: float = 0.03
     """Share of the maximum speed, below which a base stands."""
     asked_share: float = 0.15
@@ -270,22 +246,10 @@ class DriveStructureSettings:
     """[s] delays after the response to a command, at which a second response may follow."""
     answer_sigma: float = 0.3
     """Prior standard deviation of the second response."""
+    delay_sigma: float = 0.05
+    """[s] prior standard deviation of a delay or a lag that changes."""
     ramps: tuple[float, ...] = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
     """Shares of the acceleration in robot.yaml that a base may really have."""
-    lead_over_answer: float = 10.0
-    """Evidence that a lag or a dead time needs for a name next to such a response or ramp, as a multiple of
-    the latter's evidence."""
-    delay_sigma: float = 0.05
-    """[s] prior standard deviation of each delay."""
-    max_families: int = 3
-    """Maximum number of families that determine the size of the structure: the strongest, and others with
-    enough evidence for a name."""
-    slope_sigma: float = 0.05
-    """[m/s] prior standard deviation of the speed change on a slope."""
-    accepted_sigma: float = 0.5
-    """Prior standard deviation of each coefficient of structure that is part of the model."""
-    share: float = 0.01
-    """Share of the evidence of the strongest effect, below which structure only reflects its inexact model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,28 +257,16 @@ class MotorFitSettings:
     """Gauss-Newton method for the simulated motors (`motors/model`)."""
 
     max_steps: int = 6
-    tau_quotient: tuple[float, float] = (0.004, 0.05)
-    """[s] and share of the time constant; the larger is the step of the difference quotient."""
-    delay_quotient: float = 0.01
-    """[s] step to each side, for the difference quotient of the dead time."""
-    v_max_quotient: float = 0.004
-    """[m/s] downward step, for the difference quotient of the maximum speed."""
-    tau_step: tuple[float, float] = (-0.08, 0.15)
-    """[s] maximum steps of the time constant, down and up."""
-    delay_step: tuple[float, float] = (-0.1, 0.1)
-    """[s] maximum steps of the dead time, down and up."""
-    v_max_step: tuple[float, float] = (-0.05, 0.05)
-    """[m/s] maximum steps of the maximum speed, down and up."""
+    quotient: float = 0.01
+    """[s or m/s] step of the difference quotients."""
+    max_step: float = 0.1
+    """[s or m/s] maximum step of time constant, dead time and maximum speed."""
     tau_range: tuple[float, float] = (1e-3, 3.0)
     """[s] minimum and maximum time constant."""
     min_v_max: float = 0.02
     """[m/s] lower limit of the maximum speed."""
-    converged: tuple[float, float, float] = (1e-3, 1e-3, 5e-4)
-    """[s, s, m/s] steps of time constant, dead time and maximum speed, below which the fit has converged."""
-    v_max_quantile: float = 0.995
-    """Quantile of the measured speeds that gives the start value of the maximum speed."""
-    v_max_start: tuple[float, float] = (0.03, 0.005)
-    """[m/s] lower limit of this start value, and its distance from the largest command."""
+    converged: float = 1e-3
+    """[s or m/s] step below which the fit has converged."""
 
 
 @dataclass(frozen=True, kw_only=True)

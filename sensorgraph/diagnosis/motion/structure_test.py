@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
@@ -34,16 +33,14 @@ class StructureFamily:
     """(n_kinds n, k)"""
     statement: str
     """Noun phrase that completes the sentence "the readings differ by ..."."""
-    labels: Sequence[str] = ()
-    """(k,) name of each column; empty if columns are not reported separately."""
     sigma: float = EVIDENCE.scale_sigma
     """Prior standard deviation of each coefficient."""
     is_of_reference: bool = False
     """Whether it describes an error of the reference poses, not of the robot."""
     choice_price: float = 0.0
     """[nats] penalty for the choice among several families of its kind."""
-    materiality: float = float("inf")
-    """Size of its only coefficient, above which an effect of the library is named."""
+    least_change: float = 0.0
+    """Difference between its coefficients that matters; 0: the error of a simulation without it decides."""
     moment: float = float("nan")
     """[s] time of the change, for families of a single change."""
 
@@ -86,8 +83,6 @@ class TestedStructure:
     """The family with sufficient evidence; None without one."""
     is_material: bool = True
     """Whether it matters to a user."""
-    objection: Objection | None = None
-    """Another reason why it is not reported."""
     prefix: str = ""
     """Of the names in the ledger, where two tests have families of the same kind."""
 

@@ -206,19 +206,18 @@ class DriveModel:
         """Return the simulated rows (2 n,) and the columns (2 n, n_own + structure)."""
         rates = self.simulation.rates
         base = rates(motors)
-        least, share = FIT.tau_quotient
-        d_tau, d_delay, d_v_max = max(least, share * motors.tau), FIT.delay_quotient, FIT.v_max_quotient
+        step = FIT.quotient
         second = _second_lag(motors)
         in_series = replace(motors, tau=motors.tau - second, second=second)
         v, omega = both_kinds(base, self.rows.n)
         nothing = np.zeros(self.rows.n)
         by_v_max = np.zeros(2 * self.rows.n)
         if np.isfinite(motors.v_max):
-            slower = replace(motors, v_max=max(motors.v_max - d_v_max, 1e-3))
-            by_v_max = (base - rates(slower)) / d_v_max
+            slower = replace(motors, v_max=max(motors.v_max - step, 1e-3))
+            by_v_max = (base - rates(slower)) / step
         columns = {
-            Column.LAG: (rates(replace(motors, tau=motors.tau + d_tau)) - base) / d_tau,
-            Column.DELAY: (rates(motors, later=d_delay) - rates(motors, later=-d_delay)) / (2 * d_delay),
+            Column.LAG: (rates(replace(motors, tau=motors.tau + step)) - base) / step,
+            Column.DELAY: (rates(motors, later=step) - rates(motors, later=-step)) / (2 * step),
             Column.GAIN_V: np.concatenate([v, nothing]),
             Column.GAIN_OMEGA: np.concatenate([nothing, omega]),
             Column.TURN_PER_DISTANCE: np.concatenate([nothing, v]),
@@ -252,9 +251,7 @@ class DriveModel:
             ]
         )
         n_more = 0 if self.structure is None else self.structure.columns.shape[1]
-        sigma = np.concatenate(
-            [sigma, np.ones(self.misread.shape[1]), np.full(n_more, DRIVE.structure.accepted_sigma)]
-        )
+        sigma = np.concatenate([sigma, np.ones(self.misread.shape[1] + n_more)])
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
@@ -287,21 +284,20 @@ class DriveModel:
                 best = here
             if is_small:
                 break
-            lag, delay, v_max = steps
+            lag, delay, v_max = np.clip(steps, -FIT.max_step, FIT.max_step)
             motors = MotorParameters(
-                tau=float(np.clip(motors.tau + np.clip(lag, *FIT.tau_step), *FIT.tau_range)),
-                delay=float(motors.delay + np.clip(delay, *FIT.delay_step)),
-                v_max=float(max(motors.v_max + np.clip(v_max, *FIT.v_max_step), FIT.min_v_max)),
+                tau=float(np.clip(motors.tau + lag, *FIT.tau_range)),
+                delay=float(motors.delay + delay),
+                v_max=float(max(motors.v_max + v_max, FIT.min_v_max)),
             )
         assert best is not None
         return best
 
     def _first_v_max(self) -> float:
-        """Return the start value of the maximum speed: about the highest measured one, below the largest command."""
+        """Return the start value of the maximum speed: the highest measured one, at most the largest command."""
         v, _ = both_kinds(self.rows.y, self.rows.n)
-        fastest = float(np.quantile(np.abs(v[self.rows.valid]), FIT.v_max_quantile))
-        least, below_commands = FIT.v_max_start
-        return float(np.clip(fastest, least, max(self.top_speed - below_commands, least)))
+        fastest = min(float(np.abs(v[self.rows.valid]).max()), self.top_speed)
+        return max(fastest, FIT.min_v_max)
 
     def size_of(self, term: MotorTerm, fit: DriveFit) -> float:
         """Return the parameter of an effect in a fit."""

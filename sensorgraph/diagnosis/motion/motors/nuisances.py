@@ -10,17 +10,11 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
-
-WAIT_SIGMAS = 3.0
-"""Standard deviations of the waiting times, within which the delays or lags of two stretches may differ."""
-PERIOD_ERROR = 0.01
-"""Maximum relative error of the loop period: robot.yaml may specify 33 ms for a loop at 30 Hz."""
-IN_STEP = 0.7
-"""Mean resultant length of the phases, above which commands are in phase with the loop."""
-CHANGE = 0.1
-"""Accumulated change of the commands that counts as a new command, as a share of the largest command."""
 
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
@@ -41,6 +35,13 @@ def delay_sigma(control_period: float, transport_jitter: float) -> float:
     The wait for a tick of the base is uniform over one period.
     """
     return float(np.hypot(control_period / np.sqrt(12), transport_jitter))
+
+
+def due_to_loop(robot: Robot, a: Amendment) -> float:
+    """Return the part of a delay or a lag [s] that the control loop of the base may cause; 0 for other effects."""
+    if a.effect is DEAD_TIME:
+        return longest_wait(robot)
+    return stated_smear(robot) if a.effect is ACTUATOR_LAG and a["tau"] > 0 else 0.0
 
 
 def longest_wait(robot: Robot) -> float:
@@ -66,59 +67,3 @@ def stated_smear(robot: Robot) -> float:
 
 def _is_period_stated(robot: Robot) -> bool:
     return "tolerances.control_period" in robot.stated
-
-
-def wait_between_stretches(model: DriveModel, fit: DriveFit, column: int, later: Floats) -> float:
-    """Return the difference [s] of delays, or lags, of two stretches that waits for the control loop can cause.
-
-    Each change of a command waits separately, so that a stretch with few changes has the waits of these. If
-    the changes are in phase with a specified loop, all commands of a stretch may wait a period longer than
-    those before. If their phase drifts slowly, neighbouring changes wait alike.
-
-    Parameters
-    ----------
-    column : Of the regression, for the delay or for the lag.
-    later : (2 n,) Contribution to the rates in the later stretch; 0 elsewhere.
-    """
-    rows, commands, tolerances = model.rows, model.simulation.commands, model.robot.tolerances
-    top = np.maximum(np.abs(commands.values).max(axis=0), 1e-3)
-    asked = np.cumsum(np.abs(np.diff(commands.values, axis=0) / top).max(axis=1))
-    changes = commands.stamps[1:][np.diff(np.floor(asked / CHANGE), prepend=0.0) > 0]
-    if _is_period_stated(model.robot) and is_in_step(changes, tolerances.control_period):
-        return tolerances.control_period
-    answered = np.searchsorted(changes, (rows.start + rows.end) / 2 - fit.motors.delay)
-    if _is_period_stated(model.robot):
-        answered = answered // n_in_step(changes, tolerances.control_period)
-    by_wait, square = rows.masked(fit.columns[:, Column.DELAY]), 0.0
-    for stretch in (rows.masked(fit.columns[:, column]) - later, later):
-        told = np.bincount(answered, (stretch * by_wait).reshape(2, -1).sum(axis=0))
-        square += float(np.square(told).sum() / max(float(np.square(stretch).sum()) ** 2, 1e-300))
-    one = delay_sigma(tolerances.control_period, tolerances.transport_jitter)
-    return WAIT_SIGMAS * one * float(np.sqrt(square))
-
-
-def is_in_step(stamps: Floats, period: float) -> bool:
-    """Tell whether stamps (n,) [s] are in phase with a loop, whose period [s] is known to one per cent.
-
-        max over periods of |mean over n of exp(2 pi i stamps / period)| > IN_STEP
-
-    This is the mean resultant length of the phases (Mardia and Jupp 2000, Directional Statistics, section
-    2.3.1). For 20 or more random stamps it stays below 0.7.
-    """
-    if period == 0 or len(stamps) < 2:
-        return False
-    cycles = float(np.ptp(stamps)) / period
-    shares = np.linspace(-PERIOD_ERROR, PERIOD_ERROR, 2 * int(np.ceil(4 * PERIOD_ERROR * cycles)) + 1)
-    phases = np.exp(2j * np.pi * stamps / (period * (1 + shares))[:, None])
-    return bool(np.abs(phases.mean(axis=1)).max() > IN_STEP)
-
-
-def n_in_step(stamps: Floats, period: float) -> int:
-    """Return the number of neighbouring stamps (n,) [s] in phase with a loop of a period [s]; a power of two."""
-    phases, n = np.exp(2j * np.pi * stamps / max(period, 1e-9)), 1
-    while 2 * n <= len(phases):
-        whole = len(phases) // (2 * n) * 2 * n
-        if np.abs(phases[:whole].reshape(-1, 2 * n).mean(axis=1)).mean() <= IN_STEP:
-            break
-        n *= 2
-    return n

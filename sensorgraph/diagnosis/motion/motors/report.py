@@ -1,62 +1,44 @@
-"""Report of the drive channel: named effects with sizes, rivals, deviations, gap and unobservable effects."""
+"""Report of the drive channel: named effects with sizes, rivals, gap and unobservable effects."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from sensorgraph.diagnosis.engine.ledger import Entry
-from sensorgraph.diagnosis.engine.verdict import Facts, Objection
+from sensorgraph.diagnosis.engine.verdict import SURELY, Facts, Verdict
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.considered import (
-    ABSORBED,
     structure_entries,
     unknown_structure,
     unseen_effects,
 )
 from sensorgraph.diagnosis.motion.families import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.nuisances import longest_wait, stated_smear
-from sensorgraph.diagnosis.motion.motors.selection import BY_WAITS, TIMING, MotorSelection
+from sensorgraph.diagnosis.motion.motors.nuisances import due_to_loop
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, evidence_of_each
 from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
-from sensorgraph.diagnosis.motion.motors.structure import ANSWER, OTHER_MOTORS, WHAT_CHANGES, column_of_jump
 from sensorgraph.diagnosis.motion.regression import held_out_residual
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedStructure
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Withdrawn
+from sensorgraph.diagnosis.result import ChannelResult, FitQuality, Gap, Rival
 from sensorgraph.effects import Amendment, Effect
-from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
-FAST, MODERATE = 0.85, 0.4
-"""Shares of the maximum commanded speed that separate the listed ranges of speed."""
-CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
-"""[m/s², m/s², m/s] acceleration above which v changes and below which it is steady; speed above which the
-robot moves."""
 
-
-def drive_result(
-    model: DriveModel,
-    selected: MotorSelection,
-    evidence: Mapping[MotorTerm, float],
-    deviations: tuple[Deviation, ...],
-) -> ChannelResult:
-    """Return the result of the drive channel for the selected effects.
-
-    Parameters
-    ----------
-    evidence : [nats] Of each effect.
-    deviations : Of the bare simulator, before any selection.
-    """
+def drive_result(model: DriveModel, selected: MotorSelection) -> ChannelResult:
+    """Return the result of the drive channel for the selected effects."""
     fit, rows = selected.fit, model.rows
+    evidence = evidence_of_each(model, selected.terms, fit)
     covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
     found, rivals, material, entries = [], [], set(), []
     for term in sorted(selected.terms, key=lambda term: -evidence[term]):
@@ -67,40 +49,28 @@ def drive_result(
             probability=probability(evidence[term], alternatives.values()),
             evidence=evidence[term],
         )
-        found.append((amendment, term))
+        found.append(amendment)
         entry = _entry_of(model, amendment, term, selected)
-        objection = None
-        if _is_material(model, amendment):
-            objection = _objection(model, amendment, float(np.hypot(error, term.blur)))
-            material |= {term.effect} if objection is None else set()
-        entries.append(replace(entry, facts=replace(entry.facts, objection=objection)))
+        entry = _with_materiality(entry, model, amendment, float(np.hypot(error, term.blur)))
+        material |= {term.effect} if entry.verdict is Verdict.NAMED else set()
+        entries.append(entry)
         rival = strongest_rival(term.effect, alternatives)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
         if rival is not None:
             rivals.append(rival)
-    # a lag or a delay that changes has no single size, and the other one absorbs a part of the change
     structure = selected.structure
     tested = [] if model.tested is None else [model.tested]
     if structure is not None and structure.family.kind not in {k for one in tested for k in one.families}:
         tested.append(TestedStructure(families={}, threshold=structure.threshold, best=structure))
-    kind = "" if structure is None else structure.family.kind
-    is_change = column_of_jump(kind) is not None
-    steady = [a for a, term in found if not (is_change and term.column in WHAT_CHANGES)]
-    if structure is not None and kind in OTHER_MOTORS:
-        least = np.inf if kind != ANSWER else DRIVE.structure.lead_over_answer * structure.evidence
-        steady = [a for a in steady if a.effect not in TIMING or (a.evidence or 0.0) > least]
-    withdrawn = [a for a, _ in found if a not in steady]
     return ChannelResult(
         channel="drive",
-        effects=tuple(a for a in steady if a.effect in material),
-        within_tolerance=tuple(a for a in steady if a.effect not in material),
-        withdrawn=tuple(Withdrawn(amendment=a, objection=ABSORBED) for a in withdrawn),
+        effects=tuple(a for a in found if a.effect in material),
+        within_tolerance=tuple(a for a in found if a.effect not in material),
         unknown=None
         if structure is None
-        else unknown_structure("drive", DRIVE_FAMILIES[kind][0], structure, rows.n_valid),
+        else unknown_structure("drive", DRIVE_FAMILIES[structure.family.kind][0], structure, rows.n_valid),
         rivals=tuple(rivals),
-        deviations=deviations,
         gap=_gap(model, selected),
         not_observable=_not_observable(model, selected.terms, fit),
         considered=(
@@ -173,59 +143,28 @@ def _is_material(model: DriveModel, a: Amendment) -> bool:
     return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 
 
-def _objection(model: DriveModel, a: Amendment, error: float) -> Objection | None:
-    """Return what the control loop of the base causes that looks like a delay or a lag; None if the size exceeds it.
+def _with_materiality(entry: Entry, model: DriveModel, a: Amendment, error: float) -> Entry:
+    """Return the entry with the probability that the size exceeds what the control loop of the base may cause.
+
+        P = Phi((|size| - loop) / error)
 
     Parameters
     ----------
     error : [unit of its parameter] Standard error of the fit.
     """
-    if a.effect is DEAD_TIME and abs(a["L"]) - 2 * error < longest_wait(model.robot):
-        return BY_WAITS
-    smear = stated_smear(model.robot)
-    if a.effect is ACTUATOR_LAG and smear and 0 < a["tau"] < smear + 2 * error:
-        return Objection("smear_of_odometry", "the odometry smears its speeds over as long a time")
-    return None
+    facts, loop = replace(entry.facts, is_material=_is_material(model, a)), due_to_loop(model.robot, a)
+    if not (facts.is_material and loop):
+        return replace(entry, facts=facts)
+    (size,) = a.parameters.values()
+    chance = float(ndtr((abs(size) - loop) / max(error, 1e-12)))
+    return replace(
+        entry,
+        facts=replace(facts, material_probability=chance, required_probability=SURELY),
+        remark=f"the control loop of the base may cause {1000 * loop:.0f} ms of it",
+    )
 
 
 # criticism -----------------------------------------------------------------------------------------------------------
-
-
-def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
-    """Return where the bare simulator differs, in speed along the path."""
-    fit = model.fit([])
-    n, top = model.rows.n, model.top_speed
-    left, _ = both_kinds(fit.regression.y - fit.regression.A @ fit.solution.theta, n)
-    v, _ = both_kinds(fit.simulated, n)
-    speed = np.abs(v)
-    change = np.gradient(v)
-    acceleration = np.abs(change) / np.maximum(model.rows.end - model.rows.start, 1e-6)
-    fast, moderate = speed > FAST * top, (speed > MODERATE * top) & (speed <= FAST * top)
-    steady = (acceleration < STEADY) & (speed > MOVING)
-    parts = [
-        ("speed", f"|v| above {FAST * top:.2f} m/s", fast, v),
-        ("speed", f"|v| from {MODERATE * top:.2f} to {FAST * top:.2f} m/s", moderate, v),
-        ("acceleration", "while v changes", acceleration > CHANGING, change),
-        ("acceleration", "while v is steady", steady, v),
-    ]
-    out = []
-    for partition, label, mask, direction in parts:
-        e = left * np.sign(direction) * mask
-        sums = np.bincount(model.clusters[:n], weights=e)
-        z = float(e.sum() / np.sqrt(max((sums**2).sum(), mask.sum(), 1.0)))
-        if abs(z) > EVIDENCE.listed_z:
-            out.append(
-                Deviation(
-                    family="bias",
-                    partition=partition,
-                    label=label,
-                    z=z,
-                    size=float(e.sum() / max(mask.sum(), 1) * model.whitener.filters[0].sigma),
-                    n_rays=int(mask.sum()),
-                    channel="drive",
-                )
-            )
-    return tuple(sorted(out, key=lambda deviation: -abs(deviation.z)))
 
 
 def _gap(model: DriveModel, selected: MotorSelection) -> Gap:

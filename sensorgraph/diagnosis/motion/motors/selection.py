@@ -8,17 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine import selection as engine
-from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.motion.consequence import sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances, wait_between_stretches
+from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import (
     OTHER_MOTORS,
     ROLLS_ON,
     SLOWED_DOWN,
-    TIMING_OF_STRETCHES,
-    column_of_jump,
     drive_families,
 )
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -33,8 +30,6 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
-BY_WAITS = Objection("waits_of_the_base", "waits for the control loop of the base may cause it")
-"""Why structure at the starts of commands, or a dead time, is not reported."""
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
 
@@ -165,36 +160,25 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
         beside = plain
         family, gain = beside.test.best(beside.own, beside.families)
     terms, here, own, test, families = beside.terms, beside.fit, beside.own, beside.test, beside.families
-    strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
-    needed = max(EVIDENCE.threshold, DRIVE.structure.share * strongest)
-    model.tested = TestedStructure(families=dict(test.tested), threshold=needed)
-    if gain < needed:
+    model.tested = TestedStructure(families=dict(test.tested), threshold=EVIDENCE.threshold)
+    if gain < EVIDENCE.threshold:
         return selected
-    found = _all_significant(test, own, family, families, needed)
-    size = model.error_without(here, test.explained(own, found))
+    size = model.error_without(here, test.explained(own, [family]))
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
     if family.kind == ROLLS_ON:
         rolled = test.explained(own, [family])[: model.rows.n] * (model.rows.end - model.rows.start)
         one = _each_time(family, rolled)
         is_material |= replace(size, drift=one, speed=0.0).is_material(model.robot.limits.v, gain)
-    is_of_timing = family.kind == TIMING_OF_STRETCHES or np.isfinite(family.materiality)
-    changed = _coefficients(test, own, family) if is_of_timing else np.zeros(1)
-    sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
-    found_one = AcceptedStructure(family=family, evidence=gain, threshold=needed, size=size)
-    is_by_waits = sure_change < _change_by_waits(model, here, family)
-    is_large = sure_change >= max(family.materiality, model.robot.tolerances.control_period / 2)
-    model.tested = replace(
-        model.tested,
-        best=found_one,
-        is_material=is_material or is_large,
-        objection=BY_WAITS if is_by_waits else None,
-    )
-    if is_by_waits:
-        return _without_smaller(model, selected, family, sure_change)
-    if not (is_material or is_large):
+    changed = _coefficients(test, own, family) if family.least_change else np.zeros(0)
+    if family.least_change:
+        sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
+        is_material = stands_for_material or sure_change >= family.least_change
+    found_one = AcceptedStructure(family=family, evidence=gain, threshold=EVIDENCE.threshold, size=size)
+    model.tested = replace(model.tested, best=found_one, is_material=is_material)
+    if not is_material:
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
-    if np.isfinite(family.materiality):
+    if len(changed) == 1:
         family = replace(family, statement=f"{family.statement}, by {1000 * changed[0]:+.0f} ms")
     model.structure = family
     full = model.fit(terms, here.motors)
@@ -207,32 +191,6 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
         fit=channel.fit,
         structure=replace(found_one, family=family, rivals=rivals[:2]),
     )
-
-
-def _change_by_waits(model: DriveModel, here: DriveFit, family: StructureFamily) -> float:
-    """Return the change [s] of a delay, or lag, that waits for the control loop can cause; 0 for other families.
-
-    If commands and loop beat, short stretches differ by up to a period.
-    """
-    if family.kind == TIMING_OF_STRETCHES:
-        return model.robot.tolerances.control_period
-    column = column_of_jump(family.kind)
-    return 0.0 if column is None else wait_between_stretches(model, here, column, family.columns[:, 0])
-
-
-def _without_smaller(
-    model: DriveModel, selected: MotorSelection, family: StructureFamily, change: float
-) -> MotorSelection:
-    """Return the selection without a whole-run delay, or lag, smaller than its `change` [s] due to waits."""
-    column = column_of_jump(family.kind)
-    terms = [
-        term
-        for term in selected.terms
-        if term.column != column or abs(model.size_of(term, selected.fit)) > change
-    ]
-    if len(terms) == len(selected.terms):
-        return selected
-    return MotorSelection(terms=tuple(terms), fit=model.fit(terms, selected.fit.motors))
 
 
 def _each_time(family: StructureFamily, missing: Floats) -> float:
@@ -259,37 +217,3 @@ def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> 
     explained = test.explained(own, [family])
     found = np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale
     return np.asarray(found[-family.columns.shape[1] :])
-
-
-def _all_significant(
-    test: StructureTest,
-    own: Floats,
-    first: StructureFamily,
-    families: Sequence[StructureFamily],
-    needed: float,
-) -> list[StructureFamily]:
-    """Return the first family and those with enough evidence in addition to it; together they give the size.
-
-    Parameters
-    ----------
-    needed : [nats] Evidence that a further family needs.
-    """
-    found = [first]
-    while len(found) < DRIVE.structure.max_families:
-        beside = np.concatenate([own, *(family.columns for family in found)], axis=1)
-        family, gain = test.best(beside, families)
-        if gain < needed:
-            break
-        found.append(family)
-    return found
-
-
-def confirmed(model: DriveModel, selected: MotorSelection) -> tuple[MotorSelection, dict[MotorTerm, float]]:
-    """Remove effects whose evidence fell below the threshold; return the rest and their evidence [nats]."""
-    evidence = evidence_of_each(model, selected.terms, selected.fit)
-    if all(value >= EVIDENCE.threshold for value in evidence.values()):
-        return selected, evidence
-    terms = tuple(term for term in selected.terms if evidence[term] >= EVIDENCE.threshold)
-    fit = model.fit(terms, selected.fit.motors)
-    kept = MotorSelection(terms=terms, fit=fit, structure=selected.structure)
-    return kept, evidence_of_each(model, terms, fit)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError
-from sensorgraph.diagnosis.motion.motors.model import DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.nuisances import delay_sigma
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
@@ -26,37 +26,25 @@ SLOW = "slow"
 """Kind of the family of slow residuals. Its only column (2 n, 1) is the residual itself, without a regression."""
 SURE_SIGMAS = 2.0
 """Standard deviations of the mean of a block that do not count."""
-TIMES_LARGER = 2.0
-"""Minimum ratio of an effect to the slow residual; a smaller effect may be a part of it."""
 TOLD_SHARE = 0.5
 """Minimum share of the slow residual that a family must explain for its statement to be used."""
 
 
 def with_slow_leftover(model: DriveModel, selected: MotorSelection) -> MotorSelection:
-    """Add the slow residual as structure if it matters to a user and there is no other structure.
-
-    Effects less than twice as large as the residual are removed, because they may be a part of it.
-    """
+    """Add the slow residual as structure if it matters to a user and there is no other structure."""
     if selected.structure is not None:
         return selected
     left = _slow_part(model, selected)
     size = replace(left.size, drift=0.0)
     if left.evidence < EVIDENCE.threshold or not size.is_material(model.robot.limits.v, left.evidence):
         return selected
-    terms = tuple(
-        term for term in selected.terms if _speed_of(model, selected, term) > TIMES_LARGER * size.speed
-    )
-    kept = selected
-    if terms != selected.terms:
-        kept = replace(selected, terms=terms, fit=model.fit(terms, selected.fit.motors))
-        left = _slow_part(model, kept)
-    likely = _likely_families(left, drive_families(model, kept.fit))
+    likely = _likely_families(left, drive_families(model, selected.fit))
     words = [family.statement for family in likely[:2]]
     statement = (
         "a speed error that lasts for seconds, beyond the noise of the wheels and the waits of commands"
     )
     return replace(
-        kept,
+        selected,
         structure=AcceptedStructure(
             family=StructureFamily(
                 kind=SLOW,
@@ -130,14 +118,6 @@ def _by_waits(model: DriveModel, n_blocks: int) -> Floats:
     return np.stack(
         [wait * np.sqrt(np.bincount(block, s, minlength=n_blocks)) / EVIDENCE.cluster for s in steps.T]
     )
-
-
-def _speed_of(model: DriveModel, selected: MotorSelection, term: MotorTerm) -> float:
-    """Return the RMS change of the wheels' speed [m/s] due to an effect."""
-    rest = [other for other in selected.terms if other is not term]
-    without = model.fit(rest, selected.fit.motors)
-    v, omega = both_kinds(model.rows.masked(selected.fit.simulated - without.simulated), model.rows.n)
-    return float(np.sqrt(np.mean(v**2 + (model.robot.wheels.base / 2 * omega) ** 2)))
 
 
 def _likely_families(left: _SlowPart, families: Sequence[StructureFamily]) -> list[StructureFamily]:

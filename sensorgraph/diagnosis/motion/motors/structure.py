@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
-from sensorgraph.diagnosis.motion.motors.model import SIMULATED_TERMS, Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Bools, Floats, Ints
 
-WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
+WHAT_CHANGES = {"lag": (Column.LAG, ACTUATOR_LAG), "delay": (Column.DELAY, DEAD_TIME)}
 """Motor parameters that a load, a warm gear or a restart may change during a run."""
 
 ANSWER = "answer"
@@ -43,20 +45,6 @@ TRIMMED = 0.15
 (Andrews 1993, section 4)."""
 
 
-def jump_of(column: int) -> str:
-    """Return the kind of the families of a single change of a motor parameter; empty if it is not tested."""
-    return f"jump of the {WHAT_CHANGES[column]}" if column in WHAT_CHANGES else ""
-
-
-def column_of_jump(kind: str) -> int | None:
-    """Return the column of the parameter that changes in families of a kind; None for other kinds."""
-    return next((column for column in WHAT_CHANGES if kind == jump_of(column)), None)
-
-
-TIMING_OF_STRETCHES = "timing"
-"""Kind of the family of a delay that changes during the run, which the control loop of a base can also cause."""
-
-
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return the families of differences that no effect explains, with columns (2 n, k)."""
     rows = model.rows
@@ -83,10 +71,11 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             [omega < 0],
         ),
         StructureFamily(
-            kind=TIMING_OF_STRETCHES,
+            kind="timing",
             columns=timing,
             sigma=DRIVE.structure.delay_sigma,
             statement="a delay that changes over time",
+            least_change=_least_change(model, "delay"),
         ),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
@@ -174,7 +163,6 @@ def _slopes(model: DriveModel) -> StructureFamily:
     return StructureFamily(
         kind="heading",
         columns=rows.masked(np.stack(columns, axis=1)),
-        sigma=DRIVE.structure.slope_sigma,
         statement="a speed that depends on the heading, as on a floor that slopes",
     )
 
@@ -302,19 +290,29 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
         later = share > k / (n + 1)
         when = f"that changes once, {passed[later][0]:.0f} s into the run"
         out.append(_gains("jump", f"a gain {when}", model, fit, [later], [later], price))
-        for term in (term for term in SIMULATED_TERMS if term.column in WHAT_CHANGES):
-            what = WHAT_CHANGES[term.column]
+        for what, (column, _) in WHAT_CHANGES.items():
             out.append(
                 StructureFamily(
-                    kind=jump_of(term.column),
-                    columns=(fit.columns[:, term.column] * np.concatenate([later, later]))[:, None],
+                    kind=f"jump of the {what}",
+                    columns=(fit.columns[:, column] * np.concatenate([later, later]))[:, None],
                     sigma=DRIVE.structure.delay_sigma,
                     statement=f"a {what} of the motors {when}",
                     choice_price=price,
-                    materiality=max(term.effect.sizes.values()),
+                    least_change=_least_change(model, what),
                 )
             )
     return out
+
+
+def _least_change(model: DriveModel, what: str) -> float:
+    """Return the change [s] of a delay, or a lag, during a run that matters: more than waits for the base may cause.
+
+    Commands in phase with the control loop of the base may all wait a period longer than before. Waits that spread
+    evenly over a period smear a step as a lag of less than half a period.
+    """
+    (size,) = WHAT_CHANGES[what][1].sizes.values()
+    period = model.robot.tolerances.control_period
+    return max(size, period if what == "delay" else period / 2)
 
 
 def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
@@ -336,21 +334,17 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return one family for each size of a dead zone of the commands, and for the most likely of all sizes."""
+    """Return the families of motors that ignore small commands to drive, or to turn, with the most likely size."""
     rows, commands = model.rows, model.simulation.commands.values
-    top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
     asked, moved, _ = _asked_and_moved(model, fit)
-    shares = DRIVE.structure.deadbands
-    of_grid, of_any = float(np.log(2 * (len(shares) + 1))), float(np.log(rows.n))
     statement = "a dead zone: the motors do not respond to small commands"
+    price = float(np.log(rows.n))
     families = list[StructureFamily]()
     for kind in (0, 1):
-        likeliest = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
-        sizes = [*((share * top[kind], of_grid) for share in shares), (likeliest, max(of_grid, of_any))]
-        for size, price in sizes:
-            without = commands.copy()
-            without[np.abs(commands[:, kind]) < size, kind] = 0.0
-            families.append(_by_commands("deadband", statement, model, fit, without, price))
+        size = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
+        without = commands.copy()
+        without[np.abs(commands[:, kind]) < size, kind] = 0.0
+        families.append(_by_commands("deadband", statement, model, fit, without, price))
     return families
 
 
