@@ -159,6 +159,8 @@ class OdometryStructureSettings:
     """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
     max_askew: float = 0.035
     """[rad] maximum misalignment of the heading of a reference that counts as setup: 2°."""
+    even_part: float = 0.5
+    """Share of the contribution of a whole-run effect, above which structure takes its name."""
     n_reference_jumps: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of jumps of the reference that are tried, each within a tenth of a second."""
     yaw_sigma: float = 0.02

@@ -193,18 +193,18 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
 
 
 def _taken_by_structure(model: WheelModel, terms: Sequence[WheelTerm], fit: RegressionFit) -> set[Effect]:
-    """Return whole-run effects that structure absorbs, because they are not much larger (`lead_over_unknown`).
+    """Return whole-run effects that structure absorbs, because its contribution is at least half of theirs.
 
     They may be the even part of another cause. For example, a floor that takes a share of left turns only is
     equivalent to half a wheelbase error and half a difference between left and right.
     """
     A, structure = model.regression.A, model.layout.n + len(model.patches)
-    least = np.sqrt(EVIDENCE.lead_over_unknown) * np.linalg.norm(A[:, structure:] @ fit.theta[structure:])
+    size = float(np.linalg.norm(A[:, structure:] @ fit.theta[structure:]))
     return {
         term.effect
         for term in terms
         if term.effect is not WHEEL_SLIP
-        and np.linalg.norm(A[:, term.column] * fit.theta[term.column]) < least
+        and size > ODOMETRY.structure.even_part * np.linalg.norm(A[:, term.column] * fit.theta[term.column])
     }
 
 
