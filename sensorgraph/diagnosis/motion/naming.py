@@ -20,13 +20,15 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 ABSURD = Objection("absurd_wheels", "odometry and reference poses do not belong together")
 """Why effects with sufficient evidence are not named."""
 WRONG_BY_HALF = 0.5
-"""Absolute scale error of a wheel, above which odometry and reference poses do not belong together."""
+"""Absolute scale error of a wheel all over a run, above which odometry and reference poses do not belong together."""
 
 
 def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
     """Remove effects of a motion channel that are known, implausible or contradicted by unmodelled structure."""
     is_absurd = any(
-        a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > WRONG_BY_HALF
+        a.effect.channel == "odometry"
+        and a.effect.place is None
+        and abs(a.parameters.get("s", 0.0)) > WRONG_BY_HALF
         for a in result.effects
     )
     if is_absurd:
