@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 from localization_samples import room_run
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import locate
+from sensorgraph.localization.moving_returns import confirms_odometry
+from sensorgraph.localization.odometry_check import with_checked_odometry
+from sensorgraph.localization.scans import ScanPoints, scan_points
 
 TRAILER = [(-0.5, -0.45), (-0.5, 0.45), (-1.9, 0.45), (-1.9, -0.45)]
 """[m] Corners of a trailer behind the laser, in base_link."""
@@ -65,3 +71,36 @@ def test_scans_that_a_driver_turns_for_two_seconds_do_not_move_the_robot() -> No
     way, turn, notes = errors(replace(run, ranges=ranges), truth)
     assert way.max() < 0.1 and turn.max() < np.radians(1)
     assert any("contradict the odometry" in note for note in notes)
+
+
+def test_readings_decide_whether_scans_or_odometry_are_right() -> None:
+    """A trailer fits a robot that stands; the walls confirm the one that moved, whoever says so."""
+    run, truth = with_trailer()
+    scans, stands = scan_points(run), np.zeros_like(truth)
+    assert confirms_odometry(scans, run.stamps, stands, truth)
+    assert not confirms_odometry(scans, run.stamps, truth, stands)  # pushed, with wheels that stand
+    assert not confirms_odometry(scans, run.stamps, truth, truth * [0.2, 0.2, 3.0])
+    assert not confirms_odometry(scans, run.stamps, truth, truth)  # nothing to decide
+
+
+def test_good_odometry_stays_where_a_trailer_fills_most_of_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scans alone then move at random: their steps are not those of the odometry."""
+    run, truth = with_trailer()
+    rng = np.random.default_rng(5)
+    at_random = np.cumsum(rng.normal(size=truth.shape) * [0.5, 0.5, 0.01], axis=0)
+
+    def tracked(some: Run, part: slice) -> tuple[ScanPoints, Any]:
+        n = len(some.stamps[part])
+        sure = np.broadcast_to(np.eye(3), (n, 3, 3))
+        facts = {
+            "poses": at_random[part],
+            "matched": np.ones(n),
+            "projections": sure,
+            "piece": np.zeros(n, dtype=int),
+        }
+        return scan_points(some.take_scans(part)), SimpleNamespace(**facts)
+
+    monkeypatch.setattr("sensorgraph.localization.odometry_check.track_part", tracked)
+    kept, notes = with_checked_odometry(run)
+    np.testing.assert_array_equal(kept.odometry, run.odometry)
+    assert any("confirm the odometry" in note for note in notes)

@@ -119,6 +119,25 @@ def verdict_on(
     return _judged(scans, contrast, settings)
 
 
+def confirms_odometry(
+    scans: ScanPoints,
+    stamps: Floats,
+    poses: Floats,
+    odometry: Floats,
+    settings: MovingReturnSettings = MOVING_RETURNS,
+) -> bool:
+    """Return whether the readings show, in most of a stretch, that the odometry is right and not the scans.
+
+    Parameters
+    ----------
+    stamps : (n_scans,) [s]
+    poses, odometry : (n_scans, 3) [m, m, rad] By the scans alone and by the odometry, without errors of the wheels.
+    """
+    wheels = WheelParameters(way_scale=1.0, turn_scale=1.0, heading_bias=0.0)
+    contrast = Contrast.of(stamps, poses, odometry, np.ones(len(stamps), dtype=np.bool_), wheels)
+    return bool(_judged(scans, contrast, settings).is_false.mean() > 0.5)
+
+
 def _wheels(followed: TrackedRun) -> WheelParameters:
     learned = followed.track.wheels
     assert learned is not None

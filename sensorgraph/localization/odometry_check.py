@@ -22,8 +22,10 @@ from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import WheelParameters
+from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.types import Floats
 
 
@@ -99,33 +101,68 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     way_factor = turn_factor = 1.0
     moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
-    if turns is not None and np.abs(turns[0][:, 2]).sum() > s.min_turn:
-        seen, driven = turns[0][:, 2], turns[1][:, 2]
+    if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
+        seen, driven = turns.seen[:, 2], turns.driven[:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
             ways = _compared(run, odometry, moved, [0, 1], s)
-            raise SensorgraphError(_opposite_text(None if ways is None else _direction(*ways, s)))
+            raise SensorgraphError(
+                _opposite_text(None if ways is None else _direction(ways.seen, ways.driven, s))
+            )
         if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
+            if turns.confirms_odometry:
+                return run, (_confirmed("turns"),)
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
     ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], s)
-    direction = None if ways is None else _direction(*ways, s)
+    direction = None if ways is None else _direction(ways.seen, ways.driven, s)
     limit = s.max_direction if _has_stated_mount(run) else s.right_angle
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
         run = _with_yaw(run, *direction, notes, s)
     elif direction is not None and abs(direction[0]) > max(s.noted_direction, s.noted_errors * direction[1]):
         notes.append(_turned_text(*direction))
     if ways is not None:
-        seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
+        seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in (ways.seen, ways.driven))
         if seen.sum() > s.min_distance:
             way_factor = _factor(
                 _ratio(seen, driven, s.moving_distance, s), "distances", DISTANCE_UNITS, notes, s
             )
         if not _agrees(seen, way_factor * driven, s.moving_distance, s):
+            if turn_factor == 1.0 and ways.confirms_odometry:
+                return run, (_confirmed("distances"),)
             return _without_odometry(run), (_disagreement(seen, driven, "distances", "metres"),)
     if way_factor == turn_factor == 1.0:
         return run, tuple(notes)
     return _scaled(run, motion, way_factor, turn_factor), tuple(notes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Stretch:
+    """A stretch of a run by the scans alone and by the odometry."""
+
+    scans: ScanPoints
+    stamps: Floats
+    poses: Floats
+    """(n, 3) [m, m, rad] By the scans."""
+    odometry: Floats
+    """(n, 3) [m, m, rad]"""
+    every: int
+    """Number of scans of a step."""
+
+    @property
+    def seen(self) -> Floats:
+        """Steps (m, 3) by the scans."""
+        return _steps(self.poses[:: self.every])
+
+    @property
+    def driven(self) -> Floats:
+        """Steps (m, 3) by the odometry."""
+        return _steps(self.odometry[:: self.every])
+
+    @property
+    def confirms_odometry(self) -> bool:
+        """Whether readings show that the odometry is right where the scans contradict it."""
+        return confirms_odometry(self.scans, self.stamps, self.poses, self.odometry)
 
 
 def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
@@ -228,8 +265,8 @@ def _turned_text(angle: float, stderr: float) -> str:
 
 def _compared(
     run: Run, odometry: Floats, moved: Floats, parts: list[int], settings: OdometryCheckSettings
-) -> tuple[Floats, Floats] | None:
-    """Return the steps (n, 3) by the scans alone and by the odometry, where `moved` (n_scans - 1,) is largest.
+) -> _Stretch | None:
+    """Return the stretch where `moved` (n_scans - 1,) is largest.
 
     None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
@@ -237,7 +274,7 @@ def _compared(
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
     stretch = slice(first, first + s.n_scans)
-    _, found = track_part(run, stretch)
+    scans, found = track_part(run, stretch)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
     if (
         len(is_seen) == 0
@@ -246,7 +283,9 @@ def _compared(
     ):
         return None
     unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
-    return _steps(unwrapped[:: s.every]), _steps(odometry[stretch][:: s.every])
+    return _Stretch(
+        scans=scans, stamps=run.stamps[stretch], poses=unwrapped, odometry=odometry[stretch], every=s.every
+    )
 
 
 def _as_logged(run: Run) -> Motion | None:
@@ -286,6 +325,13 @@ def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
     return (
         f"the odometry's {what} are {factor:.3g} times those of the scans and disagree step by step: not used; check that "
         f"they are in {unit}"
+    )
+
+
+def _confirmed(what: str) -> str:
+    return (
+        f"the odometry's {what} disagree with those of the scans step by step, but readings that do not go along with the robot "
+        "confirm the odometry: the laser sees much that moves"
     )
 
 
