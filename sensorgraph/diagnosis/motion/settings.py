@@ -259,7 +259,7 @@ class MotorFitSettings:
     """Gauss-Newton method for the simulated motors (`motors/model`)."""
 
     max_steps: int = 6
-    quotient: float = 0.01
+    quotient: float = 0.004
     """[s or m/s] step of the difference quotients."""
     max_step: float = 0.1
     """[s or m/s] maximum step of time constant, dead time and maximum speed."""

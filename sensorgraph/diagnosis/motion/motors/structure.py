@@ -40,6 +40,8 @@ ROLLING_SPEED = 0.05
 SLOWED_DOWN = 3.0
 """Time constants after which a braking base stands: 5 % of its speed remain."""
 
+N_SIZES = 128
+"""Number of sizes of a dead zone that are tried, for driving and for turning."""
 TRIMMED = 0.15
 """Share of the run at its start and its end, within which no change is tested: too few commands would show it
 (Andrews 1993, section 4)."""
@@ -334,28 +336,30 @@ def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return the families of motors that ignore small commands to drive, or to turn, with the most likely size."""
+    """Return the families of motors that ignore small commands to drive, or to turn, with the most likely size.
+
+        maximise over size  (cᵀ r)² / cᵀ c,    c = rates(commands without those of a magnitude up to size) - simulated,
+
+    where r is the residual, and c and r are taken without what the motors' own columns explain. Sizes are the magnitudes
+    of the commands, thinned to `N_SIZES`, and are paid for as a choice.
+    """
     rows, commands = model.rows, model.simulation.commands.values
-    asked, moved, _ = _asked_and_moved(model, fit)
+    own, _ = np.linalg.qr(rows.masked(fit.columns))
+    residual = rows.masked(rows.y - fit.simulated)
     statement = "a dead zone: the motors do not respond to small commands"
-    price = float(np.log(rows.n))
     families = list[StructureFamily]()
     for kind in (0, 1):
-        size = _deadband(moved[kind][rows.valid], asked[kind][rows.valid])
-        without = commands.copy()
-        without[np.abs(commands[:, kind]) < size, kind] = 0.0
-        families.append(_by_commands("deadband", statement, model, fit, without, price))
+        asked = np.unique(np.abs(commands[:, kind]))
+        sizes = np.unique(np.quantile(asked, np.linspace(0.0, 1.0, N_SIZES), method="nearest"))
+        ignoring = [
+            np.where(np.abs(commands) <= np.eye(2)[kind] * size, 0.0, commands) for size in sizes[sizes > 0]
+        ]
+        gains = []
+        for one in ignoring:
+            column = rows.masked(model.simulation.rates_of(fit.motors, one) - fit.simulated)
+            column -= own @ (own.T @ column)
+            gains.append(max(float(column @ residual), 0.0) ** 2 / max(float(column @ column), 1e-12))
+        if gains:
+            likeliest, price = ignoring[int(np.argmax(gains))], float(np.log(2 * len(gains)))
+            families.append(_by_commands("deadband", statement, model, fit, likeliest, price))
     return families
-
-
-def _deadband(moved: Floats, asked: Floats) -> float:
-    """Return the most likely size of a dead zone of the commands asked (n,), by least squares.
-
-        minimise over size  sum of moved² where |asked| <= size + sum of (moved - asked)² elsewhere
-
-    The size is 0 if the motors respond to all commands.
-    """
-    order = np.argsort(np.abs(asked))
-    size = np.abs(asked)[order]
-    lost = np.square(moved[order]) - np.square((moved - asked)[order])
-    return float(np.append(0.0, size)[int(np.argmin(np.append(0.0, np.cumsum(lost))))]) * (1 + 1e-6)
