@@ -236,18 +236,30 @@ def test_controllers_are_compared_on_one_seed(
     [
         (["--graph", "{g}", "--controller", "dwa"], "expected plan, wall_following, random_bounce"),
         (["--graph", "{g}", "--controller", "plan", "--controller", "plan"], "at most once"),
-        (["--controller", "wall_following", "--start", "1,1,0"], "cannot be used with --controller"),
-        (["--graph", "{g}", "--start", "1,1,0"], "use them with --arena"),
+        (["--graph", "{g}", "--start", "1,1,0"], "starts where the plan starts"),
+        (
+            ["--controller", "plan", "--controller", "wall_following", "--start", "1,1,0"],
+            "leave out one of them",
+        ),
+        (["--controller", "wall_following", "--start", "9,9,0"], "from a wall of"),
+        (["--controller", "wall_following", "--effects", "{e}"], "cannot be used with --controller"),
     ],
 )
 def test_mistakes_are_one_line(
     words: list[str], said: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [word.format(g=folder / "g.sensorgraph") for word in words]
+    words = [word.format(g=folder / "g.sensorgraph", e=folder / "effects.yaml") for word in words]
     assert command(["record", str(folder / "plan"), *words, "-o", str(tmp_path / "a.mcap")]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert said in line
     assert not list(tmp_path.iterdir())
+
+
+def test_a_controller_starts_where_it_is_told(folder: Path, tmp_path: Path) -> None:
+    words = ["--controller", "wall_following", "--start", "1.5,1.25,90 deg", "-o", str(tmp_path / "a.mcap")]
+    assert command(["record", str(folder / "plan"), *words]) == 0
+    run = logs.pair(logs.read(tmp_path / "a.mcap"))
+    np.testing.assert_allclose(run.poses[0], [1.5, 1.25, np.pi / 2], atol=0.03)  # within the first sweep
 
 
 @pytest.mark.parametrize("world", ["graph", "arena"])

@@ -102,6 +102,10 @@ def design(
     for line in _table(found, None if driven is None else driven[1]):
         typer.echo(line)
     typer.echo(f"wrote {', '.join(map(str, files))}")
+    x, y, heading = found.start
+    typer.echo(
+        f"drive: sensorgraph record PLAN --controller {files[0]} --start {x:.2f},{y:.2f},{round(heading, 3) + 0.0:g} -o drive.mcap"
+    )
 
 
 def _table(found: ControllerDesign, driven: DriveQuantities | None) -> list[str]:

@@ -504,7 +504,10 @@ RecordController = Annotated[
 ]
 RecordStart = Annotated[
     str | None,
-    typer.Option(help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg) of a replay of commands."),
+    typer.Option(
+        help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg) of a controller or of a replay of commands; "
+        "default: that of the plan or of the run."
+    ),
 ]
 RecordEffects = Annotated[
     Path | None,

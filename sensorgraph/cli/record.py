@@ -97,13 +97,12 @@ def record(
     if graph is None and not controller:
         _record_drive(plan, out, arena, robot, start, effects, seed)
         return
-    if effects is not None or start is not None:
+    if effects is not None:
         raise SensorgraphError(
-            "--effects and --start cannot be used with --graph; use them with --arena"
-            if graph is not None
-            else "--effects and --start cannot be used with --controller, which starts where the plan starts"
+            f"--effects cannot be used with {'--graph' if graph is not None else '--controller'}; "
+            "use it with a plan in an arena"
         )
-    _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
+    _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, start, seed)
 
 
 def _record_drive(
@@ -144,11 +143,12 @@ def _record_closed_loop(
     controllers: list[str],
     arena: str | None,
     robot: Path | None,
+    start: str | None,
     seed: int,
 ) -> None:
     """Drive in an arena or an identified world, once for each controller, and print a comparison."""
     from planners.trajectory import Trajectory
-    from sensorgraph.cli.inputs import check_output
+    from sensorgraph.cli.inputs import check_output, parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
@@ -169,14 +169,16 @@ def _record_closed_loop(
     identified = None if graph is None or arena is not None else arena_of(graph)
     walls, machine = _place(source, arena, robot, identified=identified)
     name = arena or ("the plan's arena" if graph_file is None else str(graph_file))
-    check_start(trajectory.poses[0], walls, machine, arena_name=name)
+    begin = None if start is None else parse_pose(start)
+    check_start(trajectory.poses[0] if begin is None else begin, walls, machine, arena_name=name)
     for file in files.values():
         check_output(file, plan, *([] if graph_file is None else [graph_file]))
     runs = {}
     graph_name = "" if graph_file is None else graph_file.name
     for drive in drive_closed_loop(
-        files, trajectory, walls, machine, graph=graph, graph_name=graph_name, seed=seed, progress=progress
-    ):
+        files, trajectory, walls, machine,
+        start=begin, graph=graph, graph_name=graph_name, seed=seed, progress=progress,
+    ):  # fmt: skip
         runs[drive.label] = drive.run
         typer.echo(f"{drive.label}: {drive.run.n_scans:,} scans{_touched(drive.run)}{_unanswered(drive)}")
     typer.echo("\n" + "\n".join(table({name: behaviour(run, walls) for name, run in runs.items()})) + "\n")

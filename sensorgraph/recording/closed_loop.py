@@ -18,7 +18,7 @@ from sensorgraph.recording.identified_world import (
     IdentifiedWorld,
     record_in_world,
 )
-from sensorgraph.types import ProgressBars, no_progress
+from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
 
 
@@ -68,23 +68,35 @@ def drive_closed_loop(
     arena: Arena,
     robot: Robot,
     *,
+    start: Floats | None = None,
     graph: Sensorgraph | None = None,
     graph_name: str = "",
     seed: int = 0,
     progress: ProgressBars = no_progress,
 ) -> Iterator[ClosedLoopDrive]:
-    """Let each controller drive from the start of a plan for its duration; all have the same noise.
+    """Let each controller drive for the duration of a plan; all have the same start and the same noise.
 
     Parameters
     ----------
     files : Controller -> run to write, as returned by `files_of_controllers`.
     arena : Walls that stop the robot's body.
+    start : (3,) [m, m, rad] Start pose; None: the start of the plan.
     graph : Sensorgraph from which readings are drawn; None: cast in the arena.
     graph_name : Name of the graph in the metadata of the runs.
+
+    Raises
+    ------
+    SensorgraphError : A start is given for the controller `plan`.
     """
+    if start is not None and PLAN_CONTROLLER in files:
+        raise SensorgraphError(
+            "`start` is given for the controller plan, which starts where the plan starts; leave out one of them"
+        )
     for name, file in files.items():
         world = ArenaWorld(arena, robot, seed) if graph is None else IdentifiedWorld(graph, robot, seed)
-        run = record_in_world(file, world, arena, robot, trajectory, name, name=graph_name, progress=progress)
+        run = record_in_world(
+            file, world, arena, robot, trajectory, name, start=start, name=graph_name, progress=progress
+        )
         yield ClosedLoopDrive(
             label=controller_label(name),
             run=run,

@@ -199,6 +199,7 @@ def record_in_world(
     way: Trajectory,
     controller: str,
     *,
+    start: Floats | None = None,
     name: str = "",
     progress: ProgressBars = no_progress,
 ) -> Run:
@@ -208,7 +209,8 @@ def record_in_world(
     ----------
     arena : Walls that stop the robot's body, and map of the run.
     controller : `plan` follows the trajectory; others of CONTROLLERS, or a MODEL.json of `identify`, steer by
-        the drawn scans from its start.
+        the drawn scans.
+    start : (3,) [m, m, rad] Start pose of a controller other than `plan`; None: the start of the plan.
     name : Name of the graph for the run's metadata; empty in an arena.
     """
     robot = replace(robot, sensor=world.sensor)
@@ -219,9 +221,8 @@ def record_in_world(
             driven = follow(way, robot, clearance=clearance, rng=rng, progress=tick)
         else:
             steer = controller_named(controller, robot, world.seed)
-            driven = react(
-                steer, world.scan, way.poses[0], way.duration, robot, clearance=clearance, progress=tick
-            )
+            begin = way.poses[0] if start is None else start
+            driven = react(steer, world.scan, begin, way.duration, robot, clearance=clearance, progress=tick)
     meta = {"simulated": "true", "seed": str(world.seed), "contacts": str(driven.contacts)}
     with progress("scanning", "scans") as tick:
         run = simulate(
