@@ -16,6 +16,7 @@ from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.sufficient_statistics import rebase_line_sums
 from sensorgraph.models.residual_memory import ResidualMemory
@@ -94,6 +95,23 @@ def test_a_part_never_seen_is_added(room: Arena, sensor: RangeSensor) -> None:
     assert wrong[1] < max(2 * wrong[2], 0.004)
     answered = [graph.predict(poses).answered.mean() for graph in (old, new, whole)]
     assert answered[0] < answered[1] == pytest.approx(answered[2], abs=0.01)
+
+
+@pytest.mark.slow
+def test_noise_of_the_new_poses_adds_no_surfaces(sensor: RangeSensor) -> None:
+    """Poses of the new run are refined as those of the first, so that an update equals a fit of both runs."""
+    square, runs = load_arena("square"), []
+    for seed in (1, 2):
+        run = drive(square, sensor, 1200, seed)
+        noise = 0.003 * np.random.default_rng(50 + seed).normal(size=run.poses.shape)  # [m, m, rad]
+        runs.append(replace(run, poses=run.poses + noise))
+    updated, whole = build(runs[1:], update=build(runs[:1])), build(runs)
+    assert updated.model.faces.n_faces <= whole.model.faces.n_faces + 2
+    poses, ranges = truth(square, sensor)
+    wrong = [(off(graph, poses, ranges) > 0.05).mean() for graph in (updated, whole)]
+    assert wrong[0] < wrong[1] + 0.002
+    answered = [graph.predict(poses).answered.mean() for graph in (updated, whole)]
+    assert answered[0] > answered[1] - 0.003
 
 
 def test_a_new_box_and_a_taken_one_become_likely_and_unlikely(sensor: RangeSensor) -> None:

@@ -100,24 +100,33 @@ def observed_by(rays: Rays) -> ObservedSpace:
     return ObservedSpace.of(rays.origins, rays.directions, reach, returned=np.isfinite(rays.ranges))
 
 
-def corrected_rays(
+def rays_beside_faces(
     sample: RaySample,
     sensor: RangeSensor,
     mount: Floats,
     calibration: Calibration,
     faces: FaceSet,
     noise: ReturnNoise,
-) -> Rays:
-    """Return the rays of a sample, corrected by the identified ray terms; poses stay as logged."""
-    rays = sample.rays(sensor, mount)
-    if calibration.terms.is_none:
-        return rays
+) -> tuple[Rays, tuple[float, float]]:
+    """Return the rays of a new sample, corrected by identified ray terms, from poses refined against fitted faces.
+
+    Also returns the standard errors of the refined poses [m, rad], 0 if they are as logged.
+
+    Poses are first matched with the noise that poses of the earlier samples had. They stay as logged if refining them
+    gains too little evidence.
+    """
     readings, poses = readings_of(sample, sensor)
-    lasers = compose_poses(poses, mount)
-    first = match_readings(readings, lasers, calibration.terms, faces, noise, 0.0)
-    mean_bias = mean_incidence(first, calibration.terms)
-    found = match_readings(readings, lasers, calibration.terms, faces, noise, mean_bias)
-    return replace(rays, ranges=found.ranges)
+    work = _JointCalibration(readings, poses, mount, can_mount=False)
+    work.weights, work.terms, work.faces = sample.weights, calibration.terms, faces
+    work.noise = replace(
+        noise,
+        sigma_xy=max(noise.sigma_xy, calibration.sigma_xy),
+        sigma_yaw=max(noise.sigma_yaw, calibration.sigma_yaw),
+    )
+    work.refine_poses()
+    work.noise = noise
+    work.refine_poses()
+    return work.corrected(), work.pose_errors
 
 
 def calibrate_faces(

@@ -23,7 +23,7 @@ from logs.run import RangeSensor
 from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Point, Prediction, TrainingScans
-from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
+from sensorgraph.models.calibration.calibrate import calibrate_faces, observed_by, rays_beside_faces
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cones.fit import fit_cones, readings_of_cones
@@ -212,12 +212,15 @@ class Faces(FacesData):
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
         new = new.spread_evenly(self.sensor)
-        rays = corrected_rays(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
+        rays, pose_errors = rays_beside_faces(
+            new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise
+        )
         with progress("updating faces", "steps") as tick:
             tick(0, 1)
             faces, noise, statistics = update_faces(
-                self.faces, self.noise, self.statistics, self.observed, rays, n_rays=new.n_rays
-            )
+                self.faces, self.noise, self.statistics, self.observed, rays,
+                n_rays=new.n_rays, pose_errors=pose_errors,
+            )  # fmt: skip
         return replace(
             self,
             faces=faces,

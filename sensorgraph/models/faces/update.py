@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,7 @@ def update_faces(
     rays: Rays,
     *,
     n_rays: int,
+    pose_errors: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[FaceSet, ReturnNoise, SufficientStatistics]:
     """Return faces, noise and statistics with new rays added.
 
@@ -61,9 +62,11 @@ def update_faces(
     ----------
     observed : Space that the old rays crossed.
     rays : A sample of the `n_rays` new rays.
+    pose_errors : [m, rad] Errors of poses that were refined with these rays.
     """
     scale = scale_of(rays, n_rays)
-    expectation = e_step(rays, faces, noise)
+    alone = _refitted(faces, statistics, rays, noise, pose_errors, scale).faces
+    expectation = e_step(rays, alone, noise)  # edges that few old rays met may have moved
     unexplained = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hits = HitMoments.of(rays.hits[unexplained], rays.directions[unexplained])
     lines = select_lines(
@@ -81,17 +84,13 @@ def update_faces(
         (np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > FACES.fit.min_face_gain)
     )
     faces, old = _take(faces, old, keep)
-    expectation = e_step(rays, faces, noise)
-    before = faces
-    faces = refit_lines(faces, old.line_sums + scale * expectation.line_sums)
-    slide = faces.edges[faces.first[:-1]] - before.edges[before.first[:-1]]
-    new_crossings = columns_of(crossings_of(rays, faces, noise), scale)
-    crossings = merge_crossings([old.as_crossings(before, slide), new_crossings], faces.n_faces)
-    stored_crossings = merge_crossings(
-        [(old.face, old.t + slide[old.face], old.stop, old.weight, old.error), new_crossings], faces.n_faces
+    refit = _refitted(faces, old, rays, noise, pose_errors, scale)
+    faces, crossings, stored_crossings, held_lines = (
+        refit.faces,
+        refit.crossings,
+        refit.stored,
+        refit.held_lines,
     )
-    held_lines = rebase_line_sums(old.line_sums, before, faces)
-    faces = fit_stretches(faces, crossings)
     index = np.flatnonzero(is_visible(faces))
     faces, held_lines = take_faces(faces, index), held_lines[index]
     crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
@@ -105,6 +104,41 @@ def update_faces(
     stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *FACES.expectation.stray_range)
     noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Refit:
+    """Faces refitted to old and new rays."""
+
+    faces: FaceSet
+    crossings: Crossings
+    stored: Crossings
+    """Crossings for the statistics: the old ones as they were stored."""
+    held_lines: Floats
+    """(n_faces, 8) Sums of the old rays about the refitted lines."""
+
+
+def _refitted(
+    faces: FaceSet,
+    old: SufficientStatistics,
+    rays: Rays,
+    noise: ReturnNoise,
+    pose_errors: tuple[float, float],
+    scale: float,
+) -> _Refit:
+    """Refit lines and stretches of faces to their old statistics and to new rays, which count `scale` each."""
+    before = faces
+    faces = refit_lines(faces, old.line_sums + scale * e_step(rays, faces, noise).line_sums)
+    slide = faces.edges[faces.first[:-1]] - before.edges[before.first[:-1]]
+    new = columns_of(crossings_of(rays, faces, noise, pose_errors), scale)
+    crossings = merge_crossings([old.as_crossings(before, slide), new], faces.n_faces)
+    stored = merge_crossings(
+        [(old.face, old.t + slide[old.face], old.stop, old.weight, old.error), new], faces.n_faces
+    )
+    held_lines = rebase_line_sums(old.line_sums, before, faces)
+    return _Refit(
+        faces=fit_stretches(faces, crossings), crossings=crossings, stored=stored, held_lines=held_lines
+    )
 
 
 def _with_new_faces(
