@@ -23,6 +23,7 @@ from sensorgraph.models.calibration.matching import (
     match_readings,
     mean_incidence,
     range_change,
+    readings_of,
 )
 from sensorgraph.models.calibration.normal_equations import (
     COMMON,
@@ -68,30 +69,6 @@ class CalibratedFaces:
     """Rays with corrected origins, directions and ranges."""
     mount: Floats
     """(3,) [m, m, rad] pose of the laser in the frame of the poses."""
-
-
-def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
-    """Assign the rays of a sample to scans; return readings and their poses (n_poses, 3).
-
-    There is one pose per scan, or one per ray for a sweeping laser. A slow sweep is divided into several scans
-    (`PoseSettings.sweep_rate`).
-    """
-    new = np.ones(len(sample), dtype=np.bool_)
-    new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
-    sweeps = sample.ray_poses is not None
-    if sweeps:
-        n_parts = max(1, round(abs(sensor.sweep_time) * CALIBRATION.poses.sweep_rate))
-        new[1:] |= np.diff(sample.beams * n_parts // sensor.n_rays) != 0
-    scan = np.cumsum(new) - 1
-    readings = Readings(
-        scan=scan,
-        pose=np.arange(len(sample)) if sweeps else scan,
-        ray=sample.beams.astype(np.intp),
-        ranges=sample.ranges,
-        bearings=sensor.bearings,
-        range_max=sensor.range_max,
-    )
-    return readings, sample.poses_of_rays if sweeps else sample.poses[new]
 
 
 def observed_by(rays: Rays) -> ObservedSpace:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.run import RangeSensor
 from planners.kernel import kernel
 from sensorgraph.models.calibration.ray_terms import (
     MAX_OPTIC_RANGE,
@@ -17,6 +18,7 @@ from sensorgraph.models.calibration.ray_terms import (
 )
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.visibility import GATE, ReturnNoise, variance
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -54,6 +56,30 @@ class Readings:
             bearings=self.bearings,
             range_max=self.range_max,
         )
+
+
+def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
+    """Assign the rays of a sample to scans; return readings and their poses (n_poses, 3).
+
+    There is one pose per scan, or one per ray for a sweeping laser. A slow sweep is divided into several scans
+    (`PoseSettings.sweep_rate`).
+    """
+    new = np.ones(len(sample), dtype=np.bool_)
+    new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
+    sweeps = sample.ray_poses is not None
+    if sweeps:
+        n_parts = max(1, round(abs(sensor.sweep_time) * CALIBRATION.poses.sweep_rate))
+        new[1:] |= np.diff(sample.beams * n_parts // sensor.n_rays) != 0
+    scan = np.cumsum(new) - 1
+    readings = Readings(
+        scan=scan,
+        pose=np.arange(len(sample)) if sweeps else scan,
+        ray=sample.beams.astype(np.intp),
+        ranges=sample.ranges,
+        bearings=sensor.bearings,
+        range_max=sensor.range_max,
+    )
+    return readings, sample.poses_of_rays if sweeps else sample.poses[new]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
