@@ -23,9 +23,10 @@ from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cells import model as cells
 from sensorgraph.models.cells.evidence import CellEvidence
+from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
@@ -52,10 +53,10 @@ class TrainingLog:
         run = read(path)
         pairing = pair(run)
         train = np.flatnonzero(pairing.paired & ~held_out(run, split))
-        keep = train[cells.is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
+        keep = train[is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
         poses = pairing.poses[keep]
         if run.pose_frame == "base_link":
-            poses = cells.laser_poses(poses, run.sensor.mount)
+            poses = laser_poses(poses, run.sensor.mount)
         return cls(name=path.name, run=run, poses=poses, ranges=run.ranges[keep])
 
 
@@ -111,7 +112,7 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
         if others:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
-            model = cells.CellModel(
+            model = CellModel(
                 **{
                     **vars(graph.model),
                     "beta": beta,

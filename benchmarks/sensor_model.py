@@ -29,7 +29,7 @@ from logs.motion import ray_poses
 from logs.transforms import wrap
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
-from sensorgraph.models.cells.model import is_key_frame, laser_poses
+from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
 from sensorgraph.show.figures.style import new_figure, save_figure
 
 Floats = NDArray[np.float64]

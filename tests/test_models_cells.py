@@ -18,9 +18,10 @@ from sensorgraph.models.base import OFF_DISTANCE, TrainingScans
 from sensorgraph.models.cells.distribution import NORMAL_TAILS
 from sensorgraph.models.cells.evidence import CellEvidence
 from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plain
+from sensorgraph.models.cells.key_frames import is_key_frame
 from sensorgraph.models.cells.learning import fit_logistic, list_at_risk
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
-from sensorgraph.models.cells.model import CellModel, is_key_frame
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import (
     RATES,
     CellTable,

@@ -12,7 +12,7 @@ from conftest import polygon_arena
 import logs
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from sensorgraph.building.build import build
+from sensorgraph.building.build import build, can_update
 from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
@@ -166,6 +166,52 @@ def test_what_cannot_be_updated_is_said(first: Sensorgraph, room: Arena, sensor:
     other = RangeSensor(bearings=np.linspace(-1, 1, 9), mount=sensor.mount)
     with pytest.raises(SensorgraphError, match="9 rays at other bearings than the 61"):
         build([drive(room, other, 60, 3)], update=first)
+
+
+def sweeping(run: Run) -> Run:
+    """Return the run of a laser that turns during the drive, with odd readings."""
+    ranges = run.ranges.copy()
+    ranges[::7, 3], ranges[::5, 8], ranges[::6, 20] = np.inf, -np.inf, np.nan
+    return replace(run, sensor=replace(run.sensor, sweep_time=0.08), ranges=ranges)
+
+
+@pytest.mark.parametrize("sweeps", [False, True])
+def test_cells_of_an_update_are_those_of_all_runs(
+    sweeps: bool, room: Arena, sensor: RangeSensor, tmp_path: Path
+) -> None:
+    runs = [drive(room, sensor, 120, seed) for seed in (1, 2)]
+    runs = [sweeping(run) for run in runs] if sweeps else runs
+    whole, first = build(runs, model="cells", cell=0.1), build(runs[:1], model="cells", cell=0.1)
+    assert can_update(first)
+    first.save(tmp_path / "first")
+    updated = build(runs[1:], update=Sensorgraph.load(tmp_path / "first"))
+    (header, arrays), (expected, wanted) = updated.model.state(), whole.model.state()
+    assert header == expected
+    for name in wanted:
+        np.testing.assert_array_equal(arrays[name], wanted[name], err_msg=name)
+
+
+def test_cells_of_an_earlier_version_are_refused(room: Arena, sensor: RangeSensor) -> None:
+    run = drive(room, sensor, 60, 3)
+    graph = build([run], model="cells")
+    graph = replace(graph, model=replace(graph.model, frames=None))
+    assert not can_update(graph)
+    with pytest.raises(SensorgraphError, match="no key frames; build it again"):
+        build([drive(room, sensor, 60, 4)], update=graph)
+
+
+def test_faces_with_cells_are_updated_together(room: Arena, sensor: RangeSensor) -> None:
+    west, east = (drive(room, sensor, 300, seed, x) for seed, x in ((1, (0.2, 2.3)), (2, (3.1, 3.8))))
+    old = build([west], calibrate=False, cells=True)
+    new = build([east], update=old)
+    assert new.model.faces.n_faces > old.model.faces.n_faces or new.model.hits.sum() > old.model.hits.sum()
+    assert new.model.cells.counts["scans"] == 600
+    whole = build([west, east], calibrate=False, cells=True)
+    poses, ranges = truth(room, sensor)
+    wrong = [(off(graph, poses, ranges) > 0.1).mean() for graph in (old, new, whole)]
+    assert wrong[1] < wrong[0] and wrong[1] == pytest.approx(wrong[2], abs=0.003)
+    with pytest.raises(SensorgraphError, match="part of the graph already"):
+        build([east], update=new)
 
 
 def test_an_update_keeps_the_memory_or_identifies_it_anew(

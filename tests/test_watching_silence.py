@@ -128,7 +128,7 @@ def test_the_next_step_can_be_pasted(tmp_path: Path) -> None:
 
     words = shlex.split(step(WatchSummary(run_file, graph), changes=(change,)).partition(": ")[2])
     assert words == ["sensorgraph", "build", str(run_file), "--update", str(graph), "-o", str(tmp_path / "lab_updated.sensorgraph")]  # fmt: skip
-    assert "faces only" in step(WatchSummary(run_file, graph, can_update=False), changes=(change,))
+    assert "build the graph again" in step(WatchSummary(run_file, graph, can_update=False), changes=(change,))
     words = shlex.split(step(WatchSummary(run_file, graph), faults=(fault,)).partition("by: ")[2])
     assert words == ["sensorgraph", "diagnose", str(run_file), "-o", "diagnosis"]
     assert "sensorgraph record --live -o run.mcap && " in step(WatchSummary(None, graph), faults=(fault,))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from inspect import signature
@@ -22,6 +22,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.reduction import MapBlocks
 from sensorgraph.types import Bools, ProgressBars, no_progress
@@ -55,7 +56,7 @@ def build(
     names : Name of each run in messages and in the graph. None: the name of its file.
     split : `every10` or `block` hold out scans of each run. The graph records the split.
     map_blocks : Function that reduces blocks of scans; `map` runs here. See `sensorgraph.building.dask_cluster`.
-    update : A graph of faces to which the runs are added; its own runs are not needed.
+    update : A graph of faces or cells to which the runs are added; its own runs are not needed.
     force : Accept a run whose poses jump. False: refuse it, as the commands do.
     memory : Also identify how residuals depend on the previous scan and on neighbouring rays, for drawing
         (`record --graph`). With `update` it is identified on the new runs; otherwise an existing one is kept.
@@ -85,7 +86,7 @@ def build(
     feed_again = partial(TrainingData, sources, names, split=split, bounds=bounds, force=force)
     feed = feed_again()
     if update is not None:
-        graph = _updated(update, feed, map_blocks, progress, options)
+        graph = _updated(update, feed, feed_again, map_blocks, progress, options)
         return _add_memory(graph, feed_again(), progress) if memory else graph
     fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
     origin = {
@@ -152,18 +153,29 @@ def _fit(
         return model.fit(scans, progress=tick, **options)
 
 
+def can_update(graph: Sensorgraph) -> bool:
+    """Tell whether runs can be added to a graph."""
+    model = graph.model
+    if isinstance(model, Faces):
+        return model.statistics is not None and (model.cells is None or model.cells.frames is not None)
+    return isinstance(model, CellModel) and model.frames is not None
+
+
 def _updated(
     graph: Sensorgraph,
     feed: TrainingData,
+    feed_again: Callable[[], TrainingData],
     map_blocks: MapBlocks,
     progress: ProgressBars,
     options: dict[str, Any],
 ) -> Sensorgraph:
     """Add the runs of a feed to a graph."""
     model = graph.model
-    if not isinstance(model, Faces) or options:
+    if not isinstance(model, Faces | CellModel) or options:
         reason = f", and option {', '.join(sorted(options))} applies to a new fit only" if options else ""
-        raise SensorgraphError(f"`update` adds runs to a graph of faces; this one is of {model.name}{reason}")
+        raise SensorgraphError(
+            f"`update` adds runs to a graph of faces or cells; this one is of {model.name}{reason}"
+        )
     of_log = feed.logs[0].head.sensor
     sensor = with_rays_like(of_log, graph.sensor.bearings)
     if sensor is None:
@@ -180,7 +192,19 @@ def _updated(
         raise SensorgraphError(
             f"the graph was built with split {graph.origin['split']}; update it with the same split"
         )
-    fitted = model.updated(feed, n_scans=feed.n_scans, map_blocks=map_blocks, progress=progress)
+    fitted: Faces | CellModel = model
+    if isinstance(model, Faces):
+        fitted = model.updated(feed, n_scans=feed.n_scans, map_blocks=map_blocks, progress=progress)
+    cells = fitted if isinstance(fitted, CellModel) else fitted.cells
+    if cells is not None:
+        again = feed_again() if isinstance(model, Faces) else feed
+        again.sensor = sensor
+        scans = all_scans(again)
+        if scans is None:
+            raise SensorgraphError(_too_few(0, again.entries))
+        with progress("fitting cells", "steps") as tick:
+            cells = cells.updated(scans, progress=tick)
+        fitted = cells if isinstance(fitted, CellModel) else replace(fitted, cells=cells)
     _check_enough(feed)
     known = {entry["sha256"] for entry in graph.origin["inputs"]}
     for entry in feed.entries:

@@ -176,12 +176,13 @@ class _Output:
         *,
         show: bool,
     ) -> None:
+        from sensorgraph.building.build import can_update
         from sensorgraph.watching.summary import WatchSummary
 
         self.model, self.limits, self.graph_name, self.out, self.json = model, limits, graph.name, out, json
         self.rrd = out.with_suffix(".rrd") if show and out is not None else None
         self.is_terminated = False
-        self.summary = WatchSummary(run, graph, can_update=model.model.name == "faces")
+        self.summary = WatchSummary(run, graph, can_update=can_update(model))
 
     def take(
         self,

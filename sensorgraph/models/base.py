@@ -57,6 +57,11 @@ class TrainingScans:
             return self.ray_poses
         return np.broadcast_to(self.poses[:, None], (*self.ranges.shape, 3))
 
+    def with_mount(self, mount: Floats) -> TrainingScans:
+        """Return the scans of a laser with an identified mount (3,) [m, m, rad]; poses of the laser need none."""
+        is_mounted = self.pose_frame == "base_link"
+        return replace(self, sensor=replace(self.sensor, mount=mount)) if is_mounted else self
+
     def part(self, index: slice) -> TrainingScans:
         """Return the scans of a slice."""
         return replace(

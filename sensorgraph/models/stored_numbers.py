@@ -88,3 +88,8 @@ def check_positive(name: str, value: float) -> None:
     """
     if not value > 0:
         raise ValueError(f"{name} is {value}, expected a positive number")
+
+
+def with_prefix(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays whose names begin with a prefix, with the prefix removed."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -161,9 +161,7 @@ class WatchSummary:
     def _build(self, record: str) -> str:
         """Return the command that adds the run to the graph, or why there is none."""
         if not self.can_update:
-            return (
-                f"build the graph again from its runs and {self._run()}; --update takes graphs of faces only"
-            )
+            return f"build the graph again from its runs and {self._run()}; --update cannot add a run to this graph"
         old = Path("graph.sensorgraph") if self.graph is None else self.graph
         new = old.with_name(f"{old.stem}_updated.sensorgraph")
         return f"{record}sensorgraph build {self._run()} --update {shlex.quote(str(old))} -o {shlex.quote(str(new))}"

@@ -20,6 +20,7 @@ from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.distribution import NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.key_frames import KeyFrames, laser_poses
 from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
 from sensorgraph.models.cells.probability_calibration import KNOTS
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, tabulate
@@ -28,7 +29,7 @@ from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
-from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
+from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape, with_prefix
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 MIN_CELL, MAX_CELL = 0.01, 0.5
@@ -56,10 +57,23 @@ class CellModel:
     """Share of missing returns among the readings beyond reach; the others are longer ranges."""
     counts: Mapping[str, int]
     """Numbers of training data: scans, key_frames, set_aside, hits."""
+    frames: KeyFrames | None = None
+    """Scans from which the cells were made; None in a graph of an earlier version, which cannot be updated."""
 
     @classmethod
-    def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
+    def fit(
+        cls,
+        scans: TrainingScans,
+        *,
+        before: KeyFrames | None = None,
+        progress: Progress | None = None,
+        **options: Any,
+    ) -> Self:
         """Collect evidence from all key frames, after learning visibility and calibration on stretches set aside.
+
+        Parameters
+        ----------
+        before : Key frames of earlier runs, to which those of the scans are added.
 
         Raises
         ------
@@ -72,10 +86,8 @@ class CellModel:
         cell = float(options.get("cell", CELL_SIZE))
         if not MIN_CELL <= cell <= MAX_CELL:
             raise SensorgraphError(f"cell is {cell:g} m, expected {MIN_CELL:g} to {MAX_CELL:g}")
-        keep = is_key_frame(scans.poses, scans.run)
-        mount = scans.laser_mount
-        own_poses = scans.poses if scans.ray_poses is None else scans.ray_poses
-        poses, ranges = laser_poses(own_poses[keep], mount), scans.ranges[keep]
+        frames = KeyFrames.of(scans) if before is None else before.joined(KeyFrames.of(scans))
+        poses, ranges = frames.poses, frames.ranges
         bearings = scans.sensor.bearings
         reach = min(MAX_REACH, scans.sensor.range_max)
         if not ((ranges > MIN_RANGE) & (ranges < reach)).any():
@@ -89,15 +101,29 @@ class CellModel:
         report(5, 5)
         far, none = int((ranges >= reach).sum()), int(np.isposinf(ranges).sum())
         counts = {
-            "scans": len(scans),
+            "scans": frames.n_scans,
             "key_frames": len(poses),
             "set_aside": sum(int(is_set_aside(len(poses), k).sum()) for k in range(n_folds_of(len(poses)))),
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
         return cls(
-            sensor=scans.sensor, mount=mount, table=table, beta=beta, reliability=reliability,
-            tails=tails, nothing=none / max(far, 1), counts=counts,
+            sensor=scans.sensor, mount=scans.laser_mount, table=table, beta=beta, reliability=reliability,
+            tails=tails, nothing=none / max(far, 1), counts=counts, frames=frames,
         )  # fmt: skip
+
+    def updated(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
+        """Fit again to the key frames of the earlier runs and of new scans of the same laser.
+
+        Raises
+        ------
+        SensorgraphError : The graph is of an earlier version, which kept no key frames, or no ray returned within reach.
+        """
+        if self.frames is None:
+            raise SensorgraphError(
+                "the graph was built by an earlier version, which kept no key frames; build it again from all runs"
+            )
+        scans = scans.with_mount(self.mount)
+        return self.fit(scans, before=self.frames, progress=progress, cell=self.table.cell)
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
@@ -208,6 +234,9 @@ class CellModel:
             "tails": self.tails,
             "mount": self.mount,
         }
+        if self.frames is not None:
+            header["frames"], own = self.frames.state()
+            arrays |= {f"frames.{name}": array for name, array in own.items()}
         return header, arrays
 
     @classmethod
@@ -256,30 +285,5 @@ class CellModel:
         return cls(
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
             tails=tails, nothing=float(header["nothing"]), counts=header["counts"],
+            frames=KeyFrames.restore(header["frames"], with_prefix("frames.", arrays)) if "frames" in header else None,
         )  # fmt: skip
-
-
-def is_key_frame(poses: Floats, run: Ints) -> Bools:
-    """Return a mask of key frames: the first scan of each run, and each scan far enough from the last key frame."""
-    keep = np.zeros(len(poses), dtype=np.bool_)
-    last = -1
-    for i, (x, y, phi) in enumerate(poses.tolist()):
-        if last >= 0 and run[i] == run[last]:
-            x0, y0, phi0 = poses[last]
-            turn = np.pi - abs(np.pi - abs(phi - phi0) % (2 * np.pi))
-            if (
-                np.hypot(x - x0, y - y0) < CELLS.evidence.key_frame_distance
-                and turn < CELLS.evidence.key_frame_turn
-            ):
-                continue
-        keep[i] = True
-        last = i
-    return keep
-
-
-def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Return the pose of the laser in map (..., 3) for poses (..., 3) of the frame that carries it."""
-    cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    x = poses[..., 0] + cos * mount[0] - sin * mount[1]
-    y = poses[..., 1] + sin * mount[0] + cos * mount[1]
-    return np.stack([x, y, poses[..., 2] + mount[2]], axis=-1)

@@ -17,7 +17,7 @@ from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.visibility import ReturnNoise
-from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
+from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape, with_prefix
 from sensorgraph.types import Floats
 
 
@@ -89,7 +89,7 @@ def restored_fields(
     )
     _check_face_set(faces)
     _check_other_fields(faces, header, arrays)
-    statistics = _with_prefix("memory.", arrays)
+    statistics = with_prefix("memory.", arrays)
     return {
         "sensor": sensor,
         "faces": faces,
@@ -109,17 +109,12 @@ def restored_fields(
         "statistics": SufficientStatistics.from_arrays(statistics, faces) if statistics else None,
         "mount": np.asarray(arrays["mount"], dtype=np.float64),
         "calibration": Calibration.restore(
-            sensor.n_rays, header["calibration"], _with_prefix("calibration.", arrays)
+            sensor.n_rays, header["calibration"], with_prefix("calibration.", arrays)
         ),
-        "cells": CellModel.restore(sensor, header["cells"], _with_prefix("cells.", arrays))
+        "cells": CellModel.restore(sensor, header["cells"], with_prefix("cells.", arrays))
         if "cells" in header
         else None,
     }
-
-
-def _with_prefix(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return the arrays whose names begin with a prefix, with the prefix removed."""
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 ROUNDING = 1e-6
@@ -148,7 +143,7 @@ def _check_other_fields(
     check_range("n_rays", header.get("n_rays", 0), 0)
     check_positive("noise.sigma", header["noise"]["sigma"])
     check_range("noise", list(header["noise"].values()), 0)
-    if statistics := _with_prefix("memory.", arrays):
+    if statistics := with_prefix("memory.", arrays):
         face, cells = statistics["face"], statistics["left.cells"]
         check_shape("memory.face", face, statistics["t"].shape, "iu")
         check_range("memory.face", face, 0, faces.n_faces - 1)

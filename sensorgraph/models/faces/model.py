@@ -108,9 +108,7 @@ class Faces(FacesData):
 
     def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
         """Add cells fitted to the same scans; these then predict in place of the faces."""
-        if scans.pose_frame == "base_link":
-            scans = replace(scans, sensor=replace(scans.sensor, mount=self.mount))
-        return replace(self, cells=CellModel.fit(scans, progress=progress))
+        return replace(self, cells=CellModel.fit(scans.with_mount(self.mount), progress=progress))
 
     @classmethod
     def fit_blocks(
@@ -185,16 +183,12 @@ class Faces(FacesData):
         map_blocks: MapBlocks = map,
         progress: ProgressBars = no_progress,
     ) -> Self:
-        """Add blocks of new scans of the same laser, without the old scans.
+        """Add blocks of new scans of the same laser to the faces, without the old scans; cells are left as they are.
 
         Raises
         ------
-        SensorgraphError : The model is of cones, predicts with cells or lacks statistics, or no new ray returned.
+        SensorgraphError : The model is of cones or lacks statistics, or no new ray returned.
         """
-        if self.cells is not None:
-            raise SensorgraphError(
-                "the graph predicts with cells, which cannot be updated; build it again from all runs"
-            )
         if self.statistics is None:
             is_of_cones = measures_cones(self.sensor)
             why = "is of cones, which cannot be updated" if is_of_cones else "lacks its rays' statistics"
