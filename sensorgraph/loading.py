@@ -27,6 +27,7 @@ from sensorgraph.quantities import ANGLE, is_number, pose_of, quantity, split_un
 from sensorgraph.types import Floats
 from sensorgraph.world.described import completed, rays_text
 from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.ray_order import ray_order
 from sensorgraph.world.robot import Robot, default_robot, load_robot, parse_robot
 
 logger = logging.getLogger(__name__)
@@ -210,8 +211,34 @@ def exported_robot(source: Robot | str | Path | None, run: Run | None, graph: Se
     if isinstance(source, Robot):
         return source
     robot = load_robot(source)
-    if source is not None or graph is None:
-        return robot
+    return robot if source is not None or graph is None else with_laser_of(graph, robot)
+
+
+def robot_in_graph(
+    graph: Sensorgraph, source: str | Path | None = None, *, kept: Robot | None = None
+) -> Robot:
+    """Return a robot that drives in a graph: the given one, else the kept or the shipped one, with the laser of the graph.
+
+    A robot with the rays of the graph keeps its own laser.
+
+    Raises
+    ------
+    SensorgraphError : A file is invalid, or robot.yaml cannot describe the laser of the graph.
+    """
+    if source is not None:
+        return load_robot(source)
+    robot = kept or load_robot()
+    is_same = ray_order(graph.sensor.bearings, robot.sensor.bearings) is not None
+    return robot if is_same else with_laser_of(graph, robot)
+
+
+def with_laser_of(graph: Sensorgraph, robot: Robot) -> Robot:
+    """Return a robot with the laser of a graph.
+
+    Raises
+    ------
+    SensorgraphError : robot.yaml cannot describe this laser.
+    """
     if not rays_text(graph.sensor.bearings):
         raise SensorgraphError(
             "the rays of the graph are not evenly spaced, so that robot.yaml cannot describe them; give a robot"

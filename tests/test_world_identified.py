@@ -255,6 +255,32 @@ def test_mistakes_are_one_line(
     assert not list(tmp_path.iterdir())
 
 
+def test_the_robot_of_a_plan_gets_the_laser_of_the_graph(
+    folder: Path, room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = default_robot()  # of 181 rays; the graph is of 61
+    save(
+        make_plan(room, shipped, planner="wall_following", duration=3, seed=0),
+        tmp_path / "plan",
+        room,
+        shipped,
+    )
+    words = [
+        "record",
+        str(tmp_path / "plan"),
+        "--graph",
+        str(folder / "g.sensorgraph"),
+        "-o",
+        str(tmp_path / "a.mcap"),
+    ]
+    assert command(words) == 0
+    assert "laser of the graph (61 rays)" in capsys.readouterr().out
+    assert logs.read(tmp_path / "a.mcap").sensor.n_rays == 61
+    (tmp_path / "robot.yaml").write_text("sensor: {n_rays: 181}\n")
+    assert command([*words, "--robot", str(tmp_path / "robot.yaml")]) == 2  # what is given is not replaced
+    assert "the rays of the robot differ" in capsys.readouterr().err
+
+
 def test_a_controller_starts_where_it_is_told(folder: Path, tmp_path: Path) -> None:
     words = ["--controller", "wall_following", "--start", "1.5,1.25,90 deg", "-o", str(tmp_path / "a.mcap")]
     assert command(["record", str(folder / "plan"), *words]) == 0

@@ -76,14 +76,13 @@ def design(
     from sensorgraph.identification.design import design as design_controller
     from sensorgraph.identification.design import drive_design
     from sensorgraph.identification.design_task import DesignTask
-    from sensorgraph.loading import load_arena
+    from sensorgraph.loading import load_arena, robot_in_graph
     from sensorgraph.show.figures.design import design_picture
-    from sensorgraph.world.robot import load_robot
 
     files = [out / name for name in ("controller.json", "design.json", "design.png")]
     check_folder(out)
     model = Sensorgraph.load(graph)
-    machine = load_robot() if robot is None else load_robot(robot)
+    machine = robot_in_graph(model, robot)
     walls = None if arena is None else load_arena(arena)
     task = DesignTask(wall_distance=wall_distance, speed=speed, smoothness=smoothness, duration=duration)
     names = tuple(name.strip() for name in inputs.split(","))

@@ -62,18 +62,18 @@ def influence(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.identification.influence import influence as find_influence
     from sensorgraph.identification.influence import table
+    from sensorgraph.loading import robot_in_graph
     from sensorgraph.recording.controllers import PolynomialController
     from sensorgraph.show.figures.influence import influence_picture
-    from sensorgraph.world.robot import load_robot
 
     check_folder(out)
     place = parse_pose(start).tolist()
     factors = dict(map(_factor, vary)) if vary else None
-    machine = load_robot() if robot is None else load_robot(robot)
     if not controller.is_file():
         raise SensorgraphError(f"{controller} does not exist; write one with `sensorgraph design`")
-    steer = PolynomialController.load(controller, machine)
     model = Sensorgraph.load(graph)
+    machine = robot_in_graph(model, robot)
+    steer = PolynomialController.load(controller, machine)
     settings: dict[str, Any] = {"factors": factors, "rows": rows, "duration": duration, "seed": seed}
     with progress("driving", "scans") as tick:
         found = find_influence(model, steer, machine, place, **settings, progress=tick)

@@ -34,6 +34,7 @@ from sensorgraph.cli.record_live import (
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.recording.closed_loop import ClosedLoopDrive
     from sensorgraph.recording.drive_source import DriveSource
     from sensorgraph.world.robot import Robot
@@ -167,7 +168,7 @@ def _record_closed_loop(
         )
     graph = None if graph_file is None else Sensorgraph.load(graph_file)
     identified = None if graph is None or arena is not None else arena_of(graph)
-    walls, machine = _place(source, arena, robot, identified=identified)
+    walls, machine = _place(source, arena, robot, identified=identified, graph=graph)
     name = arena or ("the plan's arena" if graph_file is None else str(graph_file))
     begin = None if start is None else parse_pose(start)
     check_start(trajectory.poses[0] if begin is None else begin, walls, machine, arena_name=name)
@@ -204,16 +205,22 @@ def _unanswered(drive: ClosedLoopDrive) -> str:
 
 
 def _place(
-    drive: DriveSource, arena: str | None, robot: Path | None, *, identified: Arena | None = None
+    drive: DriveSource,
+    arena: str | None,
+    robot: Path | None,
+    *,
+    identified: Arena | None = None,
+    graph: Sensorgraph | None = None,
 ) -> tuple[Arena, Robot]:
     """Return the arena and the robot that were given, else those of the plan, and warn of a mismatch.
 
     Parameters
     ----------
     identified : Arena of a graph, used if no arena is given.
+    graph : Graph from which readings are drawn; the robot of the plan gets its laser.
     """
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.loading import load_arena
+    from sensorgraph.loading import load_arena, robot_in_graph
     from sensorgraph.world.robot import load_robot
 
     named = None if arena is None else load_arena(arena)
@@ -230,4 +237,11 @@ def _place(
     taken += ["robot"] if kept is not None else []
     if taken:
         typer.echo(f"{' and '.join(taken)} of {drive.path}" + (f" ({kept.name})" if kept is not None else ""))
-    return walls, machine or kept or load_robot()
+    driven = machine or kept or load_robot()
+    if graph is not None and machine is None:
+        base, driven = driven, robot_in_graph(graph, kept=driven)
+        if driven is not base:
+            typer.echo(
+                f"laser of the graph ({driven.sensor.n_rays} rays); that of {base.name} has {base.sensor.n_rays}"
+            )
+    return walls, driven
