@@ -40,6 +40,17 @@ def test_a_robot_that_is_right_is_ok_and_followed_within_centimetres() -> None:
     assert len(said) == pytest.approx(12, abs=2)  # one a second
 
 
+def test_a_robot_without_odometry_that_swings_is_ok() -> None:
+    """Between two tracked scans nothing tells its motion: a statement takes the scan at its time."""
+    poses = loop_poses(150, laps=1.2)
+    poses[:, 2] += 0.7 * np.sin(2 * np.pi * np.arange(150) / 13)  # turns at up to 1.7 rad/s
+    run = believing(room_run(poses, seed=12), poses)
+    silent = replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+    said = list(sg.watch(graph(), silent))
+    assert len(said) > 25
+    assert {status.pose.status for status in said} == {"ok"}
+
+
 def test_a_belief_put_off_by_half_a_metre_is_off_within_five_seconds() -> None:
     poses = loop_poses(120)
     believed = poses.copy()

@@ -88,21 +88,34 @@ def moved_covariance(covariance: Floats, pose: Floats, step: Floats, deviations:
 
 
 def odometry_step(
-    last: Observation | None, now: Observation, priors: TrackingPriors
+    last: Observation | None, now: Observation, velocity: Floats, priors: TrackingPriors
 ) -> tuple[float, Floats, Floats, bool]:
-    """Return time [s], motion (3,) and its standard deviations (3,) between two scans, and whether the odometry jumps."""
+    """Return time [s], motion (3,) and its standard deviations (3,) between two scans, and whether the odometry jumps.
+
+    Parameters
+    ----------
+    velocity : (3,) [m/s, m/s, rad/s] Velocity at the last scan, with which a robot without odometry drives on.
+    """
     if last is None:
         return 0.0, np.zeros(3), np.zeros(3), False
     dt = max(now.stamp - last.stamp, 0.0)
     floor = np.asarray(priors.odometry_floor)
     if now.odometry is None or last.odometry is None:
-        return dt, np.zeros(3), floor + dt * np.asarray(priors.unknown_speed), False
+        return dt, driven_on(velocity, dt, priors), floor + dt * np.asarray(priors.unknown_speed), False
     step = compose(invert(last.odometry), now.odometry)
     way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
     if not way <= priors.max_speed * max(dt, 0.2):  # also if it is not finite
         return dt, np.zeros(3), floor + 1.0, True
     scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
     return dt, step, floor + scale, False
+
+
+def driven_on(velocity: Floats, dt: float, priors: TrackingPriors) -> Floats:
+    """Return the motion (3,) [m, m, rad] at a constant velocity (3,); after `update_period` it is unknown."""
+    half = 0.5 * velocity[2] * (t := min(max(dt, 0.0), priors.update_period))
+    c, s = np.cos(half), np.sin(half)  # along the chord of the arc
+    x, y = velocity[:2] * t
+    return np.array([c * x - s * y, s * x + c * y, 2 * half])
 
 
 def changed_share(before: Floats, now: Floats, least: float) -> float:

@@ -36,6 +36,7 @@ from sensorgraph.watching.scan_input import (
     apart,
     at_stamp,
     changed_share,
+    driven_on,
     moved_covariance,
     new_share,
     odometry_step,
@@ -100,10 +101,12 @@ class PoseTracker:
         return way + float(np.hypot(*slip[:2])) > s.update_distance or turn + slip[2] > s.update_turn
 
     def ahead(self, observation: Observation) -> Floats:
-        """Return the motion (3,) by the odometry since the last scan that was used."""
+        """Return the motion (3,) since the last scan that was used: by the odometry, or at the last velocity."""
         last = self._last
-        if last is None or last.odometry is None or observation.odometry is None:
+        if last is None:
             return np.zeros(3)
+        if last.odometry is None or observation.odometry is None:
+            return driven_on(self.velocity, observation.stamp - last.stamp, self.priors)
         return np.asarray(compose(invert(last.odometry), observation.odometry))
 
     def restart_clock(self) -> None:
@@ -113,7 +116,7 @@ class PoseTracker:
     def update(self, observation: Observation) -> ScanInput:
         """Take one scan; return it as it was used."""
         s = self.priors
-        dt, step, deviations, is_jump = odometry_step(self._last, observation, s)
+        dt, step, deviations, is_jump = odometry_step(self._last, observation, self.velocity, s)
         if is_jump:
             self.missing = math.inf
         has_step = dt > 0 and not is_jump and bool(step.any())

@@ -80,11 +80,13 @@ class Watcher:
         stamp = observation.stamp
         if not self._check(observation):
             return None
-        if self.tracker.is_due(observation):
+        is_said = stamp - self._last_said >= PERIOD
+        # without odometry, nothing tells how far the robot is from its last tracked pose
+        if self.tracker.is_due(observation) or (is_said and observation.odometry is None):
             now = self.tracker.update(observation)
             self._learn(now)
         self._last_scan = stamp
-        if stamp - self._last_said < PERIOD:
+        if not is_said:
             return None
         self._last_said = stamp
         return self._status(observation)

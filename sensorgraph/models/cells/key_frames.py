@@ -14,8 +14,8 @@ from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.stored_numbers import check_shape
 from sensorgraph.types import Bools, Floats, Ints
 
-STEP = 1e-4
-"""[m, rad] Resolution of stored ranges and of the motion during a scan, far below the noise of lasers."""
+STEP = 1e-6
+"""[m, rad] Resolution of stored ranges and of the motion during a scan; ranges up to 4 km fit into 32 bits."""
 TOO_CLOSE, NO_RETURN, BROKEN = 0, 0xFFFFFFFF, 0xFFFFFFFE
 """Codes of stored ranges."""
 
