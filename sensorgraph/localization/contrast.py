@@ -32,6 +32,8 @@ LEAST = (0.1, 0.1, 0.1)
 """[m, m, rad] ... if it is also larger than this, ahead, left and in heading."""
 LEAST_OFFSET = 0.03
 """[m] Distance of the laser from its stated place below which it is not worth a note ..."""
+MIN_TURNS = 0.1
+"""[rad²] Sum of squared turns below which nothing shows this distance."""
 N_REWEIGHTED = 10
 """Number of reweighted fits of this distance; it settles within five."""
 MEDIAN_OF_NORMAL = 0.6745
@@ -165,13 +167,12 @@ def _offset(off: Floats, turns: Floats, overlap: float) -> Floats:
     overlap : Number of motions that share the same odometry.
     """
     rows, values = _moved_by_turns(turns).reshape(-1, 2), off[:, :2].ravel()
-    information = rows.T @ rows
-    if np.linalg.cond(information) > 1e6:  # no turns
-        return np.zeros(2)
     found: Floats = np.zeros(2)
     weight = np.ones(len(values))
     for _ in range(N_REWEIGHTED):  # Cauchy's weights
         information = rows.T @ (rows * weight[:, None])
+        if np.trace(information) < MIN_TURNS or np.linalg.cond(information) > 1e6:
+            return np.zeros(2)
         found = np.asarray(np.linalg.solve(information, rows.T @ (weight * values)), dtype=np.float64)
         left = values - rows @ found
         sigma = robust_sigma(left) + 1e-6

@@ -74,7 +74,7 @@ def locate_in_map(
     covariances = covariances + _map_error(matches, steps.noise, settings)
     status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
-    wheels = WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames])
+    wheels = WheelSteps.of(odometry, steps, run.stamps).parameters(poses[steps.key_frames])
     contrast = contrast_notes(run, poses, odometry, status, wheels)
     return Localization(
         t=run.stamps,

@@ -91,7 +91,7 @@ def map_states(
     )
     is_broken = np.append((np.diff(tracked.piece) > 0) & ~tracked.is_carried, False)
     is_carried = ~matched & is_near & ~is_broken[left] & has_odometry
-    directions = _open_directions(projections, len(keys))
+    directions = open_directions(projections, len(keys))
     nearest = np.where(np.abs(directions[left]).sum(axis=1) > 0, left, right)
     directions = directions[nearest]
     along = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", directions, covariances, directions), 0.0))
@@ -112,7 +112,7 @@ def map_states(
     )
 
 
-def _open_directions(projections: Floats | None, n: int) -> Floats:
+def open_directions(projections: Floats | None, n: int) -> Floats:
     """Return a unit motion x, y, phi in map (n_key, 3) that each key frame does not determine; zeros if it determines all."""
     out = np.zeros((n, 3))
     if projections is None:
@@ -134,7 +134,7 @@ def with_unknown_motion(
     look like those of a standing one. The motion is then up to `speed_sd` times half the duration.
     """
     keys, out, s = tracked.key_frames, covariances.copy(), FRONT_END
-    directions = _open_directions(projections, len(keys))
+    directions = open_directions(projections, len(keys))
     left = np.clip(np.searchsorted(keys, np.arange(len(stamps)), side="right") - 1, 0, None)
     for number in np.unique(tracked.piece):
         if not directions[tracked.piece == number].any(axis=1).all():

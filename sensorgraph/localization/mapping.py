@@ -10,6 +10,7 @@ from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
+from sensorgraph.localization.dead_reckoning import with_dead_reckoning
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import close_loops, spread
 from sensorgraph.localization.map_states import map_numbers, map_states, state_notes, with_unknown_motion
@@ -19,7 +20,7 @@ from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status
-from sensorgraph.localization.scan_track import ScanTrack, is_covered, turn_matrices
+from sensorgraph.localization.scan_track import ScanTrack, is_covered, settled, turn_matrices
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
@@ -74,9 +75,10 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         return _without_returns(run, tracked)
     with progress("closing loops", "submaps") as bar:
         closed = close_loops(scans, tracked, bar)
-    tracked = replace(tracked, is_carried=closed.is_carried)
+    projections = settled(tracked.projections)
+    tracked = replace(tracked, is_carried=closed.is_carried, projections=projections)
     frames = FramePoints.of(scans, tracked.key_frames, tracked.projections)
-    steps = WheelSteps.of(odometry, tracked)
+    steps = WheelSteps.of(odometry, tracked, run.stamps)
     with progress("refining", "steps") as bar:
         refined = refine(frames, closed.poses, steps, (closed.steps, closed.closures), bar)
     maps = map_numbers(tracked, closed)
@@ -88,6 +90,8 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         placed = _placed_again(scans, tracked, placed, smoothed)
         smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
     wheels = steps.parameters(refined.poses)
+    reckoned = with_dead_reckoning(placed.shared, tracked, refined, wheels)
+    placed = replace(placed, shared=reckoned)
     verdict = verdict_on(run, scans, smoothed.poses, odometry, wheels)
     if verdict.is_false.any():  # a few surfaces fit a wrong place
         placed = replace(placed, matched=placed.matched & ~verdict.is_false)
@@ -164,6 +168,10 @@ def _place_all(
     left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
     right = np.minimum(left + 1, len(keys) - 1)
     share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
+    is_joined = (tracked.piece[left] == tracked.piece[right]) | np.append(tracked.is_carried, False)[left]
+    share = (
+        share * is_joined[:, None, None]
+    )  # as `spread` places scans between two segments that nothing connects
     covariances = (1 - share) * shared[left] + share * shared[right]
     covariances[keys] = key_covariances
     own, matched = np.zeros((n, 3, 3)), tracked.matched.copy()

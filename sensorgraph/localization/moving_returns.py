@@ -1,4 +1,4 @@
-"""Readings that go along with the robot: of a trailer, of people beside it, or of the ground before a robot that pitches.
+"""Readings that go along with the robot: of a trailer, of people next to it, or of the ground before a robot that pitches.
 
 If they fill most of the view, the scans seem to move less than the robot, or at random. So do they if wheels slip. Where scans
 and odometry contradict each other (`contrast.py`), the readings of two scans decide. A reading supports one motion against the

@@ -21,6 +21,10 @@ NEAR = 16
 """Number of key frames before and after whose patches determine the direction of a corridor."""
 
 
+MIN_TURN_Z = 4.0
+"""Standard errors from which the open motion of a corridor turns."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FramePoints:
     """Points of all key frames, in order."""
@@ -118,7 +122,7 @@ def point_rows(
     projections = None
     if frames.projections is not None:
         distance = np.hypot(*lever.T)
-        projections = _projections(by_pose, weight, frame, distance, frames.projections)
+        projections = _projections(by_pose, weight, frame, distance, frames.projections, poses)
         by_pose = np.einsum("ni,nij->nj", by_pose, projections[frame])
     return PointRows(
         index=used[kept],
@@ -137,12 +141,18 @@ def point_rows(
     )
 
 
-def _projections(by_pose: Floats, weight: Floats, frame: Ints, distance: Floats, tracked: Floats) -> Floats:
+def _projections(
+    by_pose: Floats, weight: Floats, frame: Ints, distance: Floats, tracked: Floats, poses: Floats
+) -> Floats:
     """Return the projections (n_frames, 3, 3) of a motion x, y, phi in map onto the directions that scans determine.
 
-    The number of open directions is that of the track (n_frames, 3, 3). They follow from the patches around `NEAR` key
-    frames, since a small error would let a long motion along a wall cross it. An open direction along walls contains
-    no turn.
+    The number of open directions is that of the track (n_frames, 3, 3). One of them is estimated from the patches around
+    `NEAR` key frames, since a small error would let a long motion along a wall cross it. It is a motion along straight walls,
+    or a turn about a point, as in a corridor that is a ring and in a round hall.
+
+    Parameters
+    ----------
+    poses : (n_frames, 3) [m, m, rad]
     """
     n, scaled = len(tracked), np.sqrt(weight)[:, None] * by_pose
     open_frames = np.flatnonzero(~determines_all(tracked))
@@ -153,15 +163,33 @@ def _projections(by_pose: Floats, weight: Floats, frame: Ints, distance: Floats,
             blocks[:, i, j] = sums_by(frame, scaled[:, i] * scaled[:, j], n)
     out = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
     for k in open_frames:
-        near = open_frames[np.abs(open_frames - k) <= NEAR]
         n_open = 3 - round(float(np.trace(tracked[k])))
-        used = 2 if n_open == 1 and tracked[k, 2, 2] > 0.5 else 3
+        near = open_frames[np.abs(open_frames - k) <= NEAR] if n_open == 1 else np.array([k])
+        moved = np.broadcast_to(np.eye(3), (len(near), 3, 3)).copy()  # by a turn about key frame k
+        moved[:, 0, 2], moved[:, 1, 2] = -(poses[near, 1] - poses[k, 1]), poses[near, 0] - poses[k, 0]
+        each = moved.transpose(0, 2, 1) @ blocks[near] @ moved
+        is_straight = n_open == 1 and tracked[k, 2, 2] > 0.5 and _is_straight(each)
+        used = 2 if is_straight else 3
         lever = np.sqrt(square[k] / count[k])
         scale = np.array([1.0, 1.0, 1.0 / max(lever, 1e-3)])[:used]
-        around = blocks[near if used == 2 else [k], :used, :used].sum(axis=0)
+        around = each[:, :used, :used].sum(axis=0)
         vectors = np.linalg.eigh(around * np.outer(scale, scale))[1][:, :n_open]
         out[k, :used, :used] -= scale[:, None] * (vectors @ vectors.T) / scale
     return out
+
+
+def _is_straight(blocks: Floats) -> bool:
+    """Tell whether the open motion of key frames does not turn, by their normal matrices (m, 3, 3) of one twist.
+
+    The turn that fits the motion along the walls best is compared with its standard error. Neighbouring key frames see the
+    same patches with the same errors, so that the scores of m frames count as one.
+    """
+    total = blocks.sum(axis=0)
+    along = np.append(np.linalg.eigh(total[:2, :2])[1][:, 0], 0.0)
+    turn = -total[2] @ along / max(total[2, 2], 1e-12)
+    scores = blocks[:, 2] @ (along + [0.0, 0.0, turn])
+    error = np.sqrt(len(blocks) * (scores**2).sum()) / max(total[2, 2], 1e-12)
+    return bool(abs(turn) < MIN_TURN_Z * error)
 
 
 def _fit_patches(

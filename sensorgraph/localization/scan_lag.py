@@ -108,7 +108,7 @@ def with_stamp_of(
 ) -> tuple[Run, tuple[str, ...]]:
     """Return the run with its stamps at the begin, middle or end of the sweep as the odometry shows, and a note on a lag.
 
-    Drivers stamp a scan at any of the three, and the odometry has a latency of its own. So the nearest one counts if the
+    Drivers stamp a scan at any of the three, and the odometry has its own latency. So the nearest one counts if the
     lag agrees with it, or if the remainder is a likely latency and less than half as far from it as from the next. Any
     other lag is reported only, since it may be in either clock.
     """

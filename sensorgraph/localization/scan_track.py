@@ -86,3 +86,24 @@ def information_at(pose: Floats, deviations: Floats) -> Floats:
 def determines_all(projections: Floats) -> Bools:
     """Tell which scans determine all directions, by their projections (..., 3, 3)."""
     return np.asarray(np.trace(projections, axis1=-2, axis2=-1) > 2.5)
+
+
+def settled(projections: Floats, neighbours: int = 4) -> Floats:
+    """Return projections (n_key, 3, 3) in which most of the neighbouring key frames agree with an open direction.
+
+    Where most of the key frames before and after one do not determine a direction, it does not either: by chance, the errors of
+    the returns look like a shape of the walls. A real shape is seen from several key frames.
+
+    Parameters
+    ----------
+    projections : (n_key, 3, 3) Projection of a motion ahead, left and turn onto the directions that a key frame determines.
+    neighbours : Number of key frames before, and after.
+    """
+    out, is_open = projections.copy(), ~determines_all(projections)
+    among = np.flatnonzero(is_open)
+    total = np.concatenate([[0], np.cumsum(is_open)])
+    for k in np.flatnonzero(~is_open).tolist():
+        start, stop = max(k - neighbours, 0), min(k + neighbours + 1, len(out))
+        if 2 * (total[stop] - total[start]) > stop - start:
+            out[k] = projections[among[np.abs(among - k).argmin()]]
+    return out

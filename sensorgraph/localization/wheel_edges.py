@@ -14,7 +14,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import WHEELS, WheelSettings
+from sensorgraph.localization.settings import FRONT_END, WHEELS, WheelSettings
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats, Ints
@@ -42,14 +42,15 @@ class WheelSteps:
     """(n, 3) [m, m, rad] Steps in base_link from the odometry; zero without odometry."""
     has_odometry: bool
     is_seen: Bools | None = None
-    """(n, 2) The scans determine distance and turn of a step; None: of all. The others do not identify the wheels."""
+    """(n, 3) The scans determine the step ahead, left and its turn; None: of all. The others do not identify the wheels."""
     deviations: Floats | None = None
-    """(n, 3) [m, m, rad] Standard deviations of a step without odometry: ahead, left, turn; None: `unknown_sd`."""
+    """(n, 3) [m, m, rad] Standard deviations of a step without odometry: ahead, left, turn; None: `unknown_sd`. With
+    odometry, those of a step of a robot that is pushed."""
     settings: WheelSettings = WHEELS
 
     @staticmethod
-    def of(odometry: Floats | None, tracked: ScanTrack) -> WheelSteps:
-        """Take the steps of the odometry (n_scans, 3), except across a break of the track or a jump."""
+    def of(odometry: Floats | None, tracked: ScanTrack, stamps: Floats) -> WheelSteps:
+        """Take the steps of the odometry (n_scans, 3) at stamps (n_scans,) [s], except across a break of the track or a jump."""
         keys = tracked.key_frames
         first = np.arange(len(keys) - 1)
         if odometry is None:
@@ -61,15 +62,20 @@ class WheelSteps:
         first = first[is_whole]
         steps = compose(invert(odometry[keys[first]]), odometry[keys[first + 1]])
         seen = np.einsum("nii->ni", tracked.projections) > 0.5
-        seen = np.column_stack([seen[:, 0] & seen[:, 1], seen[:, 2]])
         is_seen = seen[first] & seen[first + 1] & ~tracked.is_carried[first, None]
-        return WheelSteps(first=first, steps=steps, has_odometry=True, is_seen=is_seen)
+        rates = np.array([FRONT_END.speed_sd, FRONT_END.speed_sd, FRONT_END.turn_rate_sd])
+        took = np.maximum(np.diff(stamps[keys])[first], 0.0)
+        return WheelSteps(
+            first=first, steps=steps, has_odometry=True, is_seen=is_seen, deviations=took[:, None] * rates
+        )
 
     def parameters(self, poses: Floats) -> WheelParameters | None:
         """Identify the wheel parameters from the poses (n_key, 3); None without odometry."""
         if not self.has_odometry:
             return None
-        return identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=self.is_seen)
+        seen = self.is_seen
+        both = None if seen is None else np.column_stack([seen[:, 0] & seen[:, 1], seen[:, 2]])
+        return identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=both)
 
     def at(self, poses: Floats) -> WheelEdges:
         """Return the edges at the poses (n_key, 3), with wheel parameters and noise estimated from them."""
@@ -93,12 +99,13 @@ class WheelSteps:
         sd = estimate.deviations(np.abs(way), relative[:, 2])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])
-        scale = np.clip(SIGMA_OF_MAD * np.median(np.abs(off / sd), axis=0), s.min_scatter, s.max_scatter)
+        scale = self._scatter(off / sd)
         z = off / (sd * scale)
         soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * s.slip**2))
         information = np.zeros((n, 3, 3))
         for axis in range(3):
             information[:, axis, axis] = soft / (sd[:, axis] * scale[axis]) ** 2
+        self._limit(information, off, sd)
         turned = 0.5 * np.column_stack(
             [-relative[:, 1], relative[:, 0]]
         )  # derivative by a turn that the odometry misses during the step
@@ -113,6 +120,34 @@ class WheelSteps:
             by_parameters=by,
             prior=np.diag(np.array([s.way_scale_sd, s.turn_scale_sd, s.heading_bias_sd]) ** -2.0),
         )
+
+    def _scatter(self, off: Floats) -> Floats:
+        """Return the noise (3,) of the wheels relative to the standard deviations, from steps (n, 3) that the scans determine.
+
+        Where the scans do not, the poses follow the wheels. From too few steps, the noise is the usual one.
+        """
+        s = self.settings
+        is_seen = np.ones(off.shape, dtype=np.bool_) if self.is_seen is None else self.is_seen
+        if is_seen.all():
+            return np.clip(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), s.min_scatter, s.max_scatter)
+        out = np.ones(3)
+        for axis, seen in enumerate(is_seen.T):
+            if seen.sum() >= s.stretches:
+                found = SIGMA_OF_MAD * float(np.median(np.abs(off[seen, axis])))
+                out[axis] = np.clip(found, s.min_scatter, s.max_scatter)
+        return out
+
+    def _limit(self, information: Floats, off: Floats, sd: Floats) -> None:
+        """Limit the information (n, 3, 3) of steps that slip, where the scans do not determine all of the motion.
+
+        If the robot is pushed, wheels that err where the scans see it do not measure the motion that they do not see.
+        """
+        if self.is_seen is None or self.deviations is None:
+            return
+        slips = (np.abs(off) > self.settings.outlier * sd).any(axis=1) & ~self.is_seen.all(axis=1)
+        for axis in range(3):
+            least = np.maximum(self.deviations[slips, axis], sd[slips, axis]) ** -2.0
+            information[slips, axis, axis] = np.minimum(information[slips, axis, axis], least)
 
     def _measured(self, poses: Floats) -> Floats:
         return compose(invert(poses[self.first]), poses[self.first + 1])

@@ -79,6 +79,12 @@ def slip_of(off: Floats, deviations: Floats, settings: WheelSettings = WHEELS) -
     return np.asarray(size if (size > settings.outlier * deviations).any() else np.zeros(3))
 
 
+def is_standing(steps: Floats, settings: WheelSettings = WHEELS) -> Bools:
+    """Tell which steps (n, 3) of the odometry are those of wheels that stand, within the noise of a step of any length."""
+    is_turned = np.abs(wrap(steps[:, 2])) > settings.turn_floor
+    return np.asarray((np.abs(signed_distance(steps)) < settings.place_floor) & ~is_turned)
+
+
 def signed_distance(steps: Floats) -> Floats:
     """Return the length [m] of steps (..., 3) [m, m, rad] in base_link; negative when reversing."""
     return np.asarray(np.hypot(steps[..., 0], steps[..., 1]) * np.where(steps[..., 0] >= 0, 1.0, -1.0))
@@ -108,8 +114,9 @@ def identify_wheels(
     zero by slip (errors in variables, Fuller 1987).
 
     The priors separate turns and distances that always occur together. Steps beyond `settings.outlier` robust
-    standard deviations are excluded as slip. Slip depends on the floor, so that the standard errors are
-    cluster-robust over `settings.stretches` segments of the log (Liang and Zeger 1986).
+    standard deviations are excluded as slip, and so are those of wheels that stand while the robot is carried: they
+    say nothing about scales. Slip depends on the floor, so that the standard errors are cluster-robust over
+    `settings.stretches` segments of the log (Liang and Zeger 1986).
 
     Parameters
     ----------
@@ -120,6 +127,8 @@ def identify_wheels(
     way, turn = signed_distance(measured), wrap(measured[:, 2])
     estimate = WheelEstimate(s)
     sd = estimate.deviations(np.abs(way), turn)
+    turned = ~is_standing(steps, s)
+    by_way, by_turn = by_way & turned, by_turn & turned
     (share,), ((share_variance,),) = _regress(
         (measured[:, :1] / sd[:, :1])[by_way],
         (steps[:, 0] / sd[:, 0])[by_way],
