@@ -22,6 +22,7 @@ from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.half_angle import heading_factor, heading_note, with_heading
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import WheelParameters
@@ -96,8 +97,12 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     motion = _as_logged(run)
     if motion is None or run.n_scans < 3:
         return run, ()
-    s, odometry = settings, odometry_at_scans(run, motion)
+    s = settings
     notes: list[str] = []
+    mended = _with_heading(run, motion, notes, s)
+    if mended is not motion:
+        run, motion = _scaled(run, mended, 1.0, 1.0), mended
+    odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
     moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
@@ -163,6 +168,22 @@ class _Stretch:
     def confirms_odometry(self) -> bool:
         """Whether readings show that the odometry is right where the scans contradict it."""
         return confirms_odometry(self.scans, self.stamps, self.poses, self.odometry)
+
+
+def _with_heading(run: Run, motion: Motion, notes: list[str], settings: OdometryCheckSettings) -> Motion:
+    """Return the odometry with its true heading if its quaternions do not have half of it; the scans must confirm that."""
+    factor = heading_factor(motion.poses)
+    if factor == 1.0:
+        return motion
+    odometry = odometry_at_scans(run, motion)
+    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], settings)
+    if turns is None:
+        return motion
+    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2], settings.moving_turn, settings)
+    if abs(np.log(ratio / factor)) > settings.tolerance:
+        return motion
+    notes.append(heading_note(factor))
+    return replace(motion, poses=with_heading(motion.poses, factor))
 
 
 def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
