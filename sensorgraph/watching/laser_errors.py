@@ -14,6 +14,7 @@ import math
 from collections import deque
 
 import numpy as np
+from scipy.special import bdtrc
 
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.models.base import Prediction
@@ -31,7 +32,9 @@ MEDIAN_TO_MEAN = 1.2533
 LEAST_SCATTER = 0.003
 """Least standard deviation of the share of a scan: one ray of 360."""
 BLOCK = 8
-"""Number of neighbouring rays: that more than half of them are lost by chance is improbable up to a loss of 20 %."""
+"""Number of neighbouring rays that are judged together."""
+CHANCE = 0.01
+"""Probability that so many of them are missing by chance, below which something is in front of them."""
 MOST_SCANS = 2000
 """Number of scans of which missing returns are kept: enough for two periods of driving. Older ones are dropped."""
 STEPS = 4
@@ -123,10 +126,17 @@ class MissingReturns:
 
 
 def in_a_block(missing: Bools, asked: Bools) -> Bools:
-    """Return which rays (n,) are among `BLOCK` neighbours most of whose readings are missing: covered or open, no random loss."""
+    """Return which rays (n,) are among `BLOCK` neighbours most of whose readings are missing: covered or open, no random loss.
+
+    Most are more than half, and more than chance explains if readings are lost at random as often as in most neighbourhoods.
+    """
     ones = np.ones(BLOCK)
-    of_window = np.convolve(missing, ones) > 0.5 * np.maximum(np.convolve(asked, ones), BLOCK / 2)
-    return np.asarray(np.convolve(of_window, ones)[BLOCK - 1 : BLOCK - 1 + len(missing)] > 0.5)
+    share = np.convolve(missing, ones) / np.maximum(np.convolve(asked, ones), BLOCK / 2)
+    whole = np.convolve(asked, ones) == BLOCK
+    loss = min(float(np.median(share[whole])), 1.0) if whole.any() else 0.0
+    counts = np.arange(BLOCK + 1)
+    most = max(BLOCK / 2, float(counts[bdtrc(counts, BLOCK, loss) <= CHANCE][0])) / BLOCK
+    return np.asarray(np.convolve(share > most, ones)[BLOCK - 1 : BLOCK - 1 + len(missing)] > 0.5)
 
 
 def _median(values: Floats, weights: Floats) -> float:
@@ -151,13 +161,16 @@ class BlockedSectors:
         self.log_odds = math.log(0.01 / 3600.0 * priors.sector_window / n)
 
     def add(self, is_covered: Bools, expected: Floats, asked: Bools, weight: float, dt: float) -> None:
-        """Add a scan: which rays are too close or missing, with the predicted probability of that, where the graph knows."""
+        """Add a scan: which rays are too close or missing, with the predicted probability of that, where the graph knows.
+
+        A laser that loses readings everywhere is not covered: the loss of a quarter of the sectors counts as that of all.
+        """
         s = self.priors
         n = self.members @ asked
         share = (self.members @ (is_covered & asked)) / np.maximum(n, 1.0)
-        stray = np.clip(
-            (self.members @ np.where(asked, expected, 0.0)) / np.maximum(n, 1.0) + s.stray, s.stray, 0.9
-        )
+        usual = (self.members @ np.where(asked, expected, 0.0)) / np.maximum(n, 1.0)
+        loss = float(np.quantile((share - usual)[n > 0], 0.25)) if (n > 0).any() else 0.0
+        stray = np.clip(usual + s.stray + max(loss, 0.0), s.stray, 0.9)
         gain = share * np.log(s.blocked / stray) + (1 - share) * np.log((1 - s.blocked) / (1 - stray))
         gain = np.where(n > 0, gain, 0.0)
         most = s.sector_window / max(dt, 1e-3)  # evidence of an old window is forgotten
