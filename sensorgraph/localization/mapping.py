@@ -24,6 +24,7 @@ from sensorgraph.localization.scan_track import ScanTrack, is_covered, settled, 
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
+from sensorgraph.localization.sweep_motion import with_sweep_motion
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
@@ -107,6 +108,8 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         seen = turn @ seen @ turn.T
     if not has_odometry:
         covariances = with_unknown_motion(covariances, run.stamps, tracked, seen)
+        duration = followed.run.sensor.scan_duration
+        covariances = with_sweep_motion(covariances, run.stamps, poses, duration)
     states = map_states(tracked, closed, poses, covariances, maps, matched, seen, has_odometry=has_odometry)
     narrow = _narrow_view(run)
     uncertain: dict[Status, Status] = {"ok": "ambiguous"} if narrow else {}
