@@ -84,9 +84,16 @@ def test_a_covered_sector_is_named_and_the_pose_stays_ok() -> None:
     assert {status.pose.status for status in said} == {"ok"}
 
 
+def laps_and_turns() -> np.ndarray:
+    """Return poses (n, 3) of laps, a turn on the spot, and laps: on a circle alone, wheels, mount and clock look alike."""
+    spin = np.column_stack([np.zeros((60, 2)), np.linspace(0.1, 2 * np.pi, 60)])
+    return np.concatenate([loop_poses(240, laps=2), loop_poses(1) + spin, loop_poses(240, laps=2)])
+
+
 @pytest.mark.slow
 def test_wheels_that_measure_too_much_are_named_with_their_size() -> None:
-    (fault,) = last(laps(3, seed=15, way_scale=1.05)).faults
+    poses = laps_and_turns()
+    (fault,) = last(believing(room_run(poses, seed=15, way_scale=1.05), poses)).faults
     assert fault.name == "wheel_radius"
     assert abs(fault.parameters["scale"] - (1 / 1.05 - 1)) < 3 * fault.stderr["scale"]
 
@@ -104,12 +111,26 @@ def test_unequal_wheels_are_named_after_turns_of_several_radii() -> None:
 
 @pytest.mark.slow
 def test_a_turned_mount_is_named_with_its_angle() -> None:
-    run = laps(3, seed=16)
-    turned = seen(loop_poses(360, laps=3) + [0.0, 0.0, 0.05], run.sensor.bearings)
-    end = last(replace(run, ranges=turned))
+    poses = laps_and_turns()
+    run = room_run(poses, seed=16)
+    turned = seen(poses + [0.0, 0.0, 0.05], run.sensor.bearings)
+    end = last(believing(replace(run, ranges=turned), poses + [0.0, 0.0, 0.05]))
     assert "mount_yaw" in names(end)
     fault = next(fault for fault in end.faults if fault.name == "mount_yaw")
     assert fault.parameters["rad"] == pytest.approx(0.05, abs=3 * fault.stderr["rad"])
+
+
+@pytest.mark.slow
+def test_a_laser_away_from_its_stated_place_is_named_with_its_offset() -> None:
+    poses = laps_and_turns()
+    run = room_run(poses, seed=16)
+    at = poses.copy()
+    at[:, 0] += 0.2 * np.cos(poses[:, 2])
+    at[:, 1] += 0.2 * np.sin(poses[:, 2])
+    end = last(believing(replace(run, ranges=seen(at, run.sensor.bearings)), at))
+    assert "mount_x" in names(end) and "mount_y" not in names(end)
+    fault = next(fault for fault in end.faults if fault.name == "mount_x")
+    assert fault.parameters["m"] == pytest.approx(0.2, abs=3 * fault.stderr["m"])
 
 
 @pytest.mark.slow
@@ -183,7 +204,7 @@ def test_a_standard_error_from_few_measurements_is_weaker_evidence() -> None:
 def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
     """A drive whose odometry is made here, with exact poses: every error at once."""
     rng = np.random.default_rng(2)
-    truth = np.array([0.03, -0.04, 0.02, 0.03, 0.05])  # as DISTANCE_FAULTS
+    truth = np.array([0.03, -0.04, 0.02, 0.03, 0.06, -0.05, 0.05])  # as DISTANCE_FAULTS
     found, pose, phi = OdometryErrors(), np.zeros(3), 0.0
     twist = np.array([0.5, 0.0])
     for k in range(800):
@@ -194,8 +215,11 @@ def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
         way, turn = (1 + truth[0]) * step[0], (1 + truth[1]) * step[2] + truth[2] * step[0]
         pose = pose + [way * np.cos(phi), way * np.sin(phi), 0.0]
         phi += turn
-        late = np.array([np.cos(phi), np.sin(phi), 0.0]) * twist[0] * truth[4]
-        tracked = np.array([*(pose + late)[:2], phi + twist[1] * truth[4] + truth[3]])
+        late = np.array([np.cos(phi), np.sin(phi), 0.0]) * twist[0] * truth[6]
+        there = phi + twist[1] * truth[6] + truth[3]  # the heading that is stated
+        c, s = np.cos(there), np.sin(there)
+        mount = [c * truth[4] - s * truth[5], s * truth[4] + c * truth[5]]
+        tracked = np.array([*((pose + late)[:2] + mount), there])
         found.add(step, twist, tracked)
     values, errors = found.estimates()
     assert (np.abs(values - truth) < np.maximum(3 * errors, 0.004)).all(), (values, errors)

@@ -6,10 +6,12 @@ The state is the pose (x, y, phi) of base_link in map and the errors
     e_t  share of the turn that it misses,
     k    [rad/m] turn that it misses per metre,
     a    [rad] angle by which the laser is turned more than stated,
+    l    [m, m] way ahead and left from the stated place of the laser to its true one,
     T    [s] time by which a scan is later than its stamp.
 
 A step (dx, dy, dphi) of the odometry moves the pose by R(-a) ((1 + e_d) dx, (1 + e_d) dy) and (1 + e_t) dphi + k |d|, as the
-tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T.
+tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T. It is moved by l, which
+the robot's turns show.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ from sensorgraph.types import Floats
 from sensorgraph.watching.settings import DISTANCE_FAULTS
 
 N_ERRORS = len(DISTANCE_FAULTS)
+MOUNT = slice(4, 6)
+"""Place of l among the errors."""
 STEP_NOISE = np.array([0.015, 0.008, 0.008])
 """[m, m, rad] Standard deviations of the odometry after one metre; they grow with the square root of the distance."""
 TURN_NOISE = np.array([0.01, 0.01, 0.015])
@@ -64,13 +68,15 @@ class OdometryErrors:
     def _begin(self, twist: Floats, tracked: Floats) -> None:
         """Set the pose at which the tracked one would be seen; how far it is behind depends on the time error."""
         v, omega = twist
-        late, (x, y, phi) = self.mean[-1], tracked
-        phi -= omega * late
-        ahead = np.array([v * np.cos(phi), v * np.sin(phi), omega])
-        self.mean[:3] = x - late * ahead[0], y - late * ahead[1], phi
-        self.covariance[:3, 3:] = -np.outer(ahead, self.covariance[-1, 3:])
+        late, phi = self.mean[-1], tracked[2] - omega * self.mean[-1]
+        by = np.zeros((3, N_ERRORS))  # derivative of the tracked pose by the errors
+        by[:2, MOUNT] = _turn(phi)
+        by[:, -1] = v * np.cos(phi), v * np.sin(phi), omega
+        moved = by[:2] @ self.mean[3:]
+        self.mean[:3] = tracked[0] - moved[0], tracked[1] - moved[1], tracked[2] - omega * late
+        self.covariance[:3, 3:] = -by @ self.covariance[3:, 3:]
         self.covariance[3:, :3] = self.covariance[:3, 3:].T
-        self.covariance[:3, :3] = np.diag(POSE_NOISE**2) + self.covariance[-1, -1] * np.outer(ahead, ahead)
+        self.covariance[:3, :3] = np.diag(POSE_NOISE**2) + by @ self.covariance[3:, 3:] @ by.T
         self.has_pose = True
 
     def forget_pose(self) -> None:
@@ -110,13 +116,15 @@ class OdometryErrors:
         self.covariance[:3, :3] += (turn * noise) @ turn.T
 
     def _correct(self, twist: Floats, tracked: Floats, noise: Floats) -> float:
-        _, _, phi, *_, late = self.mean
+        phi, late, mount = self.mean[2], self.mean[-1], self.mean[3:][MOUNT]
         v, omega = twist
-        cos, sin = np.cos(phi), np.sin(phi)
-        expected = compose(self.mean[:3], np.array([v * late, 0.0, omega * late]))
+        ahead, left = v * late + mount[0], mount[1]
+        expected = compose(self.mean[:3], np.array([ahead, left, omega * late]))
         h = np.zeros((3, len(self.mean)))
         h[:, :3] = np.eye(3)
-        h[0, 2], h[1, 2] = -v * late * sin, v * late * cos
+        cos, sin = np.cos(phi), np.sin(phi)
+        h[0, 2], h[1, 2] = -sin * ahead - cos * left, cos * ahead - sin * left
+        h[:2, 3:][:, MOUNT] = _turn(phi)
         h[:, -1] = v * cos, v * sin, omega
         off = tracked - expected
         off[2] = wrap(off[2])
@@ -133,3 +141,8 @@ class OdometryErrors:
         self.n += 1
         self.scale += (square / 3.0 - self.scale) / min(self.n, 100)
         return square
+
+
+def _turn(phi: float) -> Floats:
+    cos, sin = np.cos(phi), np.sin(phi)
+    return np.array([[cos, -sin], [sin, cos]])

@@ -147,6 +147,8 @@ DISTANCE_FAULTS = (
     FaultPrior(name="turn_scale", parameter="scale", size=0.08, tolerance=0.005),
     FaultPrior(name=WHEEL_RADIUS_DIFF.name, parameter="rad_per_m", size=0.05, tolerance=0.003),
     FaultPrior(name=MOUNT_YAW.name, parameter="rad", size=0.05, tolerance=0.003),
+    FaultPrior(name="mount_x", parameter="m", size=0.1, tolerance=0.01),
+    FaultPrior(name="mount_y", parameter="m", size=0.1, tolerance=0.01),
     FaultPrior(name=LATENCY.name, parameter="s", size=0.1, tolerance=0.02),
 )
 """In the order of the states of `odometry_errors`."""
