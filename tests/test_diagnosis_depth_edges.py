@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import further, polygon_arena
+from plain_kernels import plain_corners_between_rays
 from scan_samples import data_of
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays, plain_corners_between_rays
+from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Floats, Ints

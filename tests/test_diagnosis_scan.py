@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import polygon_arena
+from plain_kernels import plain_e_step
 from scan_samples import data_of, drive, hall_arena
 
 from planners.arena import Arena
@@ -16,7 +17,7 @@ from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, polish, solver_for, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
-from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_kernels import plain_corner_sums
 
-from sensorgraph.diagnosis.scan.corner_sums import corner_sums, plain_corner_sums
+from sensorgraph.diagnosis.scan.corner_sums import corner_sums
 from sensorgraph.diagnosis.scan.deviations import clipped_variance, numbered
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN

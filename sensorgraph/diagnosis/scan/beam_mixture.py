@@ -12,7 +12,7 @@ Here a = p_alternative, s_there² = (EDGE_WIDTH s)² + spread² and rest = (1 - 
     seen   = p_return [(1 - a) Phi((range_max - mu) / s) + a Phi((range_max - there) / s_there)].
 
 The term lost_at_edge applies only next to an edge. The mixture follows Thrun, Burgard and Fox 2005, section 6.3, with the
-wide tail and the edges in depth added. `likelihood.plain_e_step` computes the same in numpy.
+wide tail and the edges in depth added.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ the weights and y the residuals.
     cv = Bᵀ W V (for each scan),    gv = Sᵀ W V,    vv = Vᵀ W V,    rv = Vᵀ W y.
 
 A corner shift changes a reading only by its component along the wall's normal n: V = ends nᵀ for each of the two ends.
-The sums are compiled. `plain_corner_sums` computes the same in numpy, and tests compare the two.
+The sums are compiled.
 """
 
 from __future__ import annotations
@@ -116,29 +116,3 @@ def _by_wall(
                     by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
                     by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
     return with_pose, by_wall, square
-
-
-def plain_corner_sums(
-    w: Floats,
-    rows: Floats,
-    ends: Floats,
-    wall: Ints,
-    y: Floats,
-    normals: Floats,
-    corners: Ints,
-    count: int,
-) -> Sums:
-    """Return the same as `corner_sums`, with dense columns V for x and y of each corner."""
-    columns = np.zeros((len(w), 2 * count, w.shape[1]))  # (n_scans, 2 count, n_rays)
-    for e in range(2):
-        for d in range(2):
-            at = 2 * corners[wall, e] + d
-            for column in range(2 * count):
-                columns[:, column] += np.where(at == column, ends[e] * normals[wall, d], 0.0)
-    weighted = w[:, None] * columns
-    return (
-        np.einsum("njm,nam->naj", weighted, rows[:, :3]),
-        np.einsum("njm,nkm->kj", weighted, rows[:, 3:]),
-        np.einsum("njm,nlm->jl", weighted, columns),
-        np.einsum("njm,nm->j", weighted, y),
-    )

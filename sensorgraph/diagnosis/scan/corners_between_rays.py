@@ -4,7 +4,7 @@ A ray meets a corner at the lateral distance `aside` and the range r with the pr
 
     chance = min(½, Phi(-|aside| / hypot(blur_angle r, blur_place))).
 
-The loop over scans and corners is compiled; `plain_corners_between_rays` tests every corner with every pair of rays.
+The loop over scans and corners is compiled.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from __future__ import annotations
 from math import atan2, erfc, hypot, pi, sqrt
 
 import numpy as np
-from scipy.special import ndtr
 
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_walls_plain
+from sensorgraph.world.ray_intersection import SAME_PLACE
 
 SQRT_2, TURN = sqrt(2.0), 2 * pi
 
@@ -145,40 +144,3 @@ def _is_in_sight(walls: Floats, ox: float, oy: float, dx: float, dy: float) -> b
         if 0.0 <= share <= 1.0 and 0.0 <= along < short:  # False for parallel lines: inf or nan
             return False
     return True
-
-
-def plain_corners_between_rays(
-    corners: Floats,
-    walls: Floats,
-    rays: tuple[Floats, Floats, Floats, Floats],
-    ranges: Floats,
-    wall: Ints,
-    pairs: tuple[Ints, Ints],
-    blur: tuple[float, float],
-    least: float,
-) -> tuple[Floats, Floats]:
-    """Return the same as `corners_between_rays`, in numpy."""
-    chance, met = np.zeros(ranges.shape), np.full(ranges.shape, np.nan)
-    for right, left in zip(*pairs, strict=True):
-        for x, y in corners:
-            towards = {ray: _towards(x, y, tuple(part[:, ray] for part in rays)) for ray in (right, left)}
-            kept = (towards[right][1] >= 0) & (towards[left][1] <= 0)
-            for ray in (right, left):
-                to_ends = np.abs(walls[wall[:, ray]] - [x, y]).sum(axis=2)  # (n_scans, 2)
-                kept &= ~((to_ends < SAME_PLACE).any(axis=1) & (wall[:, ray] >= 0))
-            for ray in (right, left):
-                ahead, aside = towards[ray]
-                r = np.hypot(ahead, aside)
-                ox, oy = rays[0][:, ray], rays[1][:, ray]
-                first, _ = nearest_walls_plain(walls, ox, oy, (x - ox) / r, (y - oy) / r)
-                met_here = kept & (ahead > 0) & (r < ranges[:, ray]) & (first > r - SAME_PLACE)
-                likely = np.minimum(0.5, ndtr(-np.abs(aside) / np.hypot(blur[0] * r, blur[1])))
-                better = met_here & (likely >= least) & (likely > chance[:, ray])
-                chance[better, ray], met[better, ray] = likely[better], ahead[better]
-    return chance, met
-
-
-def _towards(x: float, y: float, rays: tuple[Floats, ...]) -> tuple[Floats, Floats]:
-    """Return the distance of a place ahead of each ray, and to its left [m]."""
-    ox, oy, ux, uy = rays
-    return ux * (x - ox) + uy * (y - oy), ux * (y - oy) - uy * (x - ox)

@@ -9,16 +9,9 @@ from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.beam_mixture import (
     CORE,
-    CUT,
-    EDGE_BETWEEN,
-    EDGE_NEAR,
     EDGE_WIDTH,
-    LATTICE_SLACK,
     LOG_P,
     LOST,
-    MIN_EDGE_STEP,
-    MIN_SHORT_RANGE,
-    OFF_LATTICE,
     RESIDUAL,
     STRAY,
     TAIL,
@@ -187,105 +180,6 @@ def log_p_beyond(data: ScanData, expected: ExpectedReadings, shift: Floats, nois
     through = (1 - p_alternative) * through + p_alternative * np.where(stopped_there, noise.loss, 1.0)
     rest = (1 - expected.stray) * (1 - noise.stray) * (1 - expected.short)
     return np.asarray(np.log(rest * through + (1 - rest) * (1 - horizon / far) + SETTINGS.unexplained))
-
-
-def plain_e_step(
-    data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise
-) -> Responsibilities:
-    """Return the same as `e_step`, computed in numpy; tests compare the compiled kernel with it."""
-    z, sensor = data.ranges, data.sensor
-    returned = data.returned
-    mu = expected.reading + shift
-    aimed = np.isfinite(mu)
-    both = returned & aimed
-    e = np.where(both, z - np.where(aimed, mu, 0.0), 0.0)
-    e[~both] = 0.0
-    sigma = noise.core * expected.sigma
-    p_back = expected.p_return * (1 - noise.loss)  # the density already includes that z is within the limits
-    cell = max(sensor.resolution, SETTINGS.min_resolution)
-    core, tail = (
-        _density(e, sigma, expected.lattice, cell),
-        _density(e, SETTINGS.tail_width * sigma, expected.lattice, cell),
-    )
-    stray = 1 - (1 - expected.stray) * (1 - noise.stray)
-    rest = (1 - stray) * (1 - expected.short)
-    own = rest * p_back * (1 - expected.p_alternative)
-    if expected.lattice > 0:
-        steps = np.where(returned, z, 0.0) / expected.lattice
-        off = np.abs(steps - np.round(steps)) * expected.lattice > LATTICE_SLACK * cell + 1e-9
-        own = np.where(off & both, OFF_LATTICE, own)
-    p_core = own * (1 - noise.tail) * core * both
-    p_tail = own * noise.tail * tail * both
-    p = p_core + p_tail
-    if (expected.p_alternative > 0).any():
-        there = np.isfinite(expected.alternative) & (expected.p_alternative > 0) & returned
-        s_there = np.hypot(EDGE_WIDTH * sigma, expected.spread)
-        off_there = np.where(there, z - np.where(there, expected.alternative, 0.0), 0.0)
-        near = np.exp(-0.5 * (off_there / s_there) ** 2) / (SQRT_TAU * s_there)
-        low = np.minimum(expected.alternative, mu)
-        high = np.maximum(expected.alternative, mu)
-        with np.errstate(invalid="ignore"):
-            between = there & (z > low) & (z < high)
-            flat = np.where(between, 1 / np.maximum(high - low, MIN_EDGE_STEP), 0.0)
-        p = p + rest * p_back * expected.p_alternative * (EDGE_NEAR * near + EDGE_BETWEEN * flat) * there
-    if expected.short > 0:
-        top = np.minimum(np.where(aimed, mu, sensor.range_max), sensor.range_max)
-        p = p + (1 - stray) * expected.short * (returned & (z < top)) / np.maximum(top, MIN_SHORT_RANGE)
-    p_stray = stray / sensor.range_max
-    p_lost, p_gone, p_near = _plain_without_return(data, expected, mu, sigma, noise.loss, stray)
-    total = np.where(
-        returned,
-        p + p_stray + SETTINGS.unexplained / sensor.range_max,
-        np.where(z > 0, p_gone, p_near) + SETTINGS.unexplained,
-    )
-    broken = np.isnan(z)
-    total = np.where(broken, 1.0, total)
-    inverse = 1 / total
-    core_share = np.where(returned, p_core * inverse, 0.0)
-    tail_share = np.where(returned, p_tail * inverse, 0.0)
-    weight = (core_share + tail_share / SETTINGS.tail_width**2) / sigma**2
-    is_cut = (mu < sensor.range_min + CUT * sigma) | (mu > sensor.range_max - CUT * sigma)
-    weight = np.where(is_cut, 0.0, weight)
-    lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
-    log_p = np.log(total)
-    if data.beyond is not None:
-        log_p[data.beyond] = log_p_beyond(data, expected, shift, noise)
-    return Responsibilities(
-        log_p=log_p,
-        weight=weight,
-        residual=e,
-        core=core_share,
-        tail=tail_share,
-        lost=lost,
-        stray=np.where(returned, p_stray * inverse, 0.0),
-    )
-
-
-def _plain_without_return(
-    data: ScanData, expected: ExpectedReadings, mu: Floats, sigma: Floats, loss: float, stray: float
-) -> tuple[Floats, Floats, Floats]:
-    """Return the probabilities that a ray is missing by chance, that it does not return, and that it reads too near."""
-    sensor, there = data.sensor, expected.p_alternative
-    aimed, edge = np.isfinite(mu), there > 0
-    beyond = np.where(np.isfinite(expected.alternative) & edge, expected.alternative, np.inf)
-    sides = (
-        (1 - there, np.where(aimed, mu, np.inf), sigma),
-        (there, beyond, np.hypot(EDGE_WIDTH * sigma, expected.spread)),
-    )
-    seen = expected.p_return * sum(share * ndtr((sensor.range_max - r) / s) for share, r, s in sides)
-    near = sum(share * ndtr((sensor.range_min - r) / s) for share, r, s in sides)
-    rest = (1 - stray) * (1 - expected.short)
-    p_lost = (1 - stray) * seen * loss
-    p_gone = (p_lost + rest * (1 - seen) + edge * SETTINGS.lost_at_edge) * (1 - expected.short)
-    return p_lost, p_gone, rest * near + 0.5 * rest * (1 - seen)
-
-
-def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
-    """Return the density [1/m] of a residual; on a lattice, the probability of its step divided by the resolution."""
-    if lattice <= 0:
-        return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (SQRT_TAU * sigma))
-    half = lattice / 2
-    return np.asarray((ndtr((e + half) / sigma) - ndtr((e - half) / sigma)) / cell)
 
 
 def sample(
