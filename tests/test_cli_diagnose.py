@@ -211,7 +211,7 @@ def test_an_arena_that_lacks_obstacles_is_said_and_they_are_no_people(tmp_path: 
     assert cli(["diagnose", str(tmp_path / "run.mcap"), *options]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert "people" not in {e["name"] for e in report["effects"]}
-    assert "a standing object is not a person" in report["unknown"]["statement"]
+    assert "something stands there" in report["unknown"]["statement"]
 
 
 def test_a_folder_used_again_keeps_nothing_of_the_last_report(folder: Path, tmp_path: Path) -> None:

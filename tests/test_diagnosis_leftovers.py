@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_diagnosis_commissioning import ARENA, ROBOT, SENSOR, ranges_in
-from test_diagnosis_people_law import ANGLE, POSES, T, walker
+from test_diagnosis_reading_laws import ANGLE, POSES, T, walker
 
 from logs.run import Run
 from sensorgraph.diagnosis.diagnose import diagnose

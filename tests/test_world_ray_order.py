@@ -19,7 +19,6 @@ from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
-from sensorgraph.diagnosis.scan.people_law import clustered
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.effects import mixed_pixels, sector_bias, self_occlusion, tilt
 from sensorgraph.effects.min_range import spread
@@ -241,6 +240,3 @@ def test_what_neighbours_tell_does_not_depend_on_the_first_ray(first: float) -> 
         sigma=0.01,
     )
     assert mixed_pixels._between(view) == 100
-    beside = np.isin(np.round(np.degrees(bearings) * N_RAYS / 360) % N_RAYS, (0, N_RAYS - 1, HALF, HALF - 1))
-    view.z = np.broadcast_to(np.where(beside, 0.5, np.nan), z.shape)
-    assert clustered(view, np.broadcast_to(beside, z.shape)) == 1.0

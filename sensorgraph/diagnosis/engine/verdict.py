@@ -6,7 +6,7 @@
     silent     otherwise
 
 E is the evidence [nats]. A hypothesis is accepted if the search added it to the model, which requires E >= threshold
-beside the others. An objection is a rule that takes a name away; it has a name itself, so that
+in addition to the others. An objection is a rule that takes a name away; it has a name itself, so that
 `benchmarks.ablation` can count the answers that depend on it.
 """
 
@@ -63,7 +63,7 @@ class Facts:
     accepted: bool = False
     """Whether the search added it to the model."""
     evidence: float | None = None
-    """[nats] Log Bayes factor beside the accepted effects, less its price; None if it was not fitted."""
+    """[nats] Log Bayes factor in addition to the accepted effects, less its price; None if it was not fitted."""
     threshold: float = 0.0
     """[nats] Evidence that it needs."""
     is_significant: bool = True

@@ -39,7 +39,7 @@ def considered_section(ledger: Ledger) -> str:
         return ""
     lead = (
         f"<p>{len(ledger)} hypotheses: the effects of the library, and families of differences without a name. Evidence "
-        "is the log Bayes factor beside the accepted effects, less the price of the parameters and the place. "
+        "is the log Bayes factor in addition to the accepted effects, less the price of the parameters and the place. "
         "<code>sensorgraph why</code> explains each row.</p>"
     )
     return (

@@ -399,79 +399,15 @@ class GoodnessOfFitSettings:
     """Number of readings that an absorbing effect must explain before its properties are tested."""
     failed_law_share: float = 0.1
     """Share of an effect's evidence that counts as unexplained if its readings contradict its properties."""
-    neighbour_distance: float = 0.3
-    """[m] Maximum difference between the ranges of neighbouring rays on the same object."""
-    min_clustered_share: float = 0.5
-    """Minimum share of short readings with a neighbour, for people, if two rays meet a leg."""
-    leg_width: float = 0.13
-    """[m] Minimum width of a person seen by a laser: a leg below the knee."""
-    range_bin: float = 0.06
-    """[m] Bin width of a histogram of short readings."""
-    max_bin_share: float = 0.4
-    """Maximum share of short readings in one bin, for people."""
-    min_bin_seconds: int = 5
-    """Minimum number of seconds with readings in that bin; a passing person is at one range for less."""
-    min_wrap: float = 1.0
-    """[m] Minimum deficit of short readings if ranges wrap around."""
-    min_wrapped_share: float = 0.8
-    """Minimum share of short readings with the same deficit."""
-    max_repeated_share: float = 0.5
-    """Maximum share of short readings that repeat the previous scan, for people."""
-    max_person_width: float = 1.0
-    """[m] Maximum width of a person."""
-    max_wide_share: float = 0.3
-    """Maximum share of short readings from wider objects, for people."""
-    walking_speed: float = 2.0
-    """[m/s] Maximum speed of a person."""
-    walking_slack: float = 0.15
-    """[m] Additional shift of the visible centre of a person."""
-    min_followed: int = 30
-    """Number of objects whose places the next scan observes, from which `min_found_share` is a strict limit."""
-    min_found_share: float = 0.7
-    """Minimum share of these objects that the next scan shows, for people."""
-    lost_by_chance: float = 1e-4
-    """Probability of so few reappearances of people, below which the objects are not people."""
-    max_drawn_along: float = 2.0
-    """Maximum evidence that short readings move with the robot and not with the room, in standard errors."""
     n_light_directions: int = 36
     """Number of directions in the room in which light may cause missing returns."""
     min_light_share: float = 0.3
     """Minimum share of missing returns on other walls, in the directions in which a part of a wall has
     missing returns."""
-    one_place: float = 1.5
-    """[m] Distance from the median of short readings within which they are at one place."""
-    min_place_share: float = 0.8
-    """Minimum share of short readings at that place, and of all returns elsewhere."""
-    never_elsewhere: float = 0.95
-    """Share of short readings at that place above which an object of half the width fills it."""
-    min_place_times: int = 3
-    """Minimum number of occurrences, separated by pauses; a passing person comes once or twice."""
     max_light_share: float = 0.15
     """Maximum share of missing returns on that part, in a direction without light."""
     clearly_better: float = 1.0
     """[nats] Minimum gain of a reading that one model explains and another does not."""
-    standing_time: float = 3.0
-    """[s] Time before and after a short reading that is excluded; a person walks about 3 m meanwhile."""
-    standing_window: float = 20.0
-    """[s] Time before and after it within which a standing object is still there."""
-    standing_reach: float = 0.05
-    """[m] Maximum distance of another ray from the end of a short reading."""
-    standing_ray_share: float = 0.25
-    """Minimum share of these rays that end there; thin legs stop one in three."""
-    standing_places: int = 200
-    """Maximum number of ends of short readings that are tested."""
-    min_standing_rays: int = 5
-    """Minimum number of rays at such a place, earlier or later."""
-    min_standing_places: int = 20
-    """Minimum number of places with so many rays."""
-    max_standing_share: float = 0.5
-    """Maximum share of these places with a standing object, for people."""
-    max_uniform_distance: tuple[float, float] = (0.15, 2.2)
-    """Maximum distance of the ranges of outliers from a uniform distribution: the first value, or the second
-    over the square root of their number if it is larger."""
-    max_clustered_strays: tuple[float, float] = (0.35, 3.0)
-    """Maximum share of outliers with a neighbour: the first value, plus the second times the share of
-    outliers."""
     min_rays_of_scan: int = 10
     """Number of scored rays above which a scan counts for the dispersion."""
     min_scans: int = 30

@@ -5,18 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.people_law import (
-    STANDING_CAUSES,
-    STRAY_CAUSES,
-    clustered,
-    where_things_stand,
-    why_not_people,
-)
+from sensorgraph.diagnosis.scan.reading_laws import PEOPLE, STANDING_CAUSES, STRAYS, better_law
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects import Amendment
-from sensorgraph.types import Bools
 
 NAME = "absorbed_readings"
 
@@ -65,29 +58,8 @@ def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, 
             odd &= view.z < np.where(view.aimed, view.mu, view.range_max)
     if not explains or odd.sum() <= SCAN.goodness_of_fit.min_absorbed_rays:
         return "", (), 0.0
-    why = why_not_people(view, odd) if explains == "short readings" else _why_not_random(view, odd)
+    why = better_law(view, odd, PEOPLE if explains == "short readings" else STRAYS)
     return (*why, float(odd.mean()))
-
-
-def _why_not_random(view: FitResiduals, odd: Bools) -> tuple[str, tuple[str, ...]]:
-    """Return why outliers are not uniform, and their possible causes; empty if they may be random."""
-    settings = SCAN.goodness_of_fit
-    share = float(odd.mean())
-    u = np.sort(view.z[odd] / view.range_max)
-    n = len(u)
-    d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
-    least, per_root = settings.max_uniform_distance
-    constant, times = settings.max_clustered_strays
-    strays = f"{100 * share:.1f} % of the readings are outliers"
-    if d > max(least, per_root / np.sqrt(n)):
-        words = f"{strays}, but their ranges are not uniformly distributed"
-    elif clustered(view, odd) > constant + times * share:
-        words = f"{strays} and form clusters"
-    else:
-        return "", ()
-    if standing := where_things_stand(view, odd):
-        return f"{strays}, {standing}: the map differs from the building there", STANDING_CAUSES
-    return words, STRAY_CAUSES
 
 
 ABSORBED_READINGS = Unnamed(

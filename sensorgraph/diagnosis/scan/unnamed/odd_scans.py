@@ -251,7 +251,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[OddScans, float]:
 
 
 def _elsewhere(fitted: Fitted, each: EachScan, is_odd: Bools, prior: Floats, gain: float) -> OddScans:
-    """Return how far some scans were taken from their reference poses."""
+    """Return the distance of some scans from their reference poses."""
     solver, delta, share = fitted.solver, each.poses(prior), float(is_odd.mean())
     used = solver.jacobian.valid & solver.data.returned & is_odd[:, None]
     x, y, phi = delta[is_odd].T
