@@ -20,7 +20,7 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     sum_by_wall,
 )
-from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Floats
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import Scene
@@ -126,6 +126,5 @@ BLACK_SURFACE = Effect(
         propose=propose,
         leftovers=LOSS_LEFTOVERS,
         misfit_share=0.012,
-        telltale=LOST_BY_DIRECTION,
     ),
 )

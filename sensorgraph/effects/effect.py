@@ -63,21 +63,6 @@ class Parameter:
     """Function of the setup that returns the error of this parameter, in its unit; None: only its nuisance."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Telltale:
-    """A rule for effects that are suspicious if several of them are found in one run.
-
-    Effects with the same rule are counted together.
-    """
-
-    least: int
-    """Number of effects from which the result is suspicious."""
-    statement: str
-    """Statement on the probable cause."""
-    distinct: bool = False
-    """Count different effects, not places of the same effect."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnostics:
     """Properties of an effect that diagnosis needs in addition to its physics; a smooth effect needs none of them.
@@ -120,7 +105,6 @@ class Diagnostics:
     """Name of a further candidate -> its share, if larger than `leftover_share`."""
     misfit_share: float | None = None
     """Share of the gain of this coarse model below which a misfit is not reported; None: the share of exact models."""
-    telltale: Telltale | None = None
     stands_back: Callable[[Amendment], float] | None = None
     """Return the depth [m] by which its part of a wall is set back; inf if the effect is more than a set-back wall."""
 

@@ -20,7 +20,7 @@ from sensorgraph.effects.proposals import (
     strange_on_walls,
 )
 from sensorgraph.effects.set_up import third_of_map_error, wall_direction_error
-from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
@@ -179,6 +179,5 @@ GLASS = Effect(
         stands_back=stands_back,
         leftovers=LOSS_LEFTOVERS,
         misfit_share=0.012,
-        telltale=LOST_BY_DIRECTION,
     ),
 )

@@ -8,7 +8,6 @@ from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import spread_of_ranges
 from sensorgraph.effects.interfaces import CornerShift
-from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
 
@@ -49,5 +48,5 @@ MAP_SCALE = Effect(
         Parameter(name="dy", unit="m", doc="shift of the centre along y", neutral=0.0, step=1e-4),
     ),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen=spread_of_ranges, corner_shifts=corner_shifts, telltale=STRETCHED),
+    diagnostics=Diagnostics(why_unseen=spread_of_ranges, corner_shifts=corner_shifts),
 )

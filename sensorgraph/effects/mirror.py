@@ -18,7 +18,7 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     strange_on_walls,
 )
-from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import Scene
 
@@ -78,6 +78,5 @@ MIRROR = Effect(
         propose=propose,
         leftovers=LOSS_LEFTOVERS,
         misfit_share=0.012,
-        telltale=LOST_BY_DIRECTION,
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import CornerShift
 from sensorgraph.effects.places import outward, walls_of
 from sensorgraph.types import Floats, Ints
@@ -61,9 +61,6 @@ MOVED_WALL = Effect(
     place="wall",
     diagnostics=Diagnostics(
         corner_shifts=corner_shifts,
-        telltale=Telltale(
-            least=3, statement="several walls appear moved, so the error may not be in the map"
-        ),
         tolerance="map",
     ),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import spread_of_ranges
 from sensorgraph.effects.nuisance import Nuisance
-from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.world.scene import Scene
 
 
@@ -41,7 +40,5 @@ RANGE_SCALE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(
-        why_unseen=spread_of_ranges, site_start={"s": 0.0}, telltale=STRETCHED, question_rank=3
-    ),
+    diagnostics=Diagnostics(why_unseen=spread_of_ranges, site_start={"s": 0.0}, question_rank=3),
 )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import listed
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import in_sector
@@ -104,8 +104,5 @@ SECTOR_BIAS = Effect(
     diagnostics=Diagnostics(
         unobservable=unobservable,
         propose=propose,
-        telltale=Telltale(
-            least=2, statement="the bias depends on the bearing, and a single sector does not describe it"
-        ),
     ),
 )

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed import UNNAMED
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, sure
-from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import beyond_tolerances, one_part_of_the_poses
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import beyond_tolerances
 from sensorgraph.types import Progress
 
 
@@ -150,7 +150,6 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
     limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
     scales = state.pose_scale, state.map_scale
     doubts = sure(beyond_tolerances(*scales, data.tolerances, data.n_scans, limit))
-    doubts += [] if data.from_scans else one_part_of_the_poses(fitted)
     if not doubts:
         return None
     return _of_doubts(max(doubts, key=lambda d: d.statistic), doubts, doubts[0].causes, ())

@@ -14,7 +14,8 @@ from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.shared import STRETCHED
+from sensorgraph.effects.map_scale import MAP_SCALE
+from sensorgraph.effects.range_scale import RANGE_SCALE
 
 
 def shortlist(
@@ -76,7 +77,7 @@ def shortlist(
 
 
 def _stretches(amendment: Amendment) -> bool:
-    return amendment.effect.diagnostics.telltale == STRETCHED
+    return amendment.effect in (MAP_SCALE, RANGE_SCALE)
 
 
 def is_same(candidate: Candidate, other: Candidate) -> bool:

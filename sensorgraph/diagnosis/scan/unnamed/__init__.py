@@ -7,12 +7,10 @@ from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READIN
 from sensorgraph.diagnosis.scan.unnamed.change_in_time import CHANGE_IN_TIME
 from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
-from sensorgraph.diagnosis.scan.unnamed.implausible_combination import IMPLAUSIBLE_COMBINATION
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import LASER_SCATTER
 from sensorgraph.diagnosis.scan.unnamed.missing_by_direction import MISSING_BY_DIRECTION
 from sensorgraph.diagnosis.scan.unnamed.object_at_wall import OBJECT_AT_WALL
 from sensorgraph.diagnosis.scan.unnamed.odd_scans import ODD_SCANS
-from sensorgraph.diagnosis.scan.unnamed.rounded_readings import ROUNDED_READINGS
 from sensorgraph.diagnosis.scan.unnamed.scans_differ import SCANS_DIFFER
 from sensorgraph.diagnosis.scan.unnamed.temporary_object import TEMPORARY_OBJECT
 from sensorgraph.diagnosis.scan.unnamed.unexplained import UNEXPLAINED
@@ -20,8 +18,6 @@ from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import WORSE_THAN_S
 
 UNNAMED: dict[str, Unnamed] = {
     "absorbed_readings": ABSORBED_READINGS,
-    "rounded_readings": ROUNDED_READINGS,
-    "implausible_combination": IMPLAUSIBLE_COMBINATION,
     "object_at_wall": OBJECT_AT_WALL,
     "temporary_object": TEMPORARY_OBJECT,
     "missing_by_direction": MISSING_BY_DIRECTION,
