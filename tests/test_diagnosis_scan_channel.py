@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -91,23 +90,6 @@ def test_without_a_robot_file_nothing_is_stated_and_the_height_is_the_logs() -> 
     run = drive(hall_arena(), n=60)
     robot = robot_for(replace(run, sensor=replace(run.sensor, height=0.45)))
     assert robot.sensor.height == 0.45 and robot.stated == frozenset()
-
-
-def test_nothing_is_named_where_map_and_poses_are_as_wide_as_they_may_be(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A mount of 3 cm has a name; where nothing fits within any tolerance, it has none."""
-    hall = hall_arena()
-    run = drive(hall, (EFFECTS["mount_xy"](dx=0.03, dy=0.0),))
-    monkeypatch.setattr(naming, "AT_MOST", 0.0)
-    found = diagnose(run, hall, parse_robot("sensor: {n_rays: 61}"), plan_next=False).channels["scan"]
-    assert found.effects == ()
-
-
-@pytest.mark.parametrize(("pose", "walls", "is_so"), [(3.5, 3.5, True), (3.5, 1.0, False), (2.0, 3.5, False)])
-def test_one_scale_alone_tells_how_good_the_other_is(pose: float, walls: float, is_so: bool) -> None:
-    fitted: Any = SimpleNamespace(state=SimpleNamespace(pose_scale=pose, map_scale=walls))
-    assert naming._fits_nowhere(fitted) is is_so
 
 
 @pytest.mark.parametrize(

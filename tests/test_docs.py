@@ -91,7 +91,7 @@ def test_every_rule_that_takes_a_name_is_on_the_page_of_rules() -> None:
     listed = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", text, re.MULTILINE))))
     code = "\n".join(path.read_text() for path in (ROOT / "sensorgraph" / "diagnosis").rglob("*.py"))
     rules = {SURELY_MATERIAL, *re.findall(r'Objection\(\s*"(\w+)"', code)}
-    assert len(rules) > 15 and rules <= listed
+    assert len(rules) > 10 and rules <= listed
 
 
 @pytest.mark.parametrize(("name", "function"), [("architecture", "picture"), ("engine", "engine")])

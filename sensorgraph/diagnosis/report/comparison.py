@@ -26,8 +26,6 @@ MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
 """Magnifications of residuals in pictures."""
 MIN_RAYS = 40
 """Minimum number of rays for a mean."""
-BLOCK_DURATION = 1.0
-"""[s] block of scans whose errors are assumed to be correlated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,7 +193,7 @@ class ComparedScans:
 
     def profile(self, values: Floats, index: Ints, count: int) -> tuple[Floats, Floats]:
         """Return mean and standard error (clustered by blocks of time) of the values in each bin."""
-        blocks = (self.stamps / BLOCK_DURATION).astype(np.intp)
+        blocks = (self.stamps / SCAN.block).astype(np.intp)
         n_blocks = int(blocks.max(initial=0)) + 1
         ok = (index >= 0) & np.isfinite(values)
         group = np.where(ok, blocks[:, None] * count + index, n_blocks * count).ravel()

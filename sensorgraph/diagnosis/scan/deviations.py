@@ -128,7 +128,7 @@ def deviations(
     """
     least = SCAN.goodness_of_fit.listed_z if min_z is None else min_z
     score = scores(view)
-    blocks = ((view.data.stamps - view.data.begin) / SCAN.goodness_of_fit.block).astype(np.intp)
+    blocks = ((view.data.stamps - view.data.begin) / SCAN.block).astype(np.intp)
     blocks -= blocks.min(initial=0)
     found = [
         deviation

@@ -136,7 +136,7 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     )
     wider = replace(data, tolerances=wide, memo={})
     start = replace(state, pose_scale=1.0, map_scale=1.0)
-    bounds = NoiseBounds(max_scale=SCAN.goodness_of_fit.widened_max_scale)
+    bounds = NoiseBounds(max_scale=SCAN.nuisance.stretched_scale)
     return wider, fit(wider, fitted.model, start, bounds, outer=1, inner=3)
 
 

@@ -23,7 +23,7 @@ from sensorgraph.types import Bools, Floats
 def held_out(data: ScanData) -> Bools:
     """Return which scans (n_scans,) are excluded from every fit and choice: one block of a second in eight."""
     every = SCAN.held_out.every
-    block = np.floor((data.stamps - data.begin) / SCAN.held_out.block).astype(np.intp)
+    block = np.floor((data.stamps - data.begin) / SCAN.block).astype(np.intp)
     held = block % every == every // 2
     if not held.any() or held.all():
         held = np.arange(data.n_scans) % every == every // 2

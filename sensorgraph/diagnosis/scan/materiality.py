@@ -145,8 +145,6 @@ def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
 
 def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
     """Return the minimum size of an effect in materialities: more for wide specified tolerances, or if the fit widened them."""
-    scale = max(fitted.state.map_scale, fitted.state.pose_scale)
-    is_stretched = scale > SCAN.nuisance.stretched_scale
-    proved = SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)
+    proved = max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     usual, told = prior_widths(Tolerances()), prior_widths(fitted.solver.data.tolerances)
     return proved * float((told / usual)[list(amendment.effect.nuisances)].max(initial=1.0))

@@ -36,8 +36,6 @@ from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, m
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import Amendment
 
-AT_MOST = 0.99
-"""Share of the maximum scale of map and poses, above which they count as widened to the limit."""
 IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")
 """Why an effect with sufficient evidence is not named."""
 
@@ -110,7 +108,7 @@ def name_scan_effects(
         withdrawn=tuple(
             Withdrawn(
                 amendment=complete[i],
-                objection=IMITATED if i in imitated else _why_doubted(explained, fit),
+                objection=IMITATED if i in imitated else _why_doubted(fit),
             )
             for i in sorted(imitated | doubted)
         ),
@@ -185,9 +183,6 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
 
 def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
     """Return why an effect is not surely large enough to be named; None if it is."""
-    if _is_blurred_corner(amendment):
-        length = f"{100 * SCAN.naming.min_part:.0f} cm"
-        return Objection("blurred_corner", f"it is shorter than {length}, as a blurred corner is")
     if is_within_baseline(fitted, amendment):
         return Objection("site_baseline", "it is within what the known-good runs of the site show")
     if is_map_error(fitted, amendment):
@@ -209,15 +204,9 @@ def material_chance(fitted: Fitted, amendment: Amendment) -> float:
     return float(material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
 
 
-def _is_blurred_corner(amendment: Amendment) -> bool:
-    """Tell whether a part of a wall is so short that it may be a blurred corner."""
-    values = amendment.parameters
-    return amendment.effect.on_part_of_wall and values["b"] - values["a"] < SCAN.naming.min_part
-
-
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
-    """Tell whether an effect loses its name to unmodelled structure, of the same kind or of the whole room."""
-    if index in fit.failed or _fits_nowhere(explained.final):
+    """Tell whether an effect loses its name to unmodelled structure."""
+    if index in fit.failed:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
@@ -228,10 +217,8 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
     return fit.is_doubted and fit.misfit > share * explained.gains[index]
 
 
-def _why_doubted(explained: Explained, fit: GoodnessOfFit) -> Objection:
+def _why_doubted(fit: GoodnessOfFit) -> Objection:
     """Return why effects lose their names (`is_doubted`)."""
-    if _fits_nowhere(explained.final):
-        return Objection("fits_nowhere", "map and reference poses are both far less accurate than specified")
     if not fit.is_doubted:
         return Objection(
             "failed_law", "it is a fringe of the readings of another effect, or a bulge of a wall"
@@ -248,11 +235,6 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
     if fit.is_doubted and not fit.is_of_building:
         p *= naming.doubted_factor
     return float(p * material_chance(fitted, fitted.model[index]))
-
-
-def _fits_nowhere(fitted: Fitted) -> bool:
-    """Tell whether map and poses were both widened to the limit, so that no effect can be named."""
-    return min(fitted.state.pose_scale, fitted.state.map_scale) > AT_MOST * SCAN.noise.max_scale
 
 
 def _unknown(fit: GoodnessOfFit) -> Unknown | None:

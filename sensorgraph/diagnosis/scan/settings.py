@@ -220,6 +220,8 @@ class FitSettings:
     """Maximum number of casts of that search."""
     noise_rounds: int = 3
     """Number of rounds in which the noise is estimated again at a step of a searched parameter."""
+    column_rounds: int = 8
+    """Number of rounds of a fit with additional columns of differences without a name."""
     pose_steps: tuple[float, float, float] = (5e-4, 5e-4, 3e-4)
     """[m, m, rad] Steps of the difference quotients by the pose."""
     max_pose_slope: float = 60.0
@@ -299,10 +301,6 @@ class SweepSettings:
 class StandardErrorSettings:
     """Half-widths of searched parameters (`standard_errors`)."""
 
-    block: float = 1.0
-    """[s] Length of a block of scans with correlated errors."""
-    fall: float = 0.5
-    """[nats] Decrease of the log-likelihood over one standard error."""
     fall_window: tuple[float, float] = (0.15, 1.5)
     """[nats] Decreases from which a parabola gives the half-width."""
     broad_fall_window: tuple[float, float] = (1.0, 12.0)
@@ -331,8 +329,6 @@ class ObservabilitySettings:
 class GoodnessOfFitSettings:
     """Limits of residuals that a model leaves unexplained (`goodness_of_fit`, `unnamed`, `deviations`)."""
 
-    block: float = 1.0
-    """[s] Length of a block of scans with correlated errors."""
     cell: float = 0.5
     """[m] Cell size of the raster of places."""
     clip: float = 4.0
@@ -391,8 +387,6 @@ class GoodnessOfFitSettings:
     """Multiple of the nominal tolerances above which the setup differs from its description."""
     max_tolerance_scale_beside_effects: float = 2.0
     """The same with effects in the model, which explain a part of the difference."""
-    widened_max_scale: float = 1.3
-    """Maximum further scale of the tolerances after they were widened."""
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
     min_absorbed_rays: int = 20
@@ -427,8 +421,6 @@ class ConstancySettings:
     max_refitted: int = 2
     """Maximum number of parameters that are fitted with two values: those with the largest gain to first
     order."""
-    rounds: int = 8
-    """Number of rounds of these fits."""
     trimmed_share: float = 0.15
     """Share of the run, at its start and at its end, in which no change is searched for (Andrews 1993,
     section 4)."""
@@ -453,8 +445,6 @@ class ProfileSettings:
     """Number of bearings, or ranges, between which errors are interpolated."""
     min_rays: int = 3
     """Minimum number of rays per knot."""
-    rounds: int = 8
-    """Number of rounds of the fit."""
     min_first_order_share: float = 0.1
     """Minimum gain, to first order, of a profile that replaces all effects, relative to their gain."""
     max_uneven_share: float = 0.1
@@ -494,16 +484,12 @@ class OddScanSettings:
     """Minimum number of scans of the rarer kind; fewer are single faults."""
     rounds: int = 40
     """Number of expectation-maximisation rounds."""
-    refit_rounds: int = 8
-    """Number of rounds of the fit in which each scan has one of two delays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutSettings:
     """Scans that are excluded from every fit and choice (`held_out_gap`)."""
 
-    block: float = 1.0
-    """[s] Length of a block of scans that are held out together."""
     every: int = 8
     """One in this many blocks is held out."""
     n_replicates: int = 4
@@ -588,8 +574,6 @@ class NamingSettings:
 
     min_material_probability: float = 0.65
     """Minimum probability that the size of a named effect is material."""
-    min_part: float = 0.15
-    """[m] Minimum length of a pane, a mirror or a black part; a shorter one may be a blurred corner."""
     map_sigmas: float = 4.0
     """Minimum protrusion of an obstacle from a mapped one, in map tolerances."""
     map_pixels: float = 2.5
@@ -612,8 +596,6 @@ class NamingSettings:
     """Slope of the log-odds of a name with its evidence, or with its lead over a rival [1/nat]."""
     doubted_factor: float = 0.5
     """Factor on the probability if a residual stays unexplained."""
-    stretched_factor: float = 1.25
-    """Minimum size of an effect in materialities, per scale of the widened tolerances."""
     rival_margin: float = 3.0
     """[nats] Evidence difference between an effect and its rival below which neither is named."""
 
@@ -622,6 +604,8 @@ class NamingSettings:
 class ScanSettings:
     """All tuned numbers of the scan channel, by stage."""
 
+    block: float = 1.0
+    """[s] Length of a block of scans with correlated errors; such a block is also held out together."""
     intake: IntakeSettings = field(default_factory=IntakeSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     nuisance: NuisanceSettings = field(default_factory=NuisanceSettings)

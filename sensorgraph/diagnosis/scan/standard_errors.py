@@ -169,7 +169,7 @@ def _fall(
     for _ in range(SCAN.standard_error.max_casts):
         fall = -float((log_p(at + sign * h) - here).sum())
         if bounds[0] < fall < bounds[1]:
-            return h * float(np.sqrt(SCAN.standard_error.fall / fall))
+            return h * float(np.sqrt(0.5 / fall))
         low, high = (h, high) if fall < bounds[0] else (low, h)
         if low > SCAN.standard_error.max_step * reach:
             return np.inf
@@ -179,7 +179,7 @@ def _fall(
 
 def _by_block(data: ScanData, slope: Floats) -> float:
     """Return the scatter between blocks of the slope of the log-likelihood, given per scan (n_scans,)."""
-    block = ((data.stamps - data.begin) / SCAN.standard_error.block).astype(np.intp)
+    block = ((data.stamps - data.begin) / SCAN.block).astype(np.intp)
     sums = np.bincount(block - block.min(), slope)
     return float(np.square(sums - sums.mean()).sum())
 

@@ -183,7 +183,7 @@ def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> Num
     late = np.arange(fitted.solver.data.n_scans) >= rows[change.part][0]
     columns = fitted.solver.stack[:, number.columns] * late[:, None, None]
     jump = np.array(list(change.jump.values()))
-    got = fit_columns(fitted, columns, jump, rounds=SCAN.constancy.rounds, noise_free=False)
+    got = fit_columns(fitted, columns, jump, rounds=SCAN.fit.column_rounds, noise_free=False)
     scatter = got.each.T @ got.each
     scatter += 1e-9 * np.trace(scatter) * np.eye(k)
     before = np.concatenate([fitted.state.g, fitted.solution.p])[number.unknowns]

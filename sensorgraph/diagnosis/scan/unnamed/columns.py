@@ -170,7 +170,7 @@ def _first_order_gain(fitted: Fitted, one: Columns) -> float:
 def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     """Fit a difference jointly with all other unknowns."""
     columns = one.columns
-    got = fit_columns(fitted, columns, np.zeros(columns.shape[1]), rounds=SCAN.profiles.rounds)
+    got = fit_columns(fitted, columns, np.zeros(columns.shape[1]), rounds=SCAN.fit.column_rounds)
     used, values = used_readings(fitted), got.values
     if one.is_contrast:
         mass = np.einsum("nkm,nm->k", np.abs(columns) > 0, used)

@@ -222,7 +222,7 @@ def _late(fitted: Fitted, is_late: Bools) -> tuple[OddScans, float]:
     solver, share = fitted.solver, float(is_late.mean())
     column = solver.stack[:, Nuisance.DELAY]
     columns = (column * is_late[:, None])[:, None, :]
-    got = fit_columns(fitted, columns, np.zeros(1), rounds=SCAN.odd_scans.refit_rounds)
+    got = fit_columns(fitted, columns, np.zeros(1), rounds=SCAN.fit.column_rounds)
     used = solver.jacobian.valid & solver.data.returned & is_late[:, None]
     delay = float(got.values[0])
     then = each_scan(replace(fitted, solution=got.solution, solver=solver.with_columns(columns)))
