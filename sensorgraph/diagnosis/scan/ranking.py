@@ -1,4 +1,4 @@
-"""Rank the effects that were tried: by evidence, except where a small difference of evidence does not decide."""
+"""Rank the effects that were tried: by evidence, and by the laws of their readings if these decide."""
 
 from __future__ import annotations
 
@@ -33,8 +33,7 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     ----------
     threshold : [nats] Evidence that a name requires.
     """
-    possible = [pair for pair in tried if stands_in_room(data, pair[0].model[-1])]
-    order = _by_law(data, _by_gain(without_ends(data, possible or tried)), threshold)
+    order = _by_law(data, sorted(without_ends(data, tried), key=lambda pair: -pair[1]), threshold)
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
@@ -43,18 +42,6 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
         order = certain
     first = _at_known_site(data, order, threshold)
     return [first, *(pair for pair in order if pair is not first)]
-
-
-def stands_in_room(data: ScanData, amendment: Amendment) -> bool:
-    """Return whether the centre of a moved obstacle is at a possible place: in free space, or inside its former outline."""
-    effect = amendment.effect
-    if effect.place != "obstacle" or not effect.steps:
-        return True
-    outline = data.arena.walls[named_walls(data.arena, amendment.place), 0]
-    shift = np.array([amendment[name] for name in effect.steps])
-    middle = outline.mean(axis=0)
-    reach = float(np.hypot(*(outline - middle).T).min(initial=np.inf))
-    return bool(data.arena.contains((middle + shift)[None])[0] or np.hypot(*shift) < reach)
 
 
 def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitted, float]:
@@ -82,38 +69,6 @@ def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
 def _is_plain(amendment: Amendment) -> bool:
     """Return whether an effect belongs to the sensor and does not absorb residuals of other effects."""
     return is_of_sensor(amendment) and not amendment.effect.absorber
-
-
-def _by_gain(tried: Tried) -> Tried:
-    """Order by gain, but prefer material effects.
-
-    An absorber yields to a material deterministic effect with more than half of its gain. An immaterial
-    effect yields to a material one with nearly the same gain.
-    """
-    order = sorted(tried, key=lambda pair: -pair[1])
-    best, gain = order[0]
-    if best.model[-1].effect.absorber:
-        for pair in order[1:]:
-            last = pair[0].model[-1]
-            if (
-                not last.effect.absorber
-                and last.ratio >= 1
-                and pair[1] > SCAN.selection.absorber_share * gain
-                and pair[1] > SCAN.selection.threshold
-            ):
-                order.remove(pair)
-                return [pair, *order]
-    elif best.model[-1].ratio < 1:
-        for pair in order[1:]:
-            last = pair[0].model[-1]
-            if (
-                not last.effect.absorber
-                and last.ratio >= 1
-                and pair[1] > max(gain - SCAN.selection.material_margin, SCAN.selection.threshold)
-            ):
-                order.remove(pair)
-                return [pair, *order]
-    return order
 
 
 def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:

@@ -272,10 +272,6 @@ class SelectionSettings:
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
     hopeless_gain: float = -50.0
     """[nats] Gain below which a candidate is not compared."""
-    absorber_share: float = 0.5
-    """Share of an absorber's gain above which a deterministic effect precedes it."""
-    material_margin: float = 6.0
-    """[nats] Maximum deficit of a material effect that still precedes an immaterial one."""
     end_blur: float = 2.0
     """Standard deviations of a ray's position on its wall, within which the ray may miss the end of a part."""
 
