@@ -63,7 +63,7 @@ def page(
         _gap_section(finding, pictures),
         _effects_section(finding),
         _profile_section(pictures),
-        _ranking_section(finding, pictures),
+        _rivals_section(finding),
     ]
     sections = [
         *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
@@ -175,9 +175,9 @@ def _with_subscripts(text: str) -> str:
     return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
 
 
-def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
+def _rivals_section(finding: Finding) -> str:
     rivals = [rival for result in finding.channels.values() for rival in result.rivals]
-    if "ranking" not in pictures and not rivals:
+    if not rivals:
         return ""
     rows = []
     evidence = {a.name: a.evidence or 0.0 for a in finding.effects}
@@ -191,15 +191,9 @@ def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "<tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them</th>"
         "<th>what would distinguish them</th></tr>"
     )
-    table = f"<table>{head}{''.join(rows)}</table>" if rows else ""
-    caption = (
-        "Log Bayes factor of each candidate, by selection round: ln p(data with the effect) − ln p(data without it), less a "
-        "complexity penalty. A value of 3 means odds of 20 to 1. The baseline already adjusts map, mount, poses, clock "
-        "and noise within the tolerances."
-    )
     close = undecided_rivals(finding)
     lead = "<p>The data do not decide between the best two.</p>" if close else ""
-    return f"<h2>Ranking of the candidates</h2>{lead}{picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
+    return f"<h2>Second-best explanations</h2>{lead}<table>{head}{''.join(rows)}</table>"
 
 
 def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:

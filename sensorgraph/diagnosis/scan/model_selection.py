@@ -39,8 +39,6 @@ class Step:
 
     tried: tuple[tuple[Amendment, float], ...]
     chosen: str
-    became: tuple[Amendment, ...] = ()
-    """The model, if the chosen effect was merged with an earlier one or simplified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,10 +192,7 @@ class EffectSearch:
         """Take the fit with the effect, and merge it with an earlier one that is the same."""
         self._before = self.current
         self._n_small += self._chosen.model[-1].ratio < self.current.state.map_scale
-        merged = _merged(self.data, self._chosen, self.noise_bounds)
-        if merged is not self._chosen:
-            self.steps[-1] = replace(self.steps[-1], became=merged.model)
-        self._take(merged, model)
+        self._take(_merged(self.data, self._chosen, self.noise_bounds), model)
 
     def removed(self, model: list[Amendment]) -> None:
         """Take the fit without the effect, which is not tried again."""

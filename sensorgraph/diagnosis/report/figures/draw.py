@@ -13,7 +13,6 @@ from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture
 from sensorgraph.diagnosis.report.figures.next_run import next_run_picture
 from sensorgraph.diagnosis.report.figures.profile import profile_picture
-from sensorgraph.diagnosis.report.figures.ranking import ranking_picture
 from sensorgraph.diagnosis.report.figures.residuals import residuals_picture
 from sensorgraph.diagnosis.result import Gap
 
@@ -30,8 +29,6 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
         pictures["profile"] = partial(profile_picture, scan.unknown.profile)
     if gaps:
         pictures["gap"] = partial(gap_picture, gaps, finding.second_gap)
-    if finding.explained is not None and any(step.tried for step in finding.explained.steps):
-        pictures["ranking"] = partial(ranking_picture, finding)
     if finding.driving is not None:
         pictures["calibration"] = partial(calibration_picture, finding.driving.runs)
     if finding.next_run is not None:
