@@ -169,12 +169,11 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         status, p = "ambiguous", 1.0 - best
     elif believed is not None and p_off > 0.5:
         status, p = "off", p_off
-    if (
-        not (is_known and main.is_matched)
-        and status in ("off", "ambiguous")
-        and before not in ("off", "ambiguous")
-    ):
-        status, p = "ok", p_ok  # nothing that the graph knows is in sight: no news
+    if not (is_known and main.is_matched):  # nothing that the graph knows is in sight: no news
+        if before == "lost" and np.sqrt(main.covariance[:2, :2].trace()) > priors.tolerance[0]:
+            status, p = "lost", max(p_lost, 1.0 - p_ok)
+        elif before == "ok" and status in ("off", "ambiguous"):
+            status, p = "ok", p_ok
     return PoseStatement(
         status=status, p=min(p, 1.0), pose=main.pose, deviations=np.sqrt(np.diag(main.covariance)), offset=offset,
         rivals=np.array([mode.pose for mode in others]).reshape(-1, 3), is_known_place=is_known,
