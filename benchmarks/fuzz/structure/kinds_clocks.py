@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, Item
-from benchmarks.fuzz.structure.start import Kind, Start
+from benchmarks.fuzz.structure.start import Start, named
 
 Choice = Callable[[Item], bool]
 WHEELS = ("/odom", "/tf")
@@ -220,27 +220,8 @@ def only_log_times(start: Start) -> Draft:
     return draft
 
 
-CLOCKS: dict[str, Kind] = {
-    "offset": offset,
-    "late_stamps": late_stamps,
-    "since_boot": since_boot,
-    "simulated_time": simulated_time,
-    "far_future": far_future,
-    "drift": drift,
-    "another_rate": another_rate,
-    "reset": reset,
-    "reset_of_all": reset_of_all,
-    "zero_stamps": zero_stamps,
-    "one_wrong_stamp": one_wrong_stamp,
-    "log_offset": log_offset,
-    "log_rate": log_rate,
-    "equal_log_times": equal_log_times,
-    "log_bursts": log_bursts,
-    "log_jitter": log_jitter,
-    "out_of_order": out_of_order,
-    "repeated": repeated,
-    "repeated_stamps": repeated_stamps,
-    "whole_seconds": whole_seconds,
-    "jittered_stamps": jittered_stamps,
-    "only_log_times": only_log_times,
-}
+CLOCKS = named(
+    offset, late_stamps, since_boot, simulated_time, far_future, drift, another_rate, reset, reset_of_all,
+    zero_stamps, one_wrong_stamp, log_offset, log_rate, equal_log_times, log_bursts, log_jitter,
+    out_of_order, repeated, repeated_stamps, whole_seconds, jittered_stamps, only_log_times,
+)  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Laser
-from benchmarks.fuzz.structure.start import Kind, Start
+from benchmarks.fuzz.structure.start import Start, named
 
 
 def varying_rays(start: Start) -> Draft:
@@ -209,25 +209,8 @@ def dense_odometry(start: Start) -> Draft:
     return draft
 
 
-COUNTS: dict[str, Kind] = {
-    "varying_rays": varying_rays,
-    "few_scans": few_scans,
-    "few_rays": few_rays,
-    "narrow": narrow,
-    "empty_scans": empty_scans,
-    "blind_stretch": blind_stretch,
-    "gap_of_scans": gap_of_scans,
-    "gap_of_odometry": gap_of_odometry,
-    "gap_of_all": gap_of_all,
-    "pause": pause,
-    "lost_scans": lost_scans,
-    "rare_scans": rare_scans,
-    "rare_odometry": rare_odometry,
-    "short_odometry": short_odometry,
-    "short_pose": short_pose,
-    "standing": standing,
-    "spin": spin,
-    "corridor": corridor,
-    "short_range": short_range,
-    "dense_odometry": dense_odometry,
-}
+COUNTS = named(
+    varying_rays, few_scans, few_rays, narrow, empty_scans, blind_stretch, gap_of_scans, gap_of_odometry,
+    gap_of_all, pause, lost_scans, rare_scans, rare_odometry, short_odometry, short_pose, standing, spin,
+    corridor, short_range, dense_odometry,
+)  # fmt: skip

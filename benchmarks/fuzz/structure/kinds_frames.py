@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Floats, Item, compose, inverse, logged, mount_of, vec7
-from benchmarks.fuzz.structure.start import LASERS, Kind, Start
+from benchmarks.fuzz.structure.start import LASERS, Start, named
 
 
 def _planar(value: Floats) -> Floats:
@@ -283,32 +283,9 @@ def late_transforms(start: Start) -> Draft:
     return draft
 
 
-FRAMES: dict[str, Kind] = {
-    "prefixed": prefixed,
-    "leading_slash": leading_slash,
-    "other_names": other_names,
-    "no_mount": no_mount,
-    "no_mount_turned": no_mount_turned,
-    "no_frame": no_frame,
-    "frame_is_base": frame_is_base,
-    "inverted_mount": inverted_mount,
-    "inverted_odometry": inverted_odometry,
-    "map_below_odom": map_below_odom,
-    "footprint_root": footprint_root,
-    "long_chain": long_chain,
-    "static_in_tf": static_in_tf,
-    "static_repeated": static_repeated,
-    "several_in_one": several_in_one,
-    "upside_down": upside_down,
-    "backwards": backwards,
-    "any_yaw": any_yaw,
-    "tilted_little": tilted_little,
-    "high_mount": high_mount,
-    "two_parents": two_parents,
-    "two_trees": two_trees,
-    "world_above_map": world_above_map,
-    "no_child": no_child,
-    "frame_changes": frame_changes,
-    "rounded_quaternion": rounded_quaternion,
-    "late_transforms": late_transforms,
-}
+FRAMES = named(
+    prefixed, leading_slash, other_names, no_mount, no_mount_turned, no_frame, frame_is_base,
+    inverted_mount, inverted_odometry, map_below_odom, footprint_root, long_chain, static_in_tf,
+    static_repeated, several_in_one, upside_down, backwards, any_yaw, tilted_little, high_mount,
+    two_parents, two_trees, world_above_map, no_child, frame_changes, rounded_quaternion, late_transforms,
+)  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Item, Laser, start_of
 from benchmarks.fuzz.structure.drives import PERIOD
-from benchmarks.fuzz.structure.start import LASERS, Kind, Start
+from benchmarks.fuzz.structure.start import LASERS, Start, named
 
 TURN = (Laser(sweep=1, first=-180, n=360), Laser(sweep=1, first=-180, n=180, stride=2))
 """Lasers with rays all around."""
@@ -207,21 +207,8 @@ def mirrored(start: Start) -> Draft:
     return draft
 
 
-RAYS: dict[str, Kind] = {
-    "clockwise": clockwise,
-    "reversed_array": reversed_array,
-    "reversed_increment": reversed_increment,
-    "silent": silent,
-    "wrong_sign": wrong_sign,
-    "invented_increment": invented_increment,
-    "too_long": too_long,
-    "too_short": too_short,
-    "stamp_at_end": stamp_at_end,
-    "zero_to_turn": zero_to_turn,
-    "any_start": any_start,
-    "repeated_end": repeated_end,
-    "overlapping": overlapping,
-    "turning_start": turning_start,
-    "uneven_ends": uneven_ends,
-    "mirrored": mirrored,
-}
+RAYS = named(
+    clockwise, reversed_array, reversed_increment, silent, wrong_sign, invented_increment, too_long,
+    too_short, stamp_at_end, zero_to_turn, any_start, repeated_end, overlapping, turning_start,
+    uneven_ends, mirrored,
+)  # fmt: skip

@@ -17,7 +17,7 @@ from benchmarks.fuzz.structure.draft import (
     rear_scans,
     vec7,
 )
-from benchmarks.fuzz.structure.start import Kind, Start
+from benchmarks.fuzz.structure.start import Start, named
 
 SCAN_NAMES = (
     "/base_scan", "/front/scan", "/robot_1/lidar/scan_raw", "/LIDAR", "/scan_filtered", "scan", "/lidar/a/b/front_left",
@@ -270,28 +270,9 @@ def map_in_transforms(start: Start) -> Draft:
     return draft
 
 
-TOPICS: dict[str, Kind] = {
-    "scan_name": scan_name,
-    "odom_name": odom_name,
-    "pose_name": pose_name,
-    "namespace": namespace,
-    "two_lasers": two_lasers,
-    "two_lasers_choice": two_lasers_choice,
-    "two_lasers_as_one": two_lasers_as_one,
-    "two_lasers_one_topic": two_lasers_one_topic,
-    "two_robots": two_robots,
-    "two_poses": two_poses,
-    "goals": goals,
-    "two_odometries": two_odometries,
-    "two_odometries_choice": two_odometries_choice,
-    "true_odometry": true_odometry,
-    "latched": latched,
-    "other_types": other_types,
-    "many_topics": many_topics,
-    "empty_topics": empty_topics,
-    "commands": commands,
-    "no_odometry": no_odometry,
-    "scans_alone": scans_alone,
-    "transforms_alone": transforms_alone,
-    "map_in_transforms": map_in_transforms,
-}
+TOPICS = named(
+    scan_name, odom_name, pose_name, namespace, two_lasers, two_lasers_choice, two_lasers_as_one,
+    two_lasers_one_topic, two_robots, two_poses, goals, two_odometries, two_odometries_choice,
+    true_odometry, latched, other_types, many_topics, empty_topics, commands, no_odometry, scans_alone,
+    transforms_alone, map_in_transforms,
+)  # fmt: skip

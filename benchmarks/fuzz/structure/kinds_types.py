@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.fuzz.structure.draft import Draft, Item, Laser, logged, vec7
 from benchmarks.fuzz.structure.drives import PERIOD, Floats
-from benchmarks.fuzz.structure.start import Kind, Start
+from benchmarks.fuzz.structure.start import Start, named
 
 
 def multi_echo(start: Start) -> Draft:
@@ -260,18 +260,7 @@ def slow_cloud(start: Start) -> Draft:
     return draft
 
 
-TYPES: dict[str, Kind] = {
-    "multi_echo": multi_echo,
-    "flat_cloud": flat_cloud,
-    "ring_cloud": ring_cloud,
-    "cloud_beside_scan": cloud_beside_scan,
-    "slow_cloud": slow_cloud,
-    "sonar_ring": sonar_ring,
-    "twist_only": twist_only,
-    "pose_only": pose_only,
-    "no_orientation": no_orientation,
-    "odometry_is_pose": odometry_is_pose,
-    "not_finite": not_finite,
-    "three_dimensional": three_dimensional,
-    "two_types_one_topic": two_types_one_topic,
-}
+TYPES = named(
+    multi_echo, flat_cloud, ring_cloud, cloud_beside_scan, slow_cloud, sonar_ring, twist_only, pose_only,
+    no_orientation, odometry_is_pose, not_finite, three_dimensional, two_types_one_topic,
+)  # fmt: skip

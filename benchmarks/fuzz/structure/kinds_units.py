@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, vec7
-from benchmarks.fuzz.structure.start import Kind, Start
+from benchmarks.fuzz.structure.start import Start, named
 
 LENGTHS = {"mm": 1000.0, "cm": 100.0}
 TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -179,19 +179,7 @@ def coarse_ranges(start: Start) -> Draft:
     return draft
 
 
-UNITS: dict[str, Kind] = {
-    "ranges_unit": ranges_unit,
-    "odometry_unit": odometry_unit,
-    "pose_unit": pose_unit,
-    "odometry_scale": odometry_scale,
-    "odometry_backwards": odometry_backwards,
-    "degrees": degrees,
-    "increment_unit": increment_unit,
-    "stamp_unit": stamp_unit,
-    "limits": limits,
-    "scan_time": scan_time,
-    "no_return_code": no_return_code,
-    "error_codes": error_codes,
-    "intensities": intensities,
-    "coarse_ranges": coarse_ranges,
-}
+UNITS = named(
+    ranges_unit, odometry_unit, pose_unit, odometry_scale, odometry_backwards, degrees, increment_unit,
+    stamp_unit, limits, scan_time, no_return_code, error_codes, intensities, coarse_ranges,
+)  # fmt: skip

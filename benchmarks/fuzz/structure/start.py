@@ -78,3 +78,8 @@ def number_scans(draft: Draft) -> None:
 
 
 Kind = Callable[[Start], Draft]
+
+
+def named(*kinds: Kind) -> dict[str, Kind]:
+    """Return kinds by the names of their functions."""
+    return {kind.__name__: kind for kind in kinds}
