@@ -18,8 +18,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.arguments import parser_of
+from benchmarks.raycast import arena_of, box
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
+from sensorgraph.world.raycast import cast_laser
 
 FIRST_DATA_SEED = 800_000
 CUBIC = polynomial(lags("y", 1, 2) + lags("u", 0, 2), 3)
@@ -191,21 +193,9 @@ def room(rng: np.random.Generator, n: int, n_rays: int) -> tuple[Signals, np.nda
         )
         x, y = np.r_[x, a[free]], np.r_[y, b[free]]
     x, y = x[:n], y[:n]
-    angle = phi[:, None] + np.linspace(-np.pi / 2, np.pi / 2, n_rays)
-    dx, dy = np.cos(angle), np.sin(angle)
-    ranges = np.full((n, n_rays), np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for x0, y0, x1, y1 in boxes:
-            for edge, low, high, along, other, d, o in (
-                (x0, y0, y1, x, y, dx, dy),
-                (x1, y0, y1, x, y, dx, dy),
-                (y0, x0, x1, y, x, dy, dx),
-                (y1, x0, x1, y, x, dy, dx),
-            ):
-                t = (edge - along[:, None]) / d
-                at = other[:, None] + t * o
-                hit = (t > 1e-9) & (at >= low) & (at <= high)
-                ranges = np.where(hit & (t < ranges), t, ranges)
+    walls = arena_of([box(*each) for each in boxes]).walls
+    poses = np.column_stack([x, y, phi])
+    ranges, _ = cast_laser(walls, poses, np.linspace(-np.pi / 2, np.pi / 2, n_rays), 1e4)
     columns = {
         "x": x + 0.01 * rng.normal(size=n),
         "y": y + 0.01 * rng.normal(size=n),
