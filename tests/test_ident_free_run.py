@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from benchmarks.identibench_model import build_model
 from robotmodic_ident import (
     AutoSettings,
     IdentError,
@@ -168,22 +167,6 @@ def test_order_degree_and_terms_are_found_alone() -> None:
     error = result.model.predict_mpo(fresh, warm_up=50)[50:] - fresh["y"][50:]
     assert np.sqrt(np.mean(error**2)) < 0.02 * np.std(fresh["y"])
     assert np.isfinite(result.model.stderr).all()
-
-
-def test_identibench_gets_a_predictor_of_its_shapes() -> None:
-    class Context:
-        def get_train_sequences(self):
-            data = duffing(500, 8, sigma=0.01)
-            return [(data["u"][:, None], data["y"][:, None], {"fs": 1.0})]
-
-        def get_valid_sequences(self):
-            data = duffing(200, 9, sigma=0.01)
-            return [(data["u"][:, None], data["y"][:, None], {"fs": 1.0})]
-
-    fresh = duffing(300, 10, sigma=0.0)
-    predicted = build_model(Context(), FEW)(fresh["u"][:, None], fresh["y"][:50, None], {})
-    assert predicted.shape == (300, 1)
-    assert np.sqrt(np.mean((predicted[50:, 0] - fresh["y"][50:]) ** 2)) < 0.05 * np.std(fresh["y"])
 
 
 def test_short_constant_and_tiny_records_end_in_a_model_or_in_one_line() -> None:
