@@ -1,8 +1,8 @@
 """How long `build` takes for 50,000 scans x 181 rays of the office, on one core, and how much memory.
 
-    python -m benchmarks.build_speed [--scans 50000] [--file RUN.mcap]
+    python -m benchmarks.build_speed [--scans 50000]
 
-Compilation is done before (on 300 scans). With `--file` the scans are written to that MCAP file and streamed from it.
+Compilation is done before (on 300 scans).
 """
 
 from __future__ import annotations
@@ -11,14 +11,11 @@ import resource
 import time
 from dataclasses import replace
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 
-import logs
 from benchmarks.arguments import parser_of
 from logs.run import RangeSensor, Run
-from logs.stream import open_log
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.demo import check_run
@@ -36,15 +33,11 @@ def recording(n: int) -> Run:
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=50_000)
-    parser.add_argument("--file", type=Path)
     options = parser.parse_args()
     build([recording(300)])
     run = recording(options.scans)
-    if options.file is not None:
-        logs.write(run, options.file)
-        del run
     wall, cpu = time.perf_counter(), time.process_time()
-    graph = build([run] if options.file is None else [open_log(options.file)])
+    graph = build([run])
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     print(
         f"{options.scans:,} scans x {graph.sensor.n_rays} rays: {cpu:.2f} s of one core, {wall:.2f} s by the clock"

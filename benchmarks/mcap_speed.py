@@ -1,6 +1,6 @@
 """Writing and reading laser scans in MCAP, ours beside mcap-ros2-support, in one run; prints a markdown table.
 
-    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.mcap_speed [--scans 10000] [--repeat 2]
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.mcap_speed [--scans 10000]
 
 Both write /scan only, zstd, with the peer's default chunk of 1 MiB and ours of 64 KiB; both end with ranges as
 arrays. CPU time of this process, the best of the repeats, so that a loaded machine disturbs little.
@@ -22,6 +22,8 @@ from benchmarks.measures import fastest
 from logs.ros.definitions import definition
 
 RAY_COUNTS = (181, 1081)
+REPEATS = 2
+"""Of each job; the fastest counts."""
 
 
 def make_run(n_scans: int, n_rays: int) -> logs.Run:
@@ -65,7 +67,6 @@ def peer_read(path: Path) -> np.ndarray:
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--scans", type=int, default=10_000)
-    parser.add_argument("--repeat", type=int, default=2)
     options = parser.parse_args()
     print("| rays | job | ours [scans/s] | mcap-ros2-support [scans/s] | ratio | ours [MB] | theirs [MB] |")
     print("|---|---|---|---|---|---|---|")
@@ -75,12 +76,12 @@ def main() -> None:
             run = make_run(options.scans, n_rays)
             times = {
                 "write": (
-                    fastest(lambda run=run: logs.write(run, ours), options.repeat),
-                    fastest(lambda run=run: peer_write(run, theirs), options.repeat),
+                    fastest(lambda run=run: logs.write(run, ours), REPEATS),
+                    fastest(lambda run=run: peer_write(run, theirs), REPEATS),
                 ),
                 "read": (
-                    fastest(lambda: logs.read(ours), options.repeat),
-                    fastest(lambda: peer_read(theirs), options.repeat),
+                    fastest(lambda: logs.read(ours), REPEATS),
+                    fastest(lambda: peer_read(theirs), REPEATS),
                 ),
             }
             np.testing.assert_array_equal(

@@ -104,20 +104,16 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=8, help="random runs to compare with")
     parser.add_argument("--minutes", type=float, default=2.0)
     parser.add_argument("--size", type=float, default=1.0, help="times the size of the true effects")
-    parser.add_argument("--pairs", help="only these, comma-separated")
     options = parser.parse_args()
     robot = default_robot()
     sensor = replace(robot.sensor, bearings=np.linspace(-np.pi / 2, np.pi / 2, N_SENSOR_RAYS))
     robot = replace(robot, sensor=sensor)
-    wanted = options.pairs.split(",") if options.pairs else None
     print(
         f"{'true|wrong':34} {'next run':>9} {'median':>8} {'best':>8} {'ratio':>6}   expected {'':>4} ratio   CPU"
     )
     ratios: dict[str, float] = {}
     medians: dict[str, float] = {}
     for number, name in enumerate(pairs(geojson.loads(make_room(np.random.default_rng(0)).geojson()))):
-        if wanted and name not in wanted:
-            continue
         seed = 1000 * options.seed + number
         rng = np.random.default_rng(seed)
         arena = geojson.loads(make_room(rng).geojson())

@@ -116,9 +116,7 @@ def diagnose_window(
     robot: Robot,
     plants: Sequence[Plant],
     reference: SiteBaseline | None,
-    *,
     number: int,
-    quiet: bool,
 ) -> None:
     """Diagnose a window as it is, then with each effect planted in it."""
     run = measurement(log, window.scans)
@@ -141,8 +139,7 @@ def diagnose_window(
             size = plant.estimate(finding.effects[0].parameters) if right else np.nan
             results.outcomes.append(Outcome(plant, first, nats, size))
             label = f"{plant.label} {plant.size:g} {plant.unit}"
-        if not quiet:
-            print(f"  {label:<22} {results.seconds[-1]:5.1f} s  {names_text(finding)}", flush=True)
+        print(f"  {label:<22} {results.seconds[-1]:5.1f} s  {names_text(finding)}", flush=True)
 
 
 def known_good(
@@ -183,7 +180,6 @@ def arguments_given() -> argparse.Namespace:
     )
     parser.add_argument("--only", default="full,half", help="which lists of effects")
     parser.add_argument("--undithered", action="store_true", help="do not tell the resolution of the laser")
-    parser.add_argument("--quiet", action="store_true", help="the table only")
     return parser.parse_args()
 
 
@@ -217,11 +213,10 @@ def main() -> None:
             continue
         is_alone = arguments.undithered or arguments.pixels
         reference = None if is_alone else baseline_of_others(number)
-        if not arguments.quiet:
-            print(f"window {number}, scans {window.name}, {window.arena.n_walls} surfaces")
-            if reference is not None:
-                print(f"  {reference.to_dict('the others')}")
-        diagnose_window(results, log, window, robot, plants, reference, number=number, quiet=arguments.quiet)
+        print(f"window {number}, scans {window.name}, {window.arena.n_walls} surfaces")
+        if reference is not None:
+            print(f"  {reference.to_dict('the others')}")
+        diagnose_window(results, log, window, robot, plants, reference, number)
     for line in results.lines():
         print(line)
 

@@ -1,6 +1,6 @@
 """A map of pixels of a real building, counted as slam_toolbox does (Karto), and written as map_server reads it.
 
-    python -m benchmarks.slam_map LOCATED.mcap -o FOLDER [--first-half] [--cell 0.05]
+    python -m benchmarks.slam_map LOCATED.mcap -o FOLDER [--cell 0.05]
 
 A cell that two rays or more reach is occupied where at least a tenth of them end in it, and else free (Konolige, Grisetti,
 Kümmerle, Burgard, Limketkai and Vincent 2010, Efficient sparse pose adjustment for 2D mapping; Karto's parameters
@@ -80,13 +80,11 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("log", type=existing)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--first-half", action="store_true", help="of the log alone")
     parser.add_argument("--cell", type=float, default=0.05, help="[m]")
     options = parser.parse_args()
     log = read(options.log)
     pairing = pair(log)
     kept = np.flatnonzero(pairing.paired)
-    kept = kept[: len(kept) // 2] if options.first_half else kept
     poses = pairing.poses[kept]
     turn = np.abs(np.diff(np.unwrap(poses[:, 2]), prepend=poses[0, 2]))
     slow = turn < LONGEST_TURN
