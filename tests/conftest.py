@@ -19,6 +19,9 @@ for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# rewritten tests, trees of our modules and compiled kernels are millions of objects; the default is a search every 700
+gc.set_threshold(50_000)
+
 import numpy as np
 import pytest
 import shapely
