@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from localization_samples import loop_poses, room_run, seen
 from watching_samples import believing, graph
 
@@ -30,9 +31,10 @@ def last(run: Run) -> WatchStatus:
     return list(sg.watch(graph(), run))[-1]
 
 
-def test_a_robot_that_is_right_is_ok_and_followed_within_centimetres() -> None:
+@pytest.mark.parametrize("model", ["faces", *further("cells")])
+def test_a_robot_that_is_right_is_ok_and_followed_within_centimetres(model: str) -> None:
     poses = loop_poses(60, laps=0.5)
-    said = list(sg.watch(graph(), believing(room_run(poses, seed=2), poses)))
+    said = list(sg.watch(graph(model), believing(room_run(poses, seed=2), poses)))
     assert {status.pose.status for status in said} == {"ok"}
     at = said[-1].pose.pose
     assert at is not None

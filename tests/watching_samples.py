@@ -15,13 +15,13 @@ from sensorgraph.types import Floats
 
 
 @cache
-def graph() -> Sensorgraph:
+def graph(model: str = "faces") -> Sensorgraph:
     """Return a graph of the room from two laps and a visit of its far side."""
     t = np.linspace(0.0, 1.0, 80)
     aside = np.column_stack([4.6 + 2.4 * t, 1.2 + 0.6 * t, 4 * t])
     poses = np.concatenate([loop_poses(240, laps=2.0), aside])
     run = room_run(poses, rate=10.0, seed=1)
-    return sg.build(replace(run, pose_stamps=run.stamps, poses=poses), model="cells")
+    return sg.build(replace(run, pose_stamps=run.stamps, poses=poses), model=model)
 
 
 def believing(run: Run, poses: Floats) -> Run:
