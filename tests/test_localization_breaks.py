@@ -88,14 +88,18 @@ def test_corridor_from_the_command_line_is_said_in_words(
     assert len((tmp_path / "p.csv").read_text().splitlines()) == N + 1
 
 
-@pytest.mark.parametrize("has_odometry", [True, False])
+TEN, STANDS, SPINS = loop_poses(30)[:10], np.tile([2.0, 1.5, 0.3], (N, 1)), SPIN + [2.0, 1.5, 0.0]
+
+
 @pytest.mark.parametrize(
-    "truth",
+    ("truth", "has_odometry"),
     [
-        loop_poses(30)[:10], np.tile([2.0, 1.5, 0.3], (N, 1)), SPIN + [2.0, 1.5, 0.0],
-        *further(loop_poses(60)[:20]),
+        (TEN, False), (STANDS, True), (STANDS, False), (SPINS, False),
+        *further((TEN, True), (SPINS, True), (loop_poses(60)[:20], True), (loop_poses(60)[:20], False)),
     ],
-    ids=["10 scans", "stands", "spins", "20 scans"],
+    ids=[
+        "10 scans alone", "stands", "stands, scans alone", "spins, scans alone", "10 scans", "spins", "20 scans", "20 scans alone",
+    ],
 )  # fmt: skip
 def test_short_standing_and_spinning_runs_are_located(truth: np.ndarray, has_odometry: bool) -> None:
     run = room_run(truth)

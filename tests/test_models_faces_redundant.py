@@ -40,7 +40,7 @@ def fitted(arena: Arena, n: int, seed: int) -> Faces:
 
 @pytest.fixture(scope="module")
 def lab() -> Faces:
-    return fitted(LAB, 3000, 1)
+    return fitted(LAB, 1500, 1)
 
 
 def test_lab_of_ten_walls_has_ten_faces(lab: Faces) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from conftest import further
 from scipy.stats import norm
 
 import sensorgraph as sg
@@ -277,7 +278,7 @@ def test_readings_of_unknown_space_have_a_probability_of_one_and_the_median_of_k
     )  # the crossed space is larger
 
 
-@pytest.mark.parametrize("name", ["faces", "cells"])
+@pytest.mark.parametrize("name", ["faces", *further("cells")])
 def test_samples_have_the_distribution(graphs: dict[str, Sensorgraph], name: str) -> None:
     graph, poses = graphs[name], somewhere(6, np.random.default_rng(9))
     drawn = graph.sample(poses, 200, seed=3)

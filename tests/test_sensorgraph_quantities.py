@@ -30,7 +30,10 @@ def graph(room: Arena, sensor: RangeSensor) -> Sensorgraph:
     stamps = 0.1 * np.arange(30)
     ranges = cast(room, poses, sensor).ranges
     return build(
-        [Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)], calibrate=False
+        [Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)],
+        model="polynomial",
+        degree=1,
+        harmonics=1,
     )
 
 
