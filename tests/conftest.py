@@ -29,6 +29,8 @@ from hypothesis import settings
 
 from logs.run import RangeSensor
 from planners.arena import Arena
+from planners.trajectory import Trajectory
+from sensorgraph.cli import run as cli
 
 settings.register_profile("steady", derandomize=True, deadline=None)  # the same examples in every run
 settings.load_profile("steady")
@@ -116,6 +118,26 @@ def sensor() -> RangeSensor:
     return RangeSensor(
         bearings=np.linspace(-np.pi / 2, np.pi / 2, 61), range_max=8.0, mount=np.array([0.1, 0.02, 0.01])
     )
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Drive a little in the square arena; return a folder with the plan folder `plan`, run.mcap, g.sensorgraph and poses.csv."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "plan").mkdir()
+    t = np.arange(0, 8.0, 0.02)
+    v = 0.1 * np.sin(np.pi * t / t[-1]) ** 2
+    x = 0.6 + np.concatenate([[0], np.cumsum((v[1:] + v[:-1]) / 2 * 0.02)])
+    poses = np.column_stack([x, np.full_like(t, 0.6), np.zeros_like(t)])
+    plan = Trajectory(
+        stamps=t, poses=poses, twists=np.column_stack([v, 0 * t]), primitives=np.full(len(t), "move")
+    )
+    plan.write_csv(folder / "plan" / "trajectory.csv")
+    (folder / "plan" / "plan.json").write_text('{"planning_s": 1.25, "seed": 0}')
+    assert cli(["record", str(folder / "plan"), "--arena", "square", "-o", str(folder / "run.mcap")]) == 0
+    assert cli(["build", str(folder / "run.mcap"), "-o", str(folder / "g.sensorgraph")]) == 0
+    (folder / "poses.csv").write_text("x,y,phi\n" + "1,1,0.5\n" * 50)
+    return folder
 
 
 def peak(action: Callable[[], object]) -> int:

@@ -7,32 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from logs.files import atomic_file
-from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Drive a little in the square arena: plan folder `plan`, run, graph, poses."""
-    folder = tmp_path_factory.mktemp("made")
-    (folder / "plan").mkdir()
-    t = np.arange(0, 12.0, 0.02)
-    v = 0.1 * np.sin(np.pi * t / t[-1]) ** 2
-    x = 0.6 + np.concatenate([[0], np.cumsum((v[1:] + v[:-1]) / 2 * 0.02)])
-    poses = np.column_stack([x, np.full_like(t, 0.6), np.zeros_like(t)])
-    plan = Trajectory(
-        stamps=t, poses=poses, twists=np.column_stack([v, 0 * t]), primitives=np.full(len(t), "move")
-    )
-    plan.write_csv(folder / "plan" / "trajectory.csv")
-    (folder / "plan" / "plan.json").write_text('{"planning_s": 1.25, "seed": 0}')
-    assert cli(["record", str(folder / "plan"), "--arena", "square", "-o", str(folder / "run.mcap")]) == 0
-    assert cli(["build", str(folder / "run.mcap"), "-o", str(folder / "g.sensorgraph")]) == 0
-    (folder / "poses.csv").write_text("x,y,phi\n1,1,0\n")
-    return folder
 
 
 @pytest.mark.parametrize(

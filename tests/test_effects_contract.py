@@ -132,7 +132,7 @@ def test_a_further_effect_is_found_once_it_is_in_the_library(
     hall: Arena, robot: Robot, bent: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(EFFECTS, CURVATURE.name, CURVATURE)
-    finding = diagnose(bent, hall, robot)
+    finding = diagnose(bent, hall, robot, plan_next=False)
     first = finding.effects[0]
     assert first.name == CURVATURE.name
     assert abs(first["c"] - TRUE_C) < 3 * first.stderr["c"] < 0.2 * TRUE_C
@@ -152,7 +152,7 @@ def test_it_is_not_found_where_it_is_not(
     hall: Arena, robot: Robot, plain: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(EFFECTS, CURVATURE.name, CURVATURE)
-    finding = diagnose(plain, hall, robot)
+    finding = diagnose(plain, hall, robot, plan_next=False)
     assert finding.effects == ()
     assert CURVATURE.name not in finding.channels["scan"].not_observable
 

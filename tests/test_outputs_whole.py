@@ -17,31 +17,10 @@ import logs
 from logs.files import atomic_file
 from logs.formats.mcap_file import RosFile
 from logs.run import RangeSensor, Run
-from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_folder
 from sensorgraph.show.rerun_file import open_viewer
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Drive a little in the square arena: plan folder `plan`, run, graph, poses."""
-    folder = tmp_path_factory.mktemp("made")
-    (folder / "plan").mkdir()
-    t = np.arange(0, 8.0, 0.02)
-    v = 0.1 * np.sin(np.pi * t / t[-1]) ** 2
-    x = 0.6 + np.concatenate([[0], np.cumsum((v[1:] + v[:-1]) / 2 * 0.02)])
-    Trajectory(
-        stamps=t,
-        poses=np.column_stack([x, np.full_like(t, 0.6), np.zeros_like(t)]),
-        twists=np.column_stack([v, 0 * t]),
-        primitives=np.full(len(t), "move"),
-    ).write_csv(folder / "plan" / "trajectory.csv")
-    assert cli(["record", str(folder / "plan"), "--arena", "square", "-o", str(folder / "run.mcap")]) == 0
-    assert cli(["build", str(folder / "run.mcap"), "-o", str(folder / "g.sensorgraph")]) == 0
-    (folder / "poses.csv").write_text("x,y,phi\n" + "1,1,0.5\n" * 50)
-    return folder
 
 
 @contextmanager
