@@ -113,6 +113,14 @@ def room() -> Arena:
 
 
 @pytest.fixture(scope="session")
+def hall() -> Arena:
+    """Return `scan_samples.hall_arena()`, a 6 x 5 m hall with two pillars."""
+    from scan_samples import hall_arena
+
+    return hall_arena()
+
+
+@pytest.fixture(scope="session")
 def sensor() -> RangeSensor:
     """Return 61 rays over half a turn, mounted a little off the centre."""
     return RangeSensor(

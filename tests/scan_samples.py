@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from conftest import polygon_arena
 
@@ -22,6 +24,7 @@ sensor: {mount: [0.1, 0.0, 0.0], n_rays: 61, fov: 3.14159265, range_min: 0.05, r
 """
 
 
+@cache
 def hall_arena() -> Arena:
     """Return a 6 x 5 m hall with two pillars."""
     return polygon_arena(

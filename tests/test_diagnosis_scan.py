@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import polygon_arena
 from plain_kernels import plain_e_step
-from scan_samples import data_of, drive, hall_arena
+from scan_samples import data_of, drive
 
 from planners.arena import Arena
 from planners.types import Floats
@@ -29,11 +29,6 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import parse_robot
 
 SIGMA = 0.01
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.fixture(scope="module")

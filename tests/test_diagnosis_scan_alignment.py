@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely.affinity
 from conftest import further, polygon_arena
-from scan_samples import data_of, drive, hall_arena
+from scan_samples import data_of, drive
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena, wrap
@@ -17,11 +17,6 @@ from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import default_robot, parse_robot
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7, np.pi])

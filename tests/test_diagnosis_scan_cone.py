@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scan_samples import data_of, hall_arena
+from scan_samples import data_of
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import fit, polish, start_state
@@ -16,11 +16,6 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import EFFECTS, sonar_cone
 from sensorgraph.world.robot import parse_robot
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 def test_the_groups_of_a_sweep_begin_with_the_weakest_value() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import further
-from scan_samples import checked_of, data_of, hall_arena
+from scan_samples import checked_of, data_of
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
@@ -18,11 +18,6 @@ from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.change_in_time import find
 from sensorgraph.effects import EFFECTS, Amendment
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import polygon_arena
-from scan_samples import data_of, drive, hall_arena
+from scan_samples import data_of, drive
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.consequence import ScanError
@@ -19,11 +19,6 @@ from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import polygon_arena
 from scipy.stats import norm
 from test_diagnosis_scan import drive
 
@@ -25,16 +24,6 @@ from sensorgraph.diagnosis.scan.standard_errors import (
 )
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import parse_robot
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    """Return a 6 x 5 m hall with two pillars."""
-    return polygon_arena(
-        [(0, 0), (6, 0), (6, 5), (0, 5)],
-        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
-        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
-    )
 
 
 def fitted(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scan_samples import drive, hall_arena
+from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena
@@ -47,11 +47,6 @@ def find(checked: Checked) -> list[Doubt]:
 
 
 TURN_RATE = Unnamed(titles={NAME: "a bias that depends on the turn rate"}, find=find, is_cause=True)
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.fixture(scope="module")

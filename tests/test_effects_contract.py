@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import polygon_arena
 from diagnosis_samples import make_run
-from scan_samples import drive, hall_arena
+from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena
@@ -100,11 +100,6 @@ CURVATURE = Effect(
 )
 TRUE_C = 0.006
 """[1/m] 10 cm at 4 m."""
-
-
-@pytest.fixture(scope="module")
-def hall() -> Arena:
-    return hall_arena()
 
 
 @pytest.fixture(scope="module")
