@@ -1,13 +1,14 @@
-"""Messages as bytes, in the layout of ROS 1 and in CDR of ROS 2; definitions of their types."""
+"""Messages as bytes of ROS 1 and of ROS 2 by rosbags, from values in the order of their fields; definitions of their types."""
 
 from __future__ import annotations
 
-import struct
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.fuzz.structure.draft import EPOCH, Item
@@ -24,6 +25,7 @@ PACKAGES = {
 CODES = {"f4": 7, "f8": 8, "u1": 2, "u2": 4, "u4": 6, "i1": 1, "i2": 3, "i4": 5}
 """Numpy type -> datatype of a PointField."""
 UNITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+TIME, SEQ = "builtin_interfaces/msg/Time", "seq"
 
 
 def full(kind: str, *, ros1: bool = False) -> str:
@@ -41,162 +43,90 @@ def nanoseconds(at: float) -> int:
     return int(EPOCH + whole) * 10**9 + round((at - whole) * 1e9)
 
 
-class Packer:
-    """Appends values; CDR aligns each to its size."""
-
-    def __init__(self, *, ros1: bool) -> None:
-        self.ros1 = ros1
-        self.data = bytearray()
-
-    def align(self, size: int) -> None:
-        if not self.ros1:
-            self.data += b"\0" * (-len(self.data) % size)
-
-    def number(self, kind: str, *values: Any) -> None:
-        self.align(struct.calcsize(kind))
-        self.data += struct.pack(f"<{len(values)}{kind}", *values)
-
-    def text(self, value: str) -> None:
-        raw = value.encode() + (b"" if self.ros1 else b"\0")
-        self.number("I", len(raw))
-        self.data += raw
-
-    def array(self, kind: str, values: Any, *, sized: bool = True) -> None:
-        raw = np.asarray(values, dtype=f"<{kind}")
-        if sized:
-            self.number("I", raw.size)
-        if raw.size:
-            self.align(raw.itemsize)
-            self.data += raw.tobytes()
-
-    def header(self, stamp: float, frame: str) -> None:
-        if self.ros1:
-            self.number("I", 7)
-        self.time(stamp)
-        self.text(frame)
-
-    def time(self, stamp: float) -> None:
-        sec, nanosec = divmod(nanoseconds(stamp), 10**9)
-        self.number("I", sec % 2**32)
-        self.number("I", nanosec)
-
-    def bytes(self) -> bytes:
-        return bytes(self.data) if self.ros1 else b"\0\1\0\0" + bytes(self.data)
+def _columns(*names: str) -> Callable[[dict[str, Any]], list[Any]]:
+    """Return what takes numbers of a message from arrays of its content."""
+    return lambda c: [number for name in names for number in c[name]]
 
 
-def _scan(p: Packer, c: dict[str, Any]) -> None:
-    p.array("f4", [c[name] for name in UNITS], sized=False)
+def _odometry(c: dict[str, Any]) -> list[Any]:
+    none = np.zeros(36)
+    pose, twist = c.get("pose_covariance", none), c.get("twist_covariance", none)
+    return [c["child"], *c["pose"], pose, *c["twist"], twist]
 
 
-def _laser_scan(p: Packer, c: dict[str, Any]) -> None:
-    _scan(p, c)
-    p.array("f4", c["ranges"])
-    p.array("f4", c["intensities"])
-
-
-def _multi_echo(p: Packer, c: dict[str, Any]) -> None:
-    _scan(p, c)
-    for name in ("ranges", "intensities"):
-        p.number("I", len(c[name]))
-        for echoes in c[name]:
-            p.array("f4", echoes)
-
-
-def _odometry(p: Packer, c: dict[str, Any]) -> None:
-    p.text(c["child"])
-    for name in ("pose", "twist"):
-        p.array("f8", c[name], sized=False)
-        p.array("f8", c.get(name + "_covariance", np.zeros(36)), sized=False)
-
-
-def _cloud(p: Packer, c: dict[str, Any]) -> None:
+def _cloud(c: dict[str, Any]) -> list[Any]:
     points: NDArray[Any] = c["points"]
     kinds = points.dtype.fields
     assert kinds is not None
-    p.number("I", c["height"], len(points) // c["height"])
-    p.number("I", len(kinds))
-    for name, (kind, offset, *_) in kinds.items():
-        p.text(name)
-        p.number("I", offset)
-        p.number("B", CODES[kind.str[1:]])
-        p.number("I", 1)
-    p.number("B", int(c.get("big", False)))
-    p.number("I", points.dtype.itemsize, points.nbytes // c["height"])
-    p.array("u1", points.view(np.uint8) if len(points) else [])
-    p.number("B", 1)
+    fields = [[name, offset, CODES[kind.str[1:]], 1] for name, (kind, offset, *_) in kinds.items()]
+    n, row = len(points) // c["height"], points.nbytes // c["height"]
+    data = points.view(np.uint8) if len(points) else []
+    return [c["height"], n, fields, c.get("big", False), points.dtype.itemsize, row, data, True]
 
 
-def _grid(p: Packer, c: dict[str, Any]) -> None:
-    p.time(0.0)
-    p.number("f", c["resolution"])
-    p.number("I", *c["data"].shape[::-1])
-    p.array("f8", c["origin"], sized=False)
-    p.array("i1", c["data"])
+def _imu(c: dict[str, Any]) -> list[Any]:
+    none = np.zeros(9)
+    return [0, 0, 0, 1, none, 0, 0, c["omega"], none, 0, 0, 9.81, none]
 
 
-def _path(p: Packer, c: dict[str, Any]) -> None:
-    p.number("I", len(c["poses"]))
-    for pose in c["poses"]:
-        p.header(0.0, "map")
-        p.array("f8", pose, sized=False)
-
-
-def _range(p: Packer, c: dict[str, Any]) -> None:
-    p.number("B", 0)
-    p.array("f4", [c[name] for name in ("field_of_view", "min_range", "max_range", "range")], sized=False)
-
-
-def _imu(p: Packer, c: dict[str, Any]) -> None:
-    p.array(
-        "f8",
-        [0, 0, 0, 1, *np.zeros(9), 0, 0, c["omega"], *np.zeros(9), 0, 0, 9.81, *np.zeros(9)],
-        sized=False,
-    )
-
-
-def _columns(*names: str) -> Any:
-    def pack(p: Packer, c: dict[str, Any]) -> None:
-        for name in names:
-            p.array("f8", c[name], sized=False)
-
-    return pack
-
-
-def _transform_stamped(p: Packer, c: dict[str, Any]) -> None:
-    p.text(c["child"])
-    p.array("f8", c["pose"], sized=False)
-
-
-BODIES: dict[str, Any] = {
-    "LaserScan": _laser_scan, "MultiEchoLaserScan": _multi_echo, "PointCloud2": _cloud, "Range": _range, "Imu": _imu,
-    "Odometry": _odometry, "OccupancyGrid": _grid, "Path": _path, "TransformStamped": _transform_stamped,
-    "PoseStamped": _columns("pose"), "PoseWithCovarianceStamped": _columns("pose", "covariance"),
-    "TwistStamped": _columns("twist"), "PointStamped": _columns("point"),
+VALUES: dict[str, Callable[[dict[str, Any]], list[Any]]] = {
+    "LaserScan": lambda c: [*(c[name] for name in UNITS), c["ranges"], c["intensities"]],
+    "MultiEchoLaserScan": lambda c: [
+        *(c[name] for name in UNITS), *([[echoes] for echoes in c[name]] for name in ("ranges", "intensities")),
+    ],
+    "PointCloud2": _cloud, "Odometry": _odometry, "Imu": _imu,
+    "Range": lambda c: [0, *(c[name] for name in ("field_of_view", "min_range", "max_range", "range"))],
+    "OccupancyGrid": lambda c: [0.0, c["resolution"], *c["data"].shape[::-1], *c["origin"], c["data"].ravel()],
+    "Path": lambda c: [[[0.0, "map", *pose] for pose in c["poses"]]],
+    "TransformStamped": lambda c: [c["child"], *c["pose"]],
+    "PoseStamped": _columns("pose"), "TwistStamped": _columns("twist"), "PointStamped": _columns("point"),
+    "PoseWithCovarianceStamped": lambda c: [*c["pose"], c["covariance"]],
 }  # fmt: skip
-"""Kinds with a header -> what follows it."""
+"""Kinds with a header -> the values of the fields that follow it, nested ones in their order."""
+
+
+def _values(item: Item) -> list[Any]:
+    """Return the values of all fields; a list holds those of the messages of a sequence."""
+    c = item.content
+    if item.kind == "TFMessage":
+        return [[[item.stamp, parent, child, *value] for parent, child, value in c["transforms"]]]
+    if item.kind in ("Twist", "String", "Float64"):
+        return list(c["twist"]) if item.kind == "Twist" else list(c.values())
+    return [item.stamp, item.frame, *VALUES[item.kind](c)]
 
 
 def payload(item: Item, *, ros1: bool) -> bytes:
     """Return a message as bytes."""
-    p, c = Packer(ros1=ros1), item.content
-    if "payload" in c:
-        p.data += c["payload"]
-    elif item.kind == "TFMessage":
-        p.number("I", len(c["transforms"]))
-        for parent, child, value in c["transforms"]:
-            p.header(item.stamp, parent)
-            p.text(child)
-            p.array("f8", value, sized=False)
-    elif item.kind == "Twist":
-        p.array("f8", c["twist"], sized=False)
-    elif item.kind == "String":
-        p.text(c["text"])
-    elif item.kind == "Float64":
-        p.array("f8", [c["value"]], sized=False)
-    else:
-        p.header(item.stamp, item.frame)
-        BODIES[item.kind](p, c)
-    return p.bytes()
+    if "payload" in item.content:
+        return (b"" if ros1 else b"\0\1\0\0") + bytes(item.content["payload"])
+    store, name = _store(ros1), full(item.kind)
+    message = _made(store, name, iter(_values(item)))
+    return bytes(store.serialize_ros1(message, name) if ros1 else store.serialize_cdr(message, name))
+
+
+def _made(store: Any, name: str, values: Iterator[Any]) -> Any:
+    """Return a message of rosbags from the next values."""
+    if name == TIME:
+        sec, nanosec = divmod(nanoseconds(next(values)), 10**9)
+        return store.types[name](sec=(sec + 2**31) % 2**32 - 2**31, nanosec=nanosec)
+    made = {}
+    for field, (node, detail) in store.fielddefs[name][1]:
+        if node == Nodetype.NAME:
+            made[field] = _made(store, detail, values)
+        elif field == SEQ:
+            made[field] = 7
+        elif node == Nodetype.BASE:
+            made[field] = next(values)
+        else:
+            made[field] = _sequence(store, detail[0], next(values))
+    return store.types[name](**made)
+
+
+def _sequence(store: Any, of: tuple[Any, Any], values: Iterable[Any]) -> Any:
+    node, detail = of
+    if node == Nodetype.NAME:
+        return [_made(store, detail, iter(each)) for each in values]
+    return np.asarray(values, dtype=detail[0])
 
 
 @cache
