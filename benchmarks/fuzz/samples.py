@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
-import struct
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,6 +18,8 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 import logs
+from benchmarks.fuzz.structure.draft import EPOCH, Item, vec7
+from benchmarks.fuzz.structure.packing import full, payload
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Moments, Terms, fit, polynomial
 from sensorgraph.building.build import build
@@ -126,6 +127,18 @@ def of_runs(suffix: str) -> tuple[bytes, ...]:
     )  # type: ignore[misc]
 
 
+LASER = {
+    "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 1.0, "time_increment": 0.0, "scan_time": 0.1,
+    "range_min": 0.0, "range_max": 8.0, "ranges": [1.0, 2.0, 3.0], "intensities": [],
+}  # fmt: skip
+
+
+def message(kind: str, second: int, content: Mapping[str, Any], *, ros1: bool) -> bytes:
+    """Return a message in the frame of the laser."""
+    at = second - EPOCH
+    return payload(Item("", kind, at, at, "laser", dict(content)), ros1=ros1)
+
+
 def small_bag() -> bytes:
     """Return a rosbag2 sqlite3 file of twelve small scans."""
 
@@ -139,46 +152,41 @@ def small_bag() -> bytes:
             )
             base.execute("INSERT INTO topics VALUES(1, '/scan', 'sensor_msgs/msg/LaserScan', 'cdr')")
             for i in range(12):
-                message = b"\x00\x01\x00\x00" + struct.pack("<iI", i, 0) + struct.pack("<I", 6)
-                message += b"laser\0" + bytes(2) + struct.pack("<7f", -1, 1, 1, 0, 0.1, 0, 8)
-                message += struct.pack("<I3f", 3, 1, 2, 3) + bytes(4)
-                base.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", (i, i * 10**8, message))
+                row = (i, i * 10**8, message("LaserScan", i, LASER, ros1=False))
+                base.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", row)
             base.commit()
 
     return bytes_of(".db3", write)
 
 
-def ros1_bags() -> tuple[bytes, ...]:
-    """Return ROS 1 bags of scans and odometry, plain and packed."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    kinds: dict[str, Any] = store.types
-    time, header = kinds["builtin_interfaces/msg/Time"], kinds["std_msgs/msg/Header"]
-    point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
-    names = ("sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseStamped")
+def ros1_bag(
+    contents: Mapping[str, Callable[[int], Mapping[str, Any]]],
+    n: int = 12,
+    packing: Writer.CompressionFormat | None = None,
+) -> bytes:
+    """Return a ROS 1 bag of n messages of each kind."""
 
-    def write(path: Path, packing: Writer.CompressionFormat | None) -> None:
+    def write(path: Path) -> None:
         writer = Writer(path)
         if packing is not None:
             writer.set_compression(packing)
+        store = get_typestore(Stores.ROS1_NOETIC)
         with writer:
-            scans, poses = (writer.add_connection(f"/{name[-4:]}", name, typestore=store) for name in names)
-            for i in range(12):
-                at = header(seq=i, stamp=time(sec=i, nanosec=0), frame_id="laser")
-                scan = kinds[names[0]](
-                    header=at, angle_min=-1.0, angle_max=1.0, angle_increment=1.0, time_increment=0.0, scan_time=0.1,
-                    range_min=0.0, range_max=8.0, ranges=np.ones(3, np.float32), intensities=np.zeros(0, np.float32),
-                )  # fmt: skip
-                pose = kinds["geometry_msgs/msg/Pose"](
-                    point(x=0.1 * i, y=0.0, z=0.0), quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-                )
-                for connection, name, message in (
-                    (scans, names[0], scan),
-                    (poses, names[1], kinds[names[1]](header=at, pose=pose)),
-                ):
-                    writer.write(connection, i * 10**9, bytes(store.serialize_ros1(message, name)))
+            links = {
+                kind: writer.add_connection(f"/{kind[-4:]}", full(kind), typestore=store) for kind in contents
+            }
+            for i in range(n):
+                for kind, content in contents.items():
+                    writer.write(links[kind], i * 10**9, message(kind, i, content(i), ros1=True))
 
+    return bytes_of(".bag", write)
+
+
+def ros1_bags() -> tuple[bytes, ...]:
+    """Return ROS 1 bags of scans and poses, plain and packed."""
+    contents = {"LaserScan": lambda _: LASER, "PoseStamped": lambda i: {"pose": vec7(0.1 * i, 0.0, 0.0)}}
     packings = (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4)
-    return tuple(bytes_of(".bag", lambda path, packing=packing: write(path, packing)) for packing in packings)  # type: ignore[misc]
+    return tuple(ros1_bag(contents, packing=packing) for packing in packings)
 
 
 def interrupted_bags() -> tuple[bytes, ...]:
@@ -188,47 +196,18 @@ def interrupted_bags() -> tuple[bytes, ...]:
 
 def other_lasers() -> tuple[bytes, ...]:
     """Return ROS 1 bags of laser scans with several echoes, and of point clouds."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    kinds: dict[str, Any] = store.types
-    echoes_type, cloud_type = "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud2"
-
-    def head(i: int) -> Any:
-        stamp = kinds["builtin_interfaces/msg/Time"](sec=i, nanosec=0)
-        return kinds["std_msgs/msg/Header"](seq=i, stamp=stamp, frame_id="laser")
-
-    def echoes(i: int) -> Any:
-        rays = [kinds["sensor_msgs/msg/LaserEcho"](echoes=np.ones(n, np.float32)) for n in (1, 0, 2, 1, 3)]
-        return kinds[echoes_type](
-            header=head(i), angle_min=-1.0, angle_max=1.0, angle_increment=0.5, time_increment=0.0, scan_time=0.1,
-            range_min=0.0, range_max=8.0, ranges=rays, intensities=rays,
-        )  # fmt: skip
-
-    def cloud(i: int) -> Any:
-        kind = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
-        points = np.zeros(120, kind)
-        turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-        for ring in range(2):
-            rows = points[ring::2]
-            rows["x"], rows["y"], rows["z"] = 2 * np.cos(turn), 2 * np.sin(turn), 0.1 * ring
-            rows["ring"], rows["t"] = ring, turn / (2 * np.pi) * 1e9
-        codes = {"x": 7, "y": 7, "z": 7, "ring": 4, "t": 6}
-        return kinds[cloud_type](
-            header=head(i), height=1, width=120, is_bigendian=False, point_step=kind.itemsize, is_dense=True,
-            row_step=120 * kind.itemsize, data=points.view(np.uint8).copy(),
-            fields=[
-                kinds["sensor_msgs/msg/PointField"](name=name, offset=kind.fields[name][1], datatype=code, count=1)
-                for name, code in codes.items()
-            ],
-        )  # fmt: skip
-
-    def write(path: Path, name: str, message: Callable[[int], Any]) -> None:
-        with Writer(path) as writer:
-            connection = writer.add_connection("/laser", name, typestore=store)
-            for i in range(5):
-                writer.write(connection, i * 10**9, bytes(store.serialize_ros1(message(i), name)))
-
-    pairs = ((echoes_type, echoes), (cloud_type, cloud))
-    return tuple(bytes_of(".bag", lambda path, pair=pair: write(path, *pair)) for pair in pairs)  # type: ignore[misc]
+    rays = [np.ones(n) for n in (1, 0, 2, 1, 3)]
+    echoes = LASER | {"angle_increment": 0.5, "ranges": rays, "intensities": rays}
+    points = np.zeros(120, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    for ring in range(2):
+        rows = points[ring::2]
+        rows["x"], rows["y"], rows["z"] = 2 * np.cos(turn), 2 * np.sin(turn), 0.1 * ring
+        rows["ring"], rows["t"] = ring, turn / (2 * np.pi) * 1e9
+    cloud = {"points": points, "height": 1}
+    return ros1_bag({"MultiEchoLaserScan": lambda _: echoes}, 5), ros1_bag(
+        {"PointCloud2": lambda _: cloud}, 5
+    )
 
 
 def carmen() -> bytes:
