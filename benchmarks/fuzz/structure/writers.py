@@ -6,12 +6,14 @@ import bz2
 import gzip
 import shutil
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import yaml
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
@@ -140,30 +142,24 @@ def _metadata(
     draft: Draft, names: list[str], storage: str, *, version: int, mode: str = "", count: int | None = None
 ) -> str:
     """Return the text of a metadata.yaml."""
-    counts: Mapping[tuple[str, str], int] = {
-        source: sum(source == (item.topic, item.kind) for item in draft.items) for source in _sources(draft)
-    }
-    stamps = [nanoseconds(item.log) for item in draft.items] or [0]
-    lines = [
-        "rosbag2_bagfile_information:", f"  version: {version}", f"  storage_identifier: {storage or chr(34) * 2}",
-        "  duration:", f"    nanoseconds: {max(stamps) - min(stamps)}", "  starting_time:",
-        f"    nanoseconds_since_epoch: {min(stamps)}", f"  message_count: {len(draft.items) if count is None else count}",
-        "  topics_with_message_count:",
+    counts = Counter((item.topic, item.kind) for item in draft.items)
+    topics = [
+        {
+            "topic_metadata": {
+                "name": topic, "type": full(kind), "serialization_format": "cdr", "offered_qos_profiles": "",
+            },
+            "message_count": counts[topic, kind],
+        }
+        for topic, kind in _sources(draft)
     ]  # fmt: skip
-    for (topic, kind), n in counts.items():
-        lines += ["    - topic_metadata:", f"        name: {topic}", f"        type: {full(kind)}"]
-        lines += [
-            "        serialization_format: cdr",
-            '        offered_qos_profiles: ""',
-            f"      message_count: {n}",
-        ]
-    packed = "zstd" if mode else '""'
-    lines += [
-        f"  compression_format: {packed}",
-        f"  compression_mode: {mode or chr(34) * 2}",
-        "  relative_file_paths:",
-    ]
-    return "\n".join(lines + [f"    - {name}" for name in names]) + "\n"
+    stamps = [nanoseconds(item.log) for item in draft.items] or [0]
+    information = {
+        "version": version, "storage_identifier": storage, "duration": {"nanoseconds": max(stamps) - min(stamps)},
+        "starting_time": {"nanoseconds_since_epoch": min(stamps)},
+        "message_count": len(draft.items) if count is None else count, "topics_with_message_count": topics,
+        "compression_format": "zstd" if mode else "", "compression_mode": mode, "relative_file_paths": names,
+    }  # fmt: skip
+    return yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
 
 
 def _folder(
