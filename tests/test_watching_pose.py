@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ import sensorgraph as sg
 from logs.run import RangeSensor, Run
 from logs.transforms import compose
 from sensorgraph.watching.kept_scans import KeptScans
+from sensorgraph.watching.modes import Mode
 from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
@@ -177,6 +179,25 @@ def test_where_the_graph_knows_nothing_disagreement_is_no_evidence_but_agreement
     assert prior == pytest.approx(PoseJudge(tracker).p_off(0.5), abs=1e-9)
     assert fresh.p_off(1e-9, offset=(2.0, 0.0)) > 0.9  # no error of a stamp reaches 2 m: said at once
     assert judge.p_off(1.0, known=0.0) < known
+
+
+def test_a_lost_robot_is_not_ok_because_nothing_known_is_in_sight() -> None:
+    tracker = PoseTracker(graph(), GraphReadings(graph(), graph().sensor))
+    nothing = Observation(
+        stamp=1.0, ranges=np.full(graph().sensor.n_rays, np.inf), believed=np.array([9.0, 9.0, 0.0])
+    )
+    tracker.elsewhere = math.log(0.2)
+    words = {}
+    for deviation in (0.05, 3.0):  # [m]
+        covariance = np.diag([deviation**2, deviation**2, 0.01])
+        tracker.modes = [
+            Mode(pose=np.array([9.0, 9.5, 0.0]), covariance=covariance, score=math.log(0.8), number=1)
+        ]
+        for before in ("ok", "lost"):
+            judge = PoseJudge(tracker)
+            judge.before = before
+            words[before, deviation] = judge.state(nothing).status
+    assert words == {("ok", 0.05): "ok", ("lost", 0.05): "ok", ("ok", 3.0): "ok", ("lost", 3.0): "lost"}
 
 
 def test_a_robot_that_is_pushed_and_believes_it_is_not_said_to_be_off() -> None:
