@@ -208,7 +208,7 @@ def test_strays_that_are_not_uniform_are_of_what_pixels_lack(pixels: Arena, coar
     strays = (EFFECTS["random_outliers"](p=0.06),)
     got = fit(data, strays, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5)
     (doubt,) = find(checked_of(got, gained=500.0, gains={0: 500.0}))
-    assert "not uniform" in doubt.statement and doubt.failed == {0}
+    assert "outliers, most of them at 1.2" in doubt.statement and doubt.failed == {0}
     assert doubt.is_of_building == coarse
 
 
