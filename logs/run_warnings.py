@@ -119,9 +119,13 @@ def _frozen_warnings(run: Run) -> list[str]:
     """Return warnings on poses that keep their place, or their heading, while the odometry moves."""
     if len(run.odom_stamps) < 2 or run.meta.get("pose_source", "").startswith("odometry"):
         return []
-    driven = interpolate(run.pose_stamps, run.odom_stamps, run.odometry)
+    known, measured = (np.isfinite(values).all(axis=1) for values in (run.poses, run.odometry))
+    if known.sum() < 2 or measured.sum() < 2:
+        return []
+    stamps, poses = run.pose_stamps[known], run.poses[known]
+    driven = interpolate(stamps, run.odom_stamps[measured], run.odometry[measured])
     ways, turns = np.hypot(*np.diff(driven[:, :2], axis=0).T), np.abs(wrap(np.diff(driven[:, 2])))
-    steps, out = np.diff(run.poses, axis=0), []
+    steps, out = np.diff(poses, axis=0), []
     for what, still, moved, limit, unit in (
         ("place", (steps[:, :2] == 0).all(axis=1), ways, LIMITS.frozen_way, "m"),
         ("heading", steps[:, 2] == 0, turns, LIMITS.frozen_turn, "rad"),
@@ -130,9 +134,9 @@ def _frozen_warnings(run: Run) -> list[str]:
         spans = [(moved[a:b].sum(), a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
         most, first, last = max(spans, default=(0.0, 0, 0))
         if most > limit:
-            length = run.pose_stamps[last] - run.pose_stamps[first]
+            length = stamps[last] - stamps[first]
             out.append(
-                f"the {what} of the pose stays the same for {length:.1f} s from {run.pose_stamps[first]:.1f} s while the odometry "
+                f"the {what} of the pose stays the same for {length:.1f} s from {stamps[first]:.1f} s while the odometry "
                 f"moves by {most:.1f} {unit}: check that the reference was running"
             )
     return out

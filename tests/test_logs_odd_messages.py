@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +170,12 @@ def test_a_reference_that_stopped_is_noticed_by_the_odometry(tmp_path: Path) -> 
     assert any(
         "the place of the pose stays the same for 1.9 s from 1.0 s while" in w for w in warnings_of(run)
     )
+    odometry_with_gaps = run.odometry.copy()
+    odometry_with_gaps[5::7] = np.nan, np.inf, 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        said = warnings_of(replace(run, odometry=odometry_with_gaps))
+    assert any("the place of the pose stays the same for 1.9 s" in w for w in said)
     alive = [pose(i / 10, 1 + 0.5 * i / 10, 0, 0) for i in range(30)]
     assert not any("stays the same" in w for w in warnings_of(read(tmp_path / "alive", [*drive(), *alive])))
 
