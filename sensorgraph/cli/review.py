@@ -108,7 +108,6 @@ def _serve(review: Path) -> None:
 
     from sensorgraph.show.rerun_file import served
 
-    with served(review) as address:
+    with suppress(KeyboardInterrupt), served(review) as address:
         typer.echo(f"serving {address}\nstop with Ctrl-C")
-        with suppress(KeyboardInterrupt):
-            Event().wait()
+        Event().wait()
