@@ -108,9 +108,9 @@ class _Difference:
     """[ns] of log time over which `drift` applies."""
 
     def at(self, logged: Stamps) -> Floats:
-        """Return the difference (n,) [s] at log times [ns]."""
+        """Return the difference (n,) [s] at log times [ns]; a clock keeps its rate outside the common time."""
         share = (logged - self.middle) / self.span if self.span > 0 else np.zeros(len(logged))
-        return self.offset + self.drift * np.clip(share, -0.5, 0.5)
+        return self.offset + self.drift * share
 
 
 def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> SettledClocks:

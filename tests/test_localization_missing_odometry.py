@@ -47,6 +47,22 @@ def test_scans_continue_the_odometry(first: float, last: float, n_notes: int) ->
     np.testing.assert_allclose(filled.at(RUN.stamps[inside]), motion.at(RUN.stamps[inside]), atol=1e-6)
 
 
+@pytest.mark.parametrize(("first", "last", "end"), [(6.0, 99.0, 0), (0.0, 12.0, -1)], ids=["before", "after"])
+def test_a_sweep_at_the_end_has_the_motion_of_the_scans(first: float, last: float, end: int) -> None:
+    run = cut(first, last)
+    rare = odometry_of(run)
+    assert rare is not None
+    often = np.arange(run.odom_stamps[0], run.odom_stamps[-1], 0.02)
+    motion = Motion(stamps=often, poses=rare.at(often))
+    filled, _ = with_missing_stretches(run, motion)
+    period = float(np.median(np.diff(run.stamps)))
+    middle = run.stamps[end] + np.array([-0.5, 0.5]) * period * (1 if end else -1)
+    inner, outer = filled.at(middle)
+    known = filled.at(run.stamps[[0, 1] if end == 0 else [-1, -2]])
+    turned, usual = abs(outer[2] - inner[2]), abs(known[0, 2] - known[1, 2])
+    assert usual > np.radians(1) and turned == pytest.approx(usual, rel=0.3)
+
+
 UNEVEN = loop_poses(900, laps=1.0)[
     (10 * np.arange(90) + 30 * np.sin(np.arange(90) / 3)).clip(0, 899).astype(int)
 ]

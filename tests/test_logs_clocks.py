@@ -90,6 +90,17 @@ def test_clock_of_the_odometry_is_corrected_by_the_log_times(
     assert any(words in note for note in assumptions_of(run)), run.meta["notes"]
 
 
+def test_a_clock_keeps_its_rate_after_the_other_has_ended(tmp_path: Path) -> None:
+    """The odometry goes on for 2 s; there its stamps are converted as before."""
+    messages = drive(wheels=lambda t: 0.5 * t + 3)
+    last = [
+        message for message in messages if message[2] < EPOCH + 1e9 * (T[-1] - 2) or message[0] != "/scan"
+    ]
+    run = run_of(tmp_path, last)
+    steps = np.diff(run.odom_stamps)
+    np.testing.assert_allclose(steps[-20:].mean(), steps[:-20].mean(), rtol=0.02)
+
+
 def test_corrected_stamp_of_0_is_not_a_missing_one(tmp_path: Path) -> None:
     """The scans count from the start, in milliseconds; the odometry is brought to their clock, or they to its."""
     run = run_of(tmp_path, drive(scans=lambda t: 1000 * t - EPOCH / 1e9))
