@@ -16,9 +16,10 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.estimate import calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.locate import locate, located_run, summary
-from sensorgraph.localization.ray_times import TrackedRun, hypotheses, track_run
+from sensorgraph.localization.ray_times import TrackedRun, _judge, hypotheses, track_run
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scan_lag import ScanLag, with_stamp_of
+from sensorgraph.localization.time_settings import RAY_TIMES
 from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
 
@@ -306,3 +307,14 @@ def test_a_long_lag_is_found_whole_and_the_odometry_is_taken_at_the_times_of_the
     inside = slice(5, -5)
     off = wrap(found.odometry[:, 2] - path(run.stamps)[:, 2])[inside]
     assert np.abs(off - off.mean()).max() < 0.03
+
+
+def test_a_small_error_of_the_delays_of_classes_does_not_keep_an_invented_sweep() -> None:
+    """A sharp estimate: no sweep, and classes 0.4 ms apart, a share of a mirror's period as small as the motion's error."""
+    stated = replace(run_of(np.zeros(N_RAYS)).sensor, sweep_time=0.1)
+    values, errors = np.array([-0.7e-3, 0.0, 0.4e-3, 0.1e-3]), np.array([1.4e-3, 1e-4, 1e-4, 1e-4])
+    found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
+    assert found is not None and abs(found.sensor.sweep_time) < 2e-3
+    values[[1, 3]] = LMS  # a comb that no share of the motion's error explains, and no laser with one sweep
+    found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
+    assert found is None or found.sensor.interlaced_sweeps > 1

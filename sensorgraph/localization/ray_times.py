@@ -270,8 +270,13 @@ def _small_sample(n_pieces: int, settings: RayTimeSettings) -> float:
 
 
 def _distance(expected: Floats, values: Floats, covariance: Floats, settings: RayTimeSettings) -> float:
-    """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,)."""
-    own = covariance + np.diag((settings.motion_error * np.abs(expected)) ** 2)
+    """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,).
+
+    The motion is known to `motion_error`, so that a delay of a class that is shorter than this share of a mirror's period
+    is none.
+    """
+    least = np.array([0.0, *[min(MIRRORS.values())] * (CLASSES - 1)])
+    own = covariance + np.diag((settings.motion_error * np.maximum(np.abs(expected), least)) ** 2)
     off = values - expected
     return float(off @ np.linalg.solve(own, off))
 
