@@ -110,7 +110,7 @@ class _Difference:
     def at(self, logged: Stamps) -> Floats:
         """Return the difference (n,) [s] at log times [ns]; a clock keeps its rate outside the common time."""
         share = (logged - self.middle) / self.span if self.span > 0 else np.zeros(len(logged))
-        return self.offset + self.drift * share
+        return np.asarray(self.offset + self.drift * share)
 
 
 def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> SettledClocks:
