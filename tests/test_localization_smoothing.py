@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from logs.transforms import compose, invert
+from sensorgraph.localization.line_map import line_map
+from sensorgraph.localization.mapping import _PlacedScans, _smoothed
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.smoothing import _banded, _inverse_blocks, smooth, steps_of
 from sensorgraph.localization.wheels import WheelEstimate
@@ -88,3 +90,25 @@ def test_steps_to_and_from_a_scan_that_the_odometry_placed_are_as_uncertain_as_t
     by_odometry = WheelEstimate().deviations(np.hypot(*steps[:, :2].T), steps[:, 2])
     np.testing.assert_allclose(deviations[1:3], by_odometry[1:3])
     assert (deviations[[0, 3]] < by_odometry[[0, 3]]).all()
+
+
+def test_places_determine_the_motion_where_the_track_was_found_elsewhere() -> None:
+    """The track is 9 cm off until scan 6, where it finds the map again; all scans but the first three fit the map."""
+    n, at = 12, 6
+    truth = np.column_stack([0.04 * np.arange(n), np.zeros(n), np.zeros(n)])
+    tracked = truth.copy()
+    tracked[:at, :2] += [0.08, 0.04]
+    is_continuous = np.ones(n, dtype=bool)
+    is_continuous[at] = False
+    track = ScanTrack(
+        poses=tracked, matched=np.ones(n, dtype=bool), is_continuous=is_continuous, key_frames=np.array([0, n - 1]),
+        piece=np.zeros(2, dtype=int), edge_information=np.zeros((1, 3, 3)), motion_deviations=np.zeros((1, 3)),
+        is_carried=np.zeros(1, dtype=bool), projections=np.zeros((2, 3, 3)), jumps=(), noise=np.full(n, np.nan),
+        wheels=WheelEstimate(),
+    )  # fmt: skip
+    placed = _PlacedScans(
+        poses=truth, shared=np.zeros((n, 3, 3)), own=np.tile(0.004**2 * np.eye(3), (n, 1, 1)), matched=np.arange(n) > 2,
+        surfaces=line_map(np.zeros((1, 2)), np.array([[1.0, 0.0]]), side=0.5), missed=np.zeros(n, dtype=bool),
+    )  # fmt: skip
+    found = _smoothed(track, placed, has_odometry=True)
+    assert np.hypot(*(found.poses - truth)[:, :2].T).max() < 0.002
