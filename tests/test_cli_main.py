@@ -55,9 +55,8 @@ def test_compile_leaves_the_kernels_of_all_stages_in_the_cache(tmp_path: Path) -
     command = [sys.executable, "-m", "sensorgraph", "compile"]
     variables = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     subprocess.run(command, env=variables, capture_output=True, check=True)
-    kept = {
-        ".".join(path.name.split(".")[:2]) for path in tmp_path.rglob("*.nbi")
-    }  # module.kernel.digest-line
+    # module.kernel.digest-line
+    kept = {".".join(path.name.split(".")[:2]) for path in tmp_path.rglob("*.nbi")}
     kernels = {
         "beam.beam_search",
         "visibility._e_step",

@@ -310,11 +310,11 @@ def test_a_long_lag_is_found_whole_and_the_odometry_is_taken_at_the_times_of_the
 
 
 def test_a_small_error_of_the_delays_of_classes_does_not_keep_an_invented_sweep() -> None:
-    """A sharp estimate: no sweep, and classes 0.4 ms apart, a share of a mirror's period as small as the motion's error."""
+    """The run shows no sweep; 0.4 ms between the ray classes is 3 % of a mirror period, and the motion has an error of 10 %."""
     stated = replace(run_of(np.zeros(N_RAYS)).sensor, sweep_time=0.1)
     values, errors = np.array([-0.7e-3, 0.0, 0.4e-3, 0.1e-3]), np.array([1.4e-3, 6e-5, 6e-5, 6e-5])
     found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
     assert found is not None and abs(found.sensor.sweep_time) < 2e-3
-    values[[1, 3]] = LMS  # a comb that no share of the motion's error explains, and no laser with one sweep
+    values[[1, 3]] = LMS  # a whole period, as of interlaced sweeps
     found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
     assert found is None or found.sensor.interlaced_sweeps > 1

@@ -92,11 +92,9 @@ def test_clock_of_the_odometry_is_corrected_by_the_log_times(
 
 def test_a_clock_keeps_its_rate_after_the_other_has_ended(tmp_path: Path) -> None:
     """The odometry goes on for 2 s; there its stamps are converted as before."""
-    messages = drive(wheels=lambda t: 0.5 * t + 3)
-    last = [
-        message for message in messages if message[2] < EPOCH + 1e9 * (T[-1] - 2) or message[0] != "/scan"
-    ]
-    run = run_of(tmp_path, last)
+    end = EPOCH + 1e9 * (T[-1] - 2)
+    messages = [one for one in drive(wheels=lambda t: 0.5 * t + 3) if one[0] != "/scan" or one[2] < end]
+    run = run_of(tmp_path, messages)
     steps = np.diff(run.odom_stamps)
     np.testing.assert_allclose(steps[-20:].mean(), steps[:-20].mean(), rtol=0.02)
 

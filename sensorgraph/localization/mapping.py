@@ -137,16 +137,15 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
 def _smoothed(tracked: ScanTrack, placed: _PlacedScans, *, has_odometry: bool) -> SmoothedPoses:
     """Smooth the poses of all scans; the track or the odometry carries those that fit nowhere.
 
-    Where the track is not continuous, its step is no measurement. The places of both scans determine the motion, if
-    both fit the map.
+    Where the track is not continuous, its step is not measured: if both scans fit the map, their places determine the motion.
     """
     poses = placed.poses
     information = np.linalg.inv(placed.own + MIN_VARIANCE * np.eye(3)).astype(np.float64)
     information[~placed.matched] = 0.0
     breaks = ~tracked.is_continuous
     if has_odometry:  # it measures the motion, except across its jumps and while the robot is carried
-        is_between = placed.matched & np.append(False, placed.matched[:-1])
-        breaks &= is_between | tracked.within((np.diff(tracked.piece) > 0) & ~tracked.is_carried)
+        both_fit = placed.matched & np.append(False, placed.matched[:-1])
+        breaks &= both_fit | tracked.within((np.diff(tracked.piece) > 0) & ~tracked.is_carried)
         breaks[list(tracked.jumps)] = True
     breaks |= placed.missed
     breaks[1:] |= placed.missed[:-1]

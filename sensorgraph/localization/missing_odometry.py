@@ -36,11 +36,10 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
         last = bounds[i + 1] if np.isfinite(bounds[i + 1]) else inside[-1]
         if last - first < MIN_MISSING / (2 if is_outer[i] else 1):
             continue
-        times = _with_sweeps(inside, run, (bounds[i], bounds[i + 1]))
-        found = _of_scans(run, motion, int(begins[i]), int(ends[i]), (bounds[i], bounds[i + 1]), times)
+        found = _of_scans(run, motion, int(begins[i]), int(ends[i]), (bounds[i], bounds[i + 1]))
         if found is not None:
-            stamps.append(times)
-            poses.append(found)
+            stamps.append(found.stamps)
+            poses.append(found.poses)
             filled.append((float(first), float(last)))
     if not filled:
         return motion, ()
@@ -61,16 +60,16 @@ def _with_sweeps(stamps: Floats, run: Run, bounds: tuple[float, float]) -> Float
 
     A sweep may end or begin at the stamp, and lasts as long as the scans are apart.
     """
-    period = float(np.median(np.diff(run.stamps))) if run.n_scans > 1 else 0.0
+    if np.isfinite(bounds).all() or run.n_scans < 2:
+        return stamps
+    period = float(np.median(np.diff(run.stamps)))
     before = [stamps[0] - period] if period and np.isinf(bounds[0]) else []
     after = [stamps[-1] + period] if period and np.isinf(bounds[1]) else []
     return np.concatenate([before, stamps, after])
 
 
-def _of_scans(
-    run: Run, motion: Motion, begin: int, end: int, bounds: tuple[float, float], times: Floats
-) -> Floats | None:
-    """Return the poses (n, 3) at times (n,) of scans between two odometry poses, or on one side; None: not tracked.
+def _of_scans(run: Run, motion: Motion, begin: int, end: int, bounds: tuple[float, float]) -> Motion | None:
+    """Return the motion of scans between two odometry poses, or on one side of all; None: not tracked.
 
     Two more scans are tracked on either side, so that the middles of their sweeps enclose the poses.
     """
@@ -85,7 +84,7 @@ def _of_scans(
     heading = np.unwrap(found.poses[:, 2])
     middle = run.stamps[part] + run.sensor.ray_delays.mean()  # of the sweep, which was not deskewed
     tracked = Motion(stamps=middle, poses=np.column_stack([found.poses[:, :2], heading]))
-    left, right = bounds
+    times, (left, right) = _with_sweeps(run.stamps[begin:end], run, bounds), bounds
     start = left if has_left else right
     placed = compose(motion.at(np.array([start])), invert(tracked.at(np.array([start]))))
     poses = compose(placed, tracked.at(times))
@@ -94,7 +93,7 @@ def _of_scans(
         off = compose(invert(there), motion.at(np.array([right])))
         off[:, 2] = wrap(off[:, 2])
         poses = compose(poses, off * ((times - left) / (right - left))[:, None])
-    return poses
+    return Motion(stamps=times, poses=poses)
 
 
 def _notes(run: Run, motion: Motion, filled: list[tuple[float, float]]) -> tuple[str, ...]:

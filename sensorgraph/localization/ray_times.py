@@ -32,6 +32,8 @@ from sensorgraph.types import Floats, Progress
 
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
 """Laser without ray times in its driver -> [s] mirror period (SICK AG, technical descriptions)."""
+SCALES = np.array([0.0, *[min(MIRRORS.values())] * (CLASSES - 1)])
+"""(4,) [s] Least values to which the relative error of the motion applies: of the class delays, the shortest mirror period."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,11 +274,9 @@ def _small_sample(n_pieces: int, settings: RayTimeSettings) -> float:
 def _distance(expected: Floats, values: Floats, covariance: Floats, settings: RayTimeSettings) -> float:
     """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,).
 
-    The motion is known to `motion_error`, so that a delay of a class that is shorter than this share of a mirror's period
-    is none.
+    The motion has a relative error of `motion_error`, so that a class delay shorter than this share of a mirror period may be zero.
     """
-    least = np.array([0.0, *[min(MIRRORS.values())] * (CLASSES - 1)])
-    own = covariance + np.diag((settings.motion_error * np.maximum(np.abs(expected), least)) ** 2)
+    own = covariance + np.diag((settings.motion_error * np.maximum(np.abs(expected), SCALES)) ** 2)
     off = values - expected
     return float(off @ np.linalg.solve(own, off))
 
