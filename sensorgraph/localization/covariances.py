@@ -12,7 +12,7 @@ and Miller 2008); the noise need not be known. The leverage h_c corrects for res
 the wheel edges is multiplied by its long-run variance, since slip persists (Newey and West 1987).
 
 Poses are relative to the mean of all key frames of their map (inner constraints, Baarda 1973), since the frame of a
-map is arbitrary.
+map is arbitrary. The samples of the wheel parameters are those that the poses x_m imply.
 """
 
 from __future__ import annotations
@@ -35,20 +35,27 @@ MAX_LEVERAGE = 0.8
 
 def key_frame_covariances(
     refined: Refined, maps: Ints, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
-) -> tuple[Floats, Floats]:
-    """Return covariances (n_key, 3, 3) of x, y, phi in map, and their part that is not the frame's own noise.
+) -> tuple[Floats, Floats, Floats]:
+    """Return the covariances of the key frames and of the wheel parameters.
 
     Parameters
     ----------
     maps : (n_key,) Number of the map of each key frame; each has its own frame.
+
+    Returns
+    -------
+    covariances : (n_key, 3, 3) Of x, y, phi in map.
+    shared : (n_key, 3, 3) Their part that is not the frame's own noise.
+    wheels : (3, 3) Of distance scale, turn scale and heading bias.
     """
     system = refined.system
     n = system.n_frames
     errors = map_surface_errors(system, refined.preconditioner, rng)
-    draws = bootstrap_scores(system, errors, rng, settings.samples)
+    draws, wheel_draws = bootstrap_scores(system, errors, rng, settings.samples)
     samples, _ = conjugate_gradients(
         system, draws, refined.preconditioner, settings.tolerance, settings.max_steps
     )
+    parameters = system.wheel_inverse @ (wheel_draws - system.wheel_coupling.T @ samples)
     deviations = samples.reshape(n, 3, -1)
     seen = system.projections
     for number in np.unique(maps):
@@ -59,7 +66,7 @@ def key_frame_covariances(
     alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
     values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
-    return covariances, shared
+    return covariances, shared, parameters @ parameters.T / settings.samples
 
 
 def _diagonal(system: ReducedSystem) -> Floats:
@@ -77,8 +84,8 @@ def _diagonal(system: ReducedSystem) -> Floats:
 
 def bootstrap_scores(
     system: ReducedSystem, errors: SurfaceErrors, rng: np.random.Generator, n_samples: int
-) -> Floats:
-    """Return right-hand sides (3 n_frames, n_samples) drawn with resampled noise."""
+) -> tuple[Floats, Floats]:
+    """Return right-hand sides (3 n_frames, n_samples) drawn with resampled noise, and those (3, n_samples) of the wheel parameters."""
     n, m = system.n_frames, len(system.inverse) // 2
     clusters, wheels = system.clusters, system.edges
     frames, patches = clusters.frame, clusters.patch
@@ -88,6 +95,7 @@ def bootstrap_scores(
     grown = np.sqrt(errors.white / (1.0 - np.minimum(leverage, MAX_LEVERAGE)))
     out, _ = right_hand_sides(system, errors.draw(clusters.middle, frames, rng, n_samples))
     roots = np.linalg.cholesky(wheels.edges.information + 1e-12 * np.eye(3))
+    by_wheels = np.zeros((3, n_samples))
     scale = np.sqrt(long_run_variance(np.einsum("eji,ej->ei", roots, system.edge_residuals)))
     for k in range(n_samples):
         sign = (grown * rng.choice([-1.0, 1.0], size=len(frames)))[:, None]
@@ -96,9 +104,9 @@ def bootstrap_scores(
         out[:, k] += pose - system.coupling @ (system.inverse * line)
         noise = np.einsum("eij,ej->ei", roots, scale * rng.normal(size=(len(wheels.edges), 3)))
         prior = np.sqrt(np.diag(wheels.prior)) * rng.normal(size=3)
-        parameters = system.wheel_inverse @ (np.einsum("eji,ej->i", wheels.by_parameters, noise) - prior)
-        out[:, k] += system.edge_rows.T @ noise.ravel() - system.wheel_coupling @ parameters
-    return out
+        by_wheels[:, k] = np.einsum("eji,ej->i", wheels.by_parameters, noise) - prior
+        out[:, k] += system.edge_rows.T @ noise.ravel()
+    return out - system.wheel_coupling @ (system.wheel_inverse @ by_wheels), by_wheels
 
 
 def long_run_variance(steps: Floats, settings: SurfaceErrorSettings = SURFACE_ERRORS) -> Floats:

@@ -50,6 +50,8 @@ class _PlacedScans:
     surfaces: LineMap
     missed: Bools
     """(n_scans,) The scan fits the map, but tracking missed it: the odometry before or after it slips."""
+    wheels: Floats
+    """(3, 3) Covariance of distance scale, turn scale and heading bias."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -91,6 +93,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         placed = _placed_again(scans, tracked, placed, smoothed)
         smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
     wheels = steps.parameters(refined.poses)
+    wheels = None if wheels is None else wheels.at_least(np.sqrt(np.diag(placed.wheels)))
     reckoned = with_dead_reckoning(placed.shared, tracked, refined, wheels)
     placed = replace(placed, shared=reckoned)
     verdict = verdict_on(run, scans, smoothed.poses, odometry, wheels)
@@ -166,7 +169,7 @@ def _place_all(
     with the odometry, so that their independent covariance is 0.
     """
     keys, n = tracked.key_frames, scans.n_scans
-    key_covariances, shared = key_frame_covariances(refined, maps, rng)
+    key_covariances, shared, by_wheels = key_frame_covariances(refined, maps, rng)
     poses = spread(tracked, refined.poses)
     matching = MATCH.for_spacing(scans.spacing)
     normals = refined.frames.placed(refined.poses)[1]
@@ -191,7 +194,13 @@ def _place_all(
             progress(int(k), n)
     missed = np.zeros(n, dtype=np.bool_)
     return _PlacedScans(
-        poses=poses, shared=covariances, own=own, matched=matched, surfaces=surfaces, missed=missed
+        poses=poses,
+        shared=covariances,
+        own=own,
+        matched=matched,
+        surfaces=surfaces,
+        missed=missed,
+        wheels=by_wheels,
     )
 
 

@@ -4,8 +4,8 @@ Gauss-Newton minimises, over the poses x_f, the lines l_p of the patches and the
 
     sum_k weight_k residual_k(x_f, l_p)²  +  sum_e |r_e(x_a, x_b, q)|²_I_e  +  |q - q_0|²_prior.
 
-Here k runs over points with Cauchy weights, and e over the wheel edges. The parameters q_0 are identified
-from the current poses. Lines and wheel parameters are eliminated exactly (Ruhnke et al. 2011; Liu and Zhang
+Here k runs over points with Cauchy weights, and e over the wheel edges. The parameters q_0 are those of wheels
+without error; each step linearises about the q that are identified from the current poses. Lines and wheel parameters are eliminated exactly (Ruhnke et al. 2011; Liu and Zhang
 2021), so that only poses remain. The reduced normal matrix, with the names of `ReducedSystem`, is
 
     blocks - coupling inverse couplingᵀ + wheels - wheel_coupling wheel_inverse wheel_couplingᵀ.
@@ -143,7 +143,7 @@ def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> Reduce
     wheel_coupling = edge_rows.T @ weighted_by.reshape(-1, 3)
     wheel_inverse = np.linalg.inv(np.einsum("eji,ejk->ik", by, weighted_by) + wheels.prior)
     wheel_gradient = edge_rows.T @ weighted.ravel() - wheel_coupling @ (
-        wheel_inverse @ np.einsum("eji,ej->i", by, weighted)
+        wheel_inverse @ (np.einsum("eji,ej->i", by, weighted) + wheels.pull)
     )
     gradient = sums_of(clusters.scores, clusters.frame, n) - coupling @ (
         inverse * sums_of(clusters.line_scores, clusters.patch, m)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -45,6 +45,12 @@ class WheelParameters:
     """Standard error of `turn_scale`."""
     heading_bias_sd: float = 0.0
     """[rad/m] standard error of `heading_bias`."""
+
+    def at_least(self, deviations: Floats) -> WheelParameters:
+        """Return the parameters with standard errors that are at least `deviations` (3,)."""
+        found = (self.way_scale_sd, self.turn_scale_sd, self.heading_bias_sd)
+        way, turn, bias = (float(sd) for sd in np.maximum(found, deviations))
+        return replace(self, way_scale_sd=way, turn_scale_sd=turn, heading_bias_sd=bias)
 
     def __str__(self) -> str:
         """Return the parameters in one line."""

@@ -30,6 +30,8 @@ class WheelEdges:
     scale and heading bias."""
     prior: Floats
     """(3, 3) Prior information of the parameters."""
+    pull: Floats
+    """(3,) Gradient of |q - q_0|²_prior / 2 at the parameters q of the edges; q_0 are those of a calibrated robot."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,6 +93,7 @@ class WheelSteps:
                 ),
                 by_parameters=np.zeros((n, 3, 3)),
                 prior=np.eye(3),
+                pull=np.zeros(3),
             )
         s = self.settings
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
@@ -113,12 +116,15 @@ class WheelSteps:
         by[:, :2, 0] = -relative[:, :2] / found.way_scale
         by[:, :2, 1], by[:, 2, 1] = -turned * self.steps[:, 2:], -self.steps[:, 2]
         by[:, :2, 2], by[:, 2, 2] = -turned * way[:, None], -way
+        prior = np.array([s.way_scale_sd, s.turn_scale_sd, s.heading_bias_sd]) ** -2.0
+        off_prior = np.array([found.way_scale - 1.0, found.turn_scale - 1.0, found.heading_bias])
         return WheelEdges(
             edges=PoseEdges(
                 first=self.first, second=self.first + 1, relative=relative, information=information
             ),
             by_parameters=by,
-            prior=np.diag(np.array([s.way_scale_sd, s.turn_scale_sd, s.heading_bias_sd]) ** -2.0),
+            prior=np.diag(prior),
+            pull=prior * off_prior,
         )
 
     def _scatter(self, off: Floats) -> Floats:
