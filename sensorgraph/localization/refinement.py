@@ -29,6 +29,9 @@ from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
 from sensorgraph.localization.wheel_edges import WheelEdges, WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 
+MAX_TURN = 0.5
+"""[rad] Largest turn of a key frame in one step: sin and cos are off their linearisation by an eighth."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReducedSystem:
@@ -246,7 +249,8 @@ def refine(
         step, _ = conjugate_gradients(
             system, -system.gradient[:, None], preconditioner, settings.tolerance, settings.max_steps
         )
-        poses = poses + step.reshape(-1, 3)
+        moved = step.reshape(-1, 3)
+        poses = poses + moved * min(1.0, MAX_TURN / max(float(np.abs(moved[:, 2]).max()), 1e-9))
         poses[:, 2] = wrap(poses[:, 2])
         progress(iteration + 1, settings.iterations + 1)
     return Refined(poses=poses, system=system, preconditioner=preconditioner, frames=frames)

@@ -1,6 +1,8 @@
-"""Wheel parameters of a map: their prior, and how well they are known."""
+"""Joint refinement of a map: steps too large to be linear, and the wheel parameters with their prior."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,9 +10,11 @@ from conftest import further
 from localization_samples import loop_poses, room_run
 
 from logs.transforms import compose
+from sensorgraph.localization import refinement
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.refinement import ReducedSystem, conjugate_gradients
 from sensorgraph.localization.settings import WHEELS
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.localization.wheels import corrected_steps
@@ -42,3 +46,24 @@ def test_prior_pulls_wheel_parameters_back_to_wheels_without_error() -> None:
     sd = np.array([WHEELS.way_scale_sd, WHEELS.turn_scale_sd, WHEELS.heading_bias_sd])
     assert off[0] == pytest.approx(0.05, abs=0.005)
     np.testing.assert_allclose(steps.at(moved).pull, off / sd**2)
+
+
+def test_last_step_beyond_what_is_linear_is_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scans that hardly determine a heading gave a step of 1123 m and 502 rad."""
+    run = room_run(loop_poses(80, laps=1))
+    calls: list[int] = []
+
+    def solve(system: ReducedSystem, rhs: np.ndarray, *args: Any) -> tuple[np.ndarray, int]:
+        calls.append(len(rhs))
+        if len(calls) != bad:
+            return conjugate_gradients(system, rhs, *args)
+        step = np.random.default_rng(0).normal(size=(len(rhs) // 3, 3)) * [500.0, 500.0, 300.0]
+        return step.reshape(-1, 1), 1
+
+    monkeypatch.setattr(refinement, "conjugate_gradients", solve)
+    bad = 0
+    usual = map_run(run)
+    bad, calls[:] = len(calls), []
+    odd = map_run(run)
+    assert len(calls) == bad > 0
+    np.testing.assert_allclose(odd.poses, usual.poses, atol=0.6)
