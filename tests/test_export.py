@@ -27,7 +27,9 @@ from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.exporting.amcl import DEFAULTS, BootstrapEstimate
 from sensorgraph.exporting.export import TARGETS, export
+from sensorgraph.exporting.nav2 import amcl_yaml
 from sensorgraph.exporting.twin import Simulator, drive_twin
 from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.loading import load_arena
@@ -264,6 +266,22 @@ def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path
     assert mask.contains(np.array([1.2, 1.2]))
     parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
     assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
+
+
+def test_numbers_of_amcl_are_floats(world: ExportedWorld) -> None:
+    """ROS 2 refuses `laser_max_range: 100`, because the parameter is a double."""
+    estimates = {
+        "z_max": BootstrapEstimate(value=0.0, low=0.0, high=0.0),
+        "laser_max_range": BootstrapEstimate(value=8.0, low=8.0, high=8.0),
+        "alpha3": BootstrapEstimate(value=1e-5, low=0.0, high=2e-5),
+    }
+    for found in ({}, estimates):
+        parameters = yaml.safe_load(amcl_yaml(found, None, world))["amcl"]["ros__parameters"]
+        numbers = {key: value for key, value in parameters.items() if key in DEFAULTS} | parameters[
+            "initial_pose"
+        ]
+        assert {key for key, value in numbers.items() if not isinstance(value, float)} == set()
+        assert numbers.keys() >= DEFAULTS.keys() and isinstance(parameters["laser_min_range"], float)
 
 
 @pytest.mark.slow

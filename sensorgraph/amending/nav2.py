@@ -8,8 +8,8 @@ from typing import Any
 import yaml
 
 from sensorgraph.amending.findings import CannotHoldError, apply, why
-from sensorgraph.amending.text import Why
-from sensorgraph.amending.yaml_text import YamlFile, as_number, child, decimal
+from sensorgraph.amending.text import Why, decimal
+from sensorgraph.amending.yaml_text import YamlFile, as_number, child
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.max_range import MAX_RANGE
 from sensorgraph.effects.min_range import MIN_RANGE

@@ -142,6 +142,12 @@ def number_text(value: float) -> str:
     return f"{value + 0.0:.6g}"
 
 
+def decimal(value: float) -> str:
+    """Return a number that YAML and ROS read as a float."""
+    digits, e, exponent = number_text(value).partition("e")
+    return f"{digits if '.' in digits else f'{digits}.0'}{e}{exponent}"
+
+
 def note(old: str | None, why: Why) -> str:
     """Return the comment on a changed number."""
     parts = [] if old is None else [f"was {old}"]

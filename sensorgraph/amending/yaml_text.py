@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from sensorgraph.amending.findings import CannotHoldError
-from sensorgraph.amending.text import TextFile, Why, note, number_text
+from sensorgraph.amending.text import TextFile, Why, decimal, note, number_text
 from sensorgraph.errors import SensorgraphError
 
 CHANGE = 1e-9
@@ -166,9 +166,3 @@ def as_number(node: Any) -> float | None:
         return float(node.value) if isinstance(node, yaml.ScalarNode) else None
     except ValueError:
         return None
-
-
-def decimal(value: float) -> str:
-    """Return a number that YAML and ROS read as a float."""
-    digits, e, exponent = number_text(value).partition("e")
-    return f"{digits if '.' in digits else f'{digits}.0'}{e}{exponent}"

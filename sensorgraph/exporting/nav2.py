@@ -10,6 +10,7 @@ import shapely
 
 from logs.run import OccupancyMap, Run
 from planners.arena import Arena
+from sensorgraph.amending.text import decimal
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.exporting.amcl import (
     DEFAULTS,
@@ -100,6 +101,7 @@ def amcl_yaml(
     """Return the text of amcl.yaml: Nav2's defaults, unless the interval of an estimate excludes them.
 
     `lambda_short`, `z_short` and `z_max` only affect the beam model; `laser_max_range` is that of the sensor.
+    Numbers are written as floats: ROS 2 refuses an integer where a parameter is a double.
     """
     lines = []
     for name, default in DEFAULTS.items():
@@ -110,11 +112,12 @@ def amcl_yaml(
                 if estimates and name in MOTION_NAMES
                 else ""
             )
-            lines.append(f"{name}: {default:g}  # Nav2's default{why}")
+            lines.append(f"{name}: {decimal(default)}  # Nav2's default{why}")
         elif found.low <= default <= found.high:
-            lines.append(f"{name}: {default:g}  # Nav2's default; estimate {found}")
+            lines.append(f"{name}: {decimal(default)}  # Nav2's default; estimate {found}")
         else:
-            lines.append(f"{name}: {found.value:.3g}  # estimate {found}; Nav2's default is {default:g}")
+            value = decimal(float(f"{found.value:.3g}"))
+            lines.append(f"{name}: {value}  # estimate {found}; Nav2's default is {default:g}")
     x, y, phi = world.start
     kind = "nav2_amcl::DifferentialMotionModel"
     comment = "Nav2's default" if model is None else str(model)
@@ -123,7 +126,7 @@ def amcl_yaml(
     return (
         "# AMCL: part of Nav2's parameter file. Intervals are 95 %, from a bootstrap over segments of the run.\n"
         f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: {laser_model}  # {comment}\n"
-        f"    laser_min_range: {world.robot.sensor.range_min:g}\n{body}\n"
+        f"    laser_min_range: {decimal(world.robot.sensor.range_min)}\n{body}\n"
         f"    set_initial_pose: true\n    initial_pose: {{x: {x:.3f}, y: {y:.3f}, z: 0.0, yaw: {phi:.3f}}}\n"
     )
 
