@@ -28,6 +28,7 @@ from sensorgraph.surveying.limited import (
     run_limited,
 )
 from sensorgraph.surveying.quantities import LABELS
+from sensorgraph.surveying.result import Fleet
 from sensorgraph.surveying.store import ResultStore, find_logs
 from sensorgraph.surveying.trends import SPREAD, SURE, odd_robots, steps_of
 
@@ -239,6 +240,22 @@ def test_a_fleet_is_one_table_and_a_second_call_analyses_only_new_logs(tmp_path:
     second = sg.fleet(bags, out, places="square", workers=1)
     assert second.n_new == 0 and second.rows == found.rows
     assert json.loads((out / "fleet.json").read_text())["rows"][0]["robot"] == "radix"
+
+
+def test_logs_of_one_robot_at_the_same_time_are_pointed_out() -> None:
+    def row(log: str, robot: str, start: float) -> dict[str, Any]:
+        return {"log": log, "robot": robot, "epoch_s": start, "length_s": 60.0}
+
+    rows = (
+        row("a/1.mcap", "amr", 0.0), row("b/1.mcap", "amr", 30.0), row("a/2.mcap", "amr", 500.0),
+        row("b/2.mcap", "amr", 500.0), row("c/1.mcap", "other", 0.0), row("c/2.mcap", "other", 60.0),
+    )  # fmt: skip
+    found = Fleet(
+        rows=rows, failures=(), same=(), changes=(), possible=(), odd=(), n_new=6, n_outdated=0
+    )  # one after the other is one robot
+    [note] = found.shared_names
+    assert note.startswith("a/1.mcap and b/1.mcap overlap in time") and "amr (and 1 more)" in note
+    assert f"note: {note}" in found.lines() and "`--name REGEX`" in note
 
 
 def test_only_failures_that_stay_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,6 +27,7 @@ def fleet_page(fleet: Fleet) -> str:
         headline=changes[0] if len(changes) == 1 else fleet.changed_robots,
         lead=[
             f"{fleet.extent}; {len(fleet.failures)} failed.",
+            *(escape(f"{one}.") for one in fleet.shared_names),
             *([] if len(changes) < 2 else [f"{one}." for one in changes[:MAX_LINES]]),
             *([f"{len(changes) - MAX_LINES} more are in the table."] if len(changes) > MAX_LINES else []),
         ],

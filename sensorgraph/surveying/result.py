@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -72,6 +73,22 @@ class Fleet:
         n, total = len({one.robot for one in self.changes}), len({str(row["robot"]) for row in self.rows})
         return f"{n} of {total} robots changed" if n else "No robot changed"
 
+    @property
+    def shared_names(self) -> list[str]:
+        """One line for each robot with logs that overlap in time, which may be those of several robots."""
+        pairs: dict[str, list[tuple[str, str]]] = {}
+        for one, later in itertools.pairwise(self.rows):  # by robot and time
+            if one["robot"] == later["robot"] and later["epoch_s"] < float(one["epoch_s"]) + float(
+                one["length_s"]
+            ):
+                pairs.setdefault(str(one["robot"]), []).append((str(one["log"]), str(later["log"])))
+        return [
+            f"{found[0][0]} and {found[0][1]} overlap in time and count as logs of one robot, {robot}"
+            f"{f' (and {len(found) - 1} more)' if len(found) > 1 else ''}; if they are of several robots, "
+            "`--name REGEX` takes the robot's name from the path"
+            for robot, found in pairs.items()
+        ]
+
     def lines(self) -> list[str]:
         """Return the summary as lines."""
         out = [f"{self.extent}; {self.n_new} analysed now, {len(self.failures)} failed"]
@@ -79,6 +96,7 @@ class Fleet:
             out.append(
                 f"{self.n_outdated} logs had results of another version or of other settings, and were analysed again"
             )
+        out += [f"note: {one}" for one in self.shared_names]
         out += [f"{self.changed_robots}{':' if self.changes else ''}", *(f"  {one}" for one in self.changes)]
         out += [
             f"{one.robot} differs from its sisters: {LABELS[one.quantity].title} "
