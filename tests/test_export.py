@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import subprocess
 import sys
@@ -282,6 +283,20 @@ def test_numbers_of_amcl_are_floats(world: ExportedWorld) -> None:
         ]
         assert {key for key, value in numbers.items() if not isinstance(value, float)} == set()
         assert numbers.keys() >= DEFAULTS.keys() and isinstance(parameters["laser_min_range"], float)
+
+
+@pytest.mark.parametrize(("target", "module"), [("mujoco", "mujoco"), ("irsim", "irsim")])
+def test_a_script_without_its_simulator_is_one_line(
+    target: str, module: str, world: ExportedWorld, tmp_path: Path
+) -> None:
+    export(world, target, tmp_path / "twin")
+    (tmp_path / f"{module}.py").write_text("raise ImportError\n")
+    made = subprocess.run(
+        [sys.executable, str(tmp_path / "twin" / "drive.py"), "plan"], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+    )  # fmt: skip
+    assert made.returncode != 0 and made.stderr.count("\n") == 1
+    assert made.stderr.startswith("error: drive.py needs") and "pip install" in made.stderr
 
 
 @pytest.mark.slow

@@ -175,7 +175,7 @@ def test_no_router_and_no_zenoh_are_one_line_each(
     assert "no zenoh router answers at tcp/127.0.0.1:" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "zenoh", None)
     assert live(7447, tmp_path / "run.mcap") == 2
-    assert "pip install sensorgraph[live]" in capsys.readouterr().err
+    assert "pip install eclipse-zenoh" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -27,7 +27,9 @@ for effect in found.effects:
 left_out = sg.export("square", "mujoco", "twin", robot="robot.yaml", effects=found.effects)
 for line in left_out:
     print("left to drive.py:", line)
-subprocess.run([sys.executable, "twin/drive.py", "plan", "-o", "twin.mcap"], check=True, capture_output=True)
+subprocess.run(
+    [sys.executable, "twin/drive.py", "plan", "-o", "twin.mcap"], check=True, stdout=subprocess.DEVNULL
+)
 
 # Compare the twin with the robot.
 twin = sg.diagnose(real, simulation="twin.mcap")

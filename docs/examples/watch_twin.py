@@ -18,7 +18,7 @@ def drive(arena, name):
     """Drive the plan in a MuJoCo world of an arena, and record it."""
     sg.export(arena, "mujoco", name)
     command = [sys.executable, f"{name}/drive.py", "plan", "-o", f"{name}.mcap"]
-    subprocess.run(command, check=True, capture_output=True)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return logs.read(f"{name}.mcap")
 
 

@@ -233,6 +233,6 @@ def _zenoh() -> Any:
         import zenoh.ext
     except ImportError as exc:
         raise LogError(
-            "recording a running robot requires zenoh, which is not installed: pip install sensorgraph[live]"
+            "recording a running robot needs zenoh; install it with: pip install eclipse-zenoh"
         ) from exc
     return zenoh

@@ -21,9 +21,7 @@ def cluster(address: str) -> Iterator[MapBlocks]:
     try:
         from distributed import Client
     except ImportError:
-        raise SensorgraphError(
-            "a cluster needs Dask; install it with: pip install 'sensorgraph[dask]'"
-        ) from None
+        raise SensorgraphError("a cluster needs Dask; install it with: pip install distributed") from None
     try:
         client: Any = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as exc:

@@ -52,7 +52,7 @@ def cluster(address: str | None, n_workers: int | None) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise SensorgraphError("fleet needs Dask; install it with: pip install 'sensorgraph[dask]'") from None
+        raise SensorgraphError("fleet needs Dask; install it with: pip install distributed") from None
     client: Any
     if address is None:
         n = n_workers or os.cpu_count() or 1

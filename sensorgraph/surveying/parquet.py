@@ -16,7 +16,7 @@ def write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> bool:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        logger.warning("fleet.parquet needs pyarrow; install it with: pip install 'sensorgraph[fleet]'")
+        logger.warning("fleet.parquet needs pyarrow; install it with: pip install pyarrow")
         return False
     table = pyarrow.Table.from_pylist([dict(row) for row in rows])
     pyarrow.parquet.write_table(table, path)

@@ -1,6 +1,6 @@
 """Drive a plan in this ir-sim world and record it: python drive.py PLAN -o run.mcap
 
-pip install ir-sim sensorgraph
+It needs sensorgraph and ir-sim: pip install 'ir-sim>=2.10'
 """
 
 from __future__ import annotations
@@ -11,8 +11,11 @@ from pathlib import Path
 import numpy as np
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-import irsim
-from irsim.lib.algorithm.ray_casting_2d import boundary_segments, cast_ray_segments
+try:
+    import irsim
+    from irsim.lib.algorithm.ray_casting_2d import boundary_segments, cast_ray_segments
+except ImportError:
+    raise SystemExit("error: drive.py needs ir-sim; install it with: pip install 'ir-sim>=2.10'") from None
 
 from sensorgraph.cli.twin import run_script
 

@@ -1,14 +1,18 @@
 """Drive a plan in this MuJoCo world and record it: python drive.py PLAN -o run.mcap
 
-pip install mujoco sensorgraph
+It needs sensorgraph and MuJoCo: pip install 'mujoco>=3.2'
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
+
+try:
+    import mujoco
+except ImportError:
+    raise SystemExit("error: drive.py needs MuJoCo; install it with: pip install 'mujoco>=3.2'") from None
 
 from sensorgraph.cli.twin import run_script
 from sensorgraph.world.robot import load_robot
