@@ -159,6 +159,26 @@ def test_a_drive_there_follows_the_plan_and_its_wheels_tell_of_it(
     assert run.meta["simulator"].startswith({"mujoco": "MuJoCo", "irsim": "ir-sim"}[target])
 
 
+def test_wheels_do_not_touch_a_wall_that_the_disc_clears(world: ExportedWorld, tmp_path: Path) -> None:
+    """A plan keeps the disc of 0.2 m clear; tyres of 0.4 m base turn 2 cm beyond it."""
+    export(world, "mujoco", tmp_path)
+    t = np.arange(0.0, 9.0, 0.05)
+    omega = 0.8 * np.minimum(t, 1.0)
+    phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
+    plan = Trajectory(
+        stamps=t, poses=np.column_stack([np.full(len(t), 0.21), np.full(len(t), 2.0), phi]),
+        twists=np.column_stack([np.zeros(len(t)), omega]), primitives=np.full(len(t), "move"),
+    )  # fmt: skip
+    run = drive_twin(simulator(tmp_path, "mujoco"), plan, world.arena, ROBOT)
+    wanted, _ = plan.at(run.pose_stamps)
+    assert np.hypot(*(run.poses[:, :2] - wanted[:, :2]).T).max() < 0.015  # noise of the reference: 2 mm
+    for target in ("mujoco", "gazebo"):
+        narrow = ExportedWorld.of(world.arena, parse_robot("footprint_radius: 0.15\n"))
+        assert any(
+            "outside the footprint of 0.3 m" in line for line in export(narrow, target, tmp_path / target)
+        )
+
+
 def test_effects_are_in_the_world_or_in_its_laser(world: ExportedWorld, tmp_path: Path) -> None:
     planted = [
         EFFECTS["range_bias"](b=0.05),
@@ -251,6 +271,15 @@ def test_sdf_holds_walls_robot_and_laser(world: ExportedWorld, tmp_path: Path) -
     assert root.findtext(".//sensor/lidar/scan/horizontal/samples") == "61"
     assert float(root.findtext(".//sensor/lidar/noise/stddev") or 0) == ROBOT.sensor.sigma
     assert float(root.findtext(".//plugin/wheel_separation") or 0) == ROBOT.wheels.base
+    bits = {
+        str(part.get("name")): int(part.findtext("surface/contact/collide_bitmask") or "0xffff", 16)
+        for part in root.iter("collision")
+    }
+    walls = [value for name, value in bits.items() if "edge" in name]
+    assert walls and all(
+        bits["left_collision"] & value == 0 != bits["body_collision"] & value for value in walls
+    )
+    assert bits["left_collision"] & bits["collision"] != 0  # the floor
     names = [element.get("name") for element in root.iter() if element.get("name")]
     assert all("/" not in (name or "") for name in names)
     compile((tmp_path / "bridge.launch.py").read_text(), "bridge.launch.py", "exec")

@@ -21,6 +21,8 @@ SYSTEMS = {
 """Name of a system of the world -> the name in its file."""
 WHEEL_WIDTH = 0.03
 """[m]"""
+WALL_BIT, TYRE_BIT = "0x01", "0x02"
+"""Bits of contacts: tyres touch the floor only, because the outline of the robot is its disc, as in a plan."""
 
 
 def write(world: ExportedWorld, folder: Path) -> list[str]:
@@ -38,7 +40,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     (folder / "world.sdf").write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     template = (files("sensorgraph.data") / "export" / "bridge.launch.py").read_text(encoding="utf-8")
     (folder / "bridge.launch.py").write_text(template, encoding="utf-8")
-    sensor, left_out = world.robot.sensor, []
+    sensor, left_out = world.robot.sensor, [*world.wide_wheels]
     if sensor.is_composite:
         left_out.append(
             "several sensors: the lidar has one fan at the mount, from the first bearing to the last"
@@ -91,6 +93,8 @@ def _add_walls(world: ExportedWorld, place: ElementTree.Element) -> None:
                 SubElement(SubElement(part, "geometry"), "box"),
                 size=_numbers(box.length, box.thickness, 2 * half),
             )
+            if kind == "collision":
+                _set_contacts(part, WALL_BIT)
     if not len(world.discs):
         return
     link = SubElement(_static(place, "round_obstacles"), "link", name="link")
@@ -101,6 +105,8 @@ def _add_walls(world: ExportedWorld, place: ElementTree.Element) -> None:
             _leaves(
                 SubElement(SubElement(part, "geometry"), "cylinder"), radius=float(radius), length=2 * half
             )
+            if kind == "collision":
+                _set_contacts(part, WALL_BIT)
 
 
 def _add_part(
@@ -112,6 +118,11 @@ def _add_part(
         _leaves(part, pose=pose)
         _leaves(SubElement(SubElement(part, "geometry"), shape), **size)
     return part
+
+
+def _set_contacts(collision: ElementTree.Element, bits: str) -> None:
+    """Let a shape touch only shapes that share a bit; without bits, a shape has all of them."""
+    _leaves(SubElement(SubElement(collision, "surface"), "contact"), collide_bitmask=bits)
 
 
 def _add_mass(link: ElementTree.Element, mass: float, radius: float, length: float, pose: str) -> None:
@@ -143,7 +154,10 @@ def _add_robot(world: ExportedWorld, place: ElementTree.Element) -> None:
         wheel = SubElement(model, "link", name=f"{side}_wheel")
         _leaves(wheel, pose=_numbers(0, y, robot.wheels.radius, -np.pi / 2, 0, 0))
         _add_mass(wheel, WHEEL_MASS, robot.wheels.radius, WHEEL_WIDTH, "0 0 0 0 0 0")
-        _add_part(wheel, side, "cylinder", "0 0 0 0 0 0", radius=robot.wheels.radius, length=WHEEL_WIDTH)
+        tyre = _add_part(
+            wheel, side, "cylinder", "0 0 0 0 0 0", radius=robot.wheels.radius, length=WHEEL_WIDTH
+        )
+        _set_contacts(tyre, TYRE_BIT)
         joint = SubElement(model, "joint", name=f"{side}_wheel_joint", type="revolute")
         _leaves(joint, parent="base_link", child=f"{side}_wheel")
         _leaves(SubElement(joint, "axis"), xyz="0 0 1")

@@ -18,6 +18,8 @@ SERVO_GAIN = 20.0
 """[N m s/rad] Gain of the wheels' speed control; without lag, a step is followed within a few milliseconds."""
 SOLREF = "0.002 1"
 """Time constant [s] and damping ratio of the tyre contact; with softer tyres the body lags its wheels."""
+TYRE_BIT, FLOOR_BITS = "2", "3"
+"""Bits of contacts: tyres touch the floor only, because the outline of the robot is its disc, as in a plan."""
 MAX_SITES = 2000
 """Maximum number of rays with a rangefinder each."""
 
@@ -46,7 +48,8 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
             )
     ElementTree.indent(root, " ")
     (folder / "scene.xml").write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-    return [] if laser else [f"rangefinders for {world.robot.sensor.n_rays} rays; drive.py casts these rays"]
+    left_out = [f"rangefinders for {world.robot.sensor.n_rays} rays; drive.py casts these rays"]
+    return [*world.wide_wheels, *([] if laser else left_out)]
 
 
 def _text(*numbers: float) -> str:
@@ -59,7 +62,7 @@ def _add_room(world: ExportedWorld, body: ElementTree.Element) -> None:
     ElementTree.SubElement(
         body, "geom", name="floor", type="plane", pos=_text((x0 + x1) / 2, (y0 + y1) / 2, 0.0),
         size=_text((x1 - x0) / 2 + 1, (y1 - y0) / 2 + 1, 0.1), rgba="0.9 0.9 0.92 1", friction="1 0.005 0.0001",
-        group=str(ROBOT_GROUP),
+        group=str(ROBOT_GROUP), contype=FLOOR_BITS, conaffinity=FLOOR_BITS,
     )  # fmt: skip
     half = world.wall_height / 2
     for box in world.boxes:
@@ -105,7 +108,7 @@ def _add_wheeled(world: ExportedWorld, robot: ElementTree.Element, actuators: El
         ElementTree.SubElement(
             wheel, "geom", name=f"{name}_tyre", type="ellipsoid", size=_text(radius, min(0.02, radius), radius),
             mass=f"{WHEEL_MASS:g}", friction="2 0.005 0.0001", solref=SOLREF, priority="1", rgba="0.14 0.15 0.18 1",
-            group=str(ROBOT_GROUP),
+            group=str(ROBOT_GROUP), contype=TYRE_BIT, conaffinity=TYRE_BIT,
         )  # fmt: skip
         lag: dict[str, Any] = {"dyntype": "filterexact", "dynprm": _text(tau)} if tau > 0 else {}
         top = (world.robot.limits.v + world.robot.limits.omega * base / 2) / radius

@@ -91,6 +91,17 @@ class ExportedWorld:
         return max(self.robot.sensor.height - BELOW_LASER - CLEARANCE, 2 * CASTER)
 
     @property
+    def wide_wheels(self) -> list[str]:
+        """One line if the wheels are outside the disc of the robot, and nothing otherwise."""
+        base, disc = self.robot.wheels.base, 2 * self.robot.footprint_radius
+        if self.robot.drive != "diff" or base <= disc:
+            return []
+        return [
+            f"contacts of the wheels with walls: they are {base:g} m apart, outside the footprint of {disc:g} m; "
+            "state wheels.base or footprint_radius in robot.yaml"
+        ]
+
+    @property
     def caster_reach(self) -> float:
         """[m] Distance from the centre of the robot to each ball."""
         return max(self.robot.footprint_radius - CASTER, 2 * CASTER)
