@@ -294,6 +294,10 @@ def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path
     mask = load(tmp_path / "keepout.yaml")
     assert not mask.contains(np.array([3.1, 0.4]))
     assert mask.contains(np.array([1.2, 1.2]))
+    steps = (tmp_path / "README.md").read_text()
+    assert steps.index("nav2_amcl amcl") < steps.index(
+        "ros2 lifecycle set"
+    )  # until then Nav2's nodes do nothing
     parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
     assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
 

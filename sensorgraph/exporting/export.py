@@ -41,7 +41,8 @@ FIRST_STEPS = {
     "python drive.py PLAN -o run.mcap                                          # drive a plan and record it",
     "gazebo": "gz sim -r world.sdf               # alone\nros2 launch ./bridge.launch.py    # with ROS 2",
     "nav2": "ros2 run nav2_map_server map_server --ros-args -p yaml_filename:=$PWD/map.yaml\n"
-    "ros2 run nav2_amcl amcl --ros-args --params-file amcl.yaml",
+    "ros2 run nav2_amcl amcl --ros-args --params-file amcl.yaml    # in a second terminal; then, in a third:\n"
+    "for node in map_server amcl; do ros2 lifecycle set /$node configure; ros2 lifecycle set /$node activate; done",
 }
 
 
