@@ -243,6 +243,19 @@ def test_a_log_too_slow_is_said_in_one_line_and_kept(
     ]
 
 
+@pytest.mark.usefixtures("no_pictures")
+def test_a_plan_without_a_robot_says_for_which_robot_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "robot.yaml").write_text("footprint_radius: 0.15\n")
+    options = ["--planner", "random_bounce", "--duration", "20", *COARSE]
+    assert cli(["plan", "square", *options, "-o", str(tmp_path / "out")]) == 0
+    assert "the shipped robot radix, a disc of 0.2 m" in capsys.readouterr().out
+    own = ["--robot", str(tmp_path / "robot.yaml")]
+    assert cli(["plan", "square", *options, *own, "-o", str(tmp_path / "out")]) == 0
+    assert "shipped robot" not in capsys.readouterr().out
+
+
 def test_a_file_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "out"
     path.write_text("")

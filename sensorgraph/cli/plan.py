@@ -119,9 +119,19 @@ def plan(
         report["arena"] = Path(place).name
     made.save(out)
     print_log_notes(*runs)
-    _print(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
+    notes = [*made.arena.notes, *([] if robot is not None else [_shipped(report)])]
+    _print(report["warnings"], [*notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
+
+
+def _shipped(report: dict[str, Any]) -> str:
+    """Return which robot was planned for if none was given."""
+    robot = report["robot"]
+    return (
+        f"planned for the shipped robot {robot['name']}, a disc of {robot['footprint_radius']:g} m; "
+        "describe yours with --robot"
+    )
 
 
 def _print(warnings: list[str], lines: list[str]) -> None:
