@@ -153,6 +153,8 @@ def test_lap_of_a_circle_is_its_period() -> None:
 def test_interval_holds_what_lies_within() -> None:
     assert Interval(mean=1.0, low=0.9, high=1.1).holds(1.05)
     assert not Interval(mean=1.0, low=0.9, high=1.1).holds(1.2)
+    same = Interval(mean=0.1995208, low=0.1995207, high=0.1995209)  # all print 0.2
+    assert same.holds(0.1995215) and not same.holds(0.201)
     assert Interval(mean=float("nan"), low=float("nan"), high=float("nan")).holds(float("nan"))
 
 

@@ -109,17 +109,19 @@ def design(
 
 def _table(found: ControllerDesign, driven: DriveQuantities | None) -> list[str]:
     """Return the prediction of every quantity, next to the value of the drive."""
+    from sensorgraph.identification.design_task import shown
+
     head = f"{'':<26}{'predicted':>14}{'95 % interval':>26}"
     lines = [head + ("" if driven is None else f"{'driven':>15}")]
     for name, (label, unit) in LABELS.items():
         interval = found.prediction[name]
-        span = f"{interval.low:.3g} to {interval.high:.3g} {unit}"
-        cells = f"{label:<26}{f'{interval.mean:.3g} {unit}':>14}{span:>26}"
+        span = f"{shown(interval.low)} to {shown(interval.high)} {unit}"
+        cells = f"{label:<26}{f'{shown(interval.mean)} {unit}':>14}{span:>26}"
         if interval.mean != interval.mean:
             cells = f"{label:<26}{'none':>14}{'':>26}"
         if driven is not None:
             value = getattr(driven, name)
-            driven_text = "none" if value != value else f"{value:.3g} {unit}"
+            driven_text = "none" if value != value else f"{shown(value)} {unit}"
             cells += f"{driven_text:>15}" + ("" if interval.holds(value) else "  outside")
         lines.append(cells.rstrip())
     return lines

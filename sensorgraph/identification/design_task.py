@@ -13,6 +13,8 @@ from sensorgraph.types import Floats
 from sensorgraph.world.drive import STANDSTILL, Clearance, ExecutedDrive
 from sensorgraph.world.robot import Robot
 
+DIGITS = 3
+"""Significant digits of a quantity. Drives at constant speed differ by 1e-6 m/s, which no robot keeps."""
 WALL_SIGMA = 0.002
 """[m] Standard deviation of the walls of a graph and of distance tables, in addition to the noise of the drives."""
 SAMPLE_STEP = 0.1
@@ -103,10 +105,19 @@ class Interval:
     """95 % prediction interval over drives (Student's t)."""
 
     def holds(self, value: float) -> bool:
-        """Return whether the interval contains a value; an unknown interval contains only an unknown value."""
+        """Return whether the interval contains a value, all rounded to DIGITS as they are printed.
+
+        An unknown interval contains only an unknown value.
+        """
         if np.isnan(self.mean) or np.isnan(value):
             return bool(np.isnan(self.mean) and np.isnan(value))
-        return self.low - 1e-9 <= value <= self.high + 1e-9
+        low, at, high = (float(shown(one)) for one in (self.low, value, self.high))
+        return low <= at <= high
+
+
+def shown(value: float) -> str:
+    """Return a quantity with DIGITS significant digits."""
+    return f"{value:.{DIGITS}g}"
 
 
 def predicted(drives: Sequence[DriveQuantities]) -> dict[str, Interval]:
