@@ -16,6 +16,7 @@ import pytest
 
 import logs
 import sensorgraph as sg
+from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.surveying.building import changed_places
 from sensorgraph.surveying.causes import Series, changes_of_wheels
@@ -256,6 +257,14 @@ def test_logs_of_one_robot_at_the_same_time_are_pointed_out() -> None:
     [note] = found.shared_names
     assert note.startswith("a/1.mcap and b/1.mcap overlap in time") and "amr (and 1 more)" in note
     assert f"note: {note}" in found.lines() and "`--name REGEX`" in note
+
+
+def test_a_fleet_without_a_usable_log_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed")
+    (tmp_path / "note.txt").write_text("no log")
+    assert cli(["fleet", str(tmp_path / "note.txt"), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert "note.txt" in said.out and said.err.splitlines()[-1].startswith("error: no log could be analysed")
 
 
 def test_only_failures_that_stay_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,6 +48,7 @@ def fleet(
     from logs import parse_topics
     from sensorgraph.cli.inputs import check_folder
     from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.surveying.fleet import fleet as survey_all
     from sensorgraph.surveying.limited import TaskLimits
 
@@ -61,3 +62,5 @@ def fleet(
     for line in found.lines():
         typer.echo(line)
     typer.echo(f"wrote {out}; open {out / 'fleet.html'}")
+    if not found.rows:
+        raise SensorgraphError("no log could be analysed; the reasons are above and in fleet.html")
