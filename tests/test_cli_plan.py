@@ -100,7 +100,7 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
 @pytest.mark.parametrize(
     ("other", "said"),
     [({}, ", at most 20 % longer than the best drive of turns and straight moves"), ({"interrupted": True}, ""), ({"budget_s": 9.0}, ""),
-     ({"robot": {"drive": "dubins"}}, ""), ({"planner": "views"}, "")],
+     ({"robot": {"drive": "dubins"}}, ""), ({"planner": "views"}, ""), ({"coverage_before": 0.9}, "")],
 )  # fmt: skip
 def test_only_a_plan_that_covers_all_by_turning_is_compared_with_the_bound(
     other: dict[str, object], said: str
@@ -110,6 +110,7 @@ def test_only_a_plan_that_covers_all_by_turning_is_compared_with_the_bound(
         "drive_time_s": 120.0,
         "planner": "coverage",
         "robot": {"drive": "diff"},
+        "coverage_before": 0.0,
     }
     assert _above(report | other) == said
 

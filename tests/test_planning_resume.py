@@ -23,7 +23,7 @@ from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import default_robot
 
 
-def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None) -> Path:
+def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None, robot: str | None = None) -> Path:
     """Record a scan at each pose, ten a second."""
     sensor = RangeSensor(bearings=np.linspace(-1, 1, 5), range_max=8.0)
     with Recorder(path, sensor=sensor) as recorder:
@@ -32,6 +32,8 @@ def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None) -> Path:
             recorder.scan(0.1 * k, np.ones(5))
         if arena is not None:
             recorder.attach("arena.geojson", geojson.dumps(arena).encode())
+        if robot is not None:
+            recorder.attach("robot.yaml", robot.encode())
     return path
 
 
@@ -76,6 +78,15 @@ def test_a_run_whose_poses_lie_elsewhere_is_refused(tmp_path: Path) -> None:
     run = recorded(tmp_path / "run.mcap", DRIVE + [20.0, 0.0, 0.0])
     with pytest.raises(PlanError, match="0 % of its poses lie in the free space of this arena"):
         driven_poses(read(run), shipped("square"))
+
+
+def test_a_run_is_resumed_with_its_own_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = "{name: rover, footprint_radius: 0.3}"
+    run = recorded(tmp_path / "run.mcap", DRIVE, shipped("square"), robot)
+    options = ["--cell", "1", "--headings", "4", "--resume", str(run)]
+    assert cli(["plan", *options, "-o", str(tmp_path / "out")]) == 0
+    assert "planned for the run's robot rover, a disc of 0.3 m" in capsys.readouterr().out
+    assert "0.3" in (tmp_path / "out" / "robot.yaml").read_text()
 
 
 def test_an_empty_run_is_one_line_and_leaves_nothing(

@@ -132,7 +132,10 @@ def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
     robot.close()
     said = capsys.readouterr().out
     assert "of the plan's 1" in said and "missing in" in said and "headings" in said
-    assert "sensorgraph plan ARENA --resume" in said and "the plan is covered; wrote" in said
+    assert (
+        f"sensorgraph plan ARENA --resume {tmp_path / 'run.mcap'} --cell 0.5 --headings 4 -o" in said
+        and "the plan is covered; wrote" in said
+    )
     assert "plan.json" in logs.read(tmp_path / "run.mcap").attachments
 
 

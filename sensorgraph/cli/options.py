@@ -83,6 +83,10 @@ PlanArena = Annotated[
         "default: the arena kept in the --resume run, else that of --graph."
     ),
 ]
+PlanRobot = Annotated[
+    Path | None,
+    typer.Option(help="robot.yaml; default: the robot kept in the --resume run, else the shipped robot."),
+]
 PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the plan.")]
 PlanPlanner = Annotated[
     str,

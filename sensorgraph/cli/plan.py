@@ -28,17 +28,18 @@ from sensorgraph.cli.options import (
     PlanPlanner,
     PlanPriority,
     PlanResume,
+    PlanRobot,
     PlanSeed,
     PlanStart,
     PlanViews,
     PosesFrom,
-    RobotFile,
 )
 
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.world.robot import Robot
 
 INTERRUPTED = 130
 
@@ -46,7 +47,7 @@ INTERRUPTED = 130
 def plan(
     out: PlanOut,
     arena: PlanArena = None,
-    robot: RobotFile = None,
+    robot: PlanRobot = None,
     planner: PlanPlanner = "coverage",
     order: PlanOrder = None,
     views: PlanViews = None,
@@ -102,7 +103,7 @@ def plan(
     counted = "bins" if planner == "coverage" and views is None else "stops"
     with progress_with_status("planning", counted) as (tick, set_status):
         made = make_plan(
-            _arena_in(place, opened), robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
+            _arena_in(place, opened), robot or _robot_in(runs), planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             no_go=[zone for given in no_go or [] for zone in zones(given)],
@@ -119,19 +120,26 @@ def plan(
         report["arena"] = Path(place).name
     made.save(out)
     print_log_notes(*runs)
-    notes = [*made.arena.notes, *([] if robot is not None else [_shipped(report)])]
+    notes = [*made.arena.notes, *_robot_note(report, robot, _robot_in(runs))]
     _print(report["warnings"], [*notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
 
 
-def _shipped(report: dict[str, Any]) -> str:
-    """Return which robot was planned for if none was given."""
-    robot = report["robot"]
-    return (
-        f"planned for the shipped robot {robot['name']}, a disc of {robot['footprint_radius']:g} m; "
-        "describe yours with --robot"
-    )
+def _robot_in(runs: list[Run]) -> Robot | None:
+    """Return the robot that the first of some runs keeps."""
+    from sensorgraph.loading import robot_in
+
+    return next((robot for run in runs if (robot := robot_in(run)) is not None), None)
+
+
+def _robot_note(report: dict[str, Any], given: Path | None, kept: Robot | None) -> list[str]:
+    """Return one line about the robot of the plan if none was given."""
+    if given is not None:
+        return []
+    robot, whose = report["robot"], "the shipped" if kept is None else "the run's"
+    size = f"a disc of {robot['footprint_radius']:g} m"
+    return [f"planned for {whose} robot {robot['name']}, {size}; --robot gives another"]
 
 
 def _print(warnings: list[str], lines: list[str]) -> None:
@@ -218,10 +226,10 @@ def _summary(report: dict[str, Any]) -> str:
 
 
 def _above(report: dict[str, Any]) -> str:
-    """Return the excess over the lower bound of the time, for a complete plan of a robot that turns in place."""
+    """Return the excess over the lower bound of the time, for a complete first plan of a robot that turns in place."""
     bound, is_cut = report["lower_bound_s"], "budget_s" in report or report.get("interrupted", False)
     covers = report["planner"] in ("coverage", "stop_and_spin") and report["robot"]["drive"] == "diff"
-    if bound <= 0 or is_cut or not covers:
+    if bound <= 0 or is_cut or not covers or report["coverage_before"]:
         return ""
     return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % longer than the best drive of turns and straight moves"
 

@@ -107,7 +107,9 @@ def record_live(
     if coverage is not None:
         typer.echo(coverage.sentence())
         if coverage.missing.any():
-            typer.echo(f"plan the missing bins: sensorgraph plan ARENA --resume {out} -o rest")
+            where = "" if "arena.geojson" in kept else " ARENA"
+            grid = f"--cell {coverage.driven.cell:g} --headings {coverage.planned.shape[2]}"
+            typer.echo(f"plan the missing bins: sensorgraph plan{where} --resume {out} {grid} -o rest")
     typer.echo(f"{why}; wrote {out}")
     if code:
         raise typer.Exit(code)

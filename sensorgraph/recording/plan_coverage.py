@@ -103,7 +103,8 @@ class PlanCoverage:
             f"({x:.2f}, {y:.2f}) {by_cell.ravel()[k]} of {self.planned.sum(axis=2).ravel()[k]} headings"
             for (x, y), k in zip(places.tolist(), worst.tolist(), strict=True)
         )
+        n_cells = int((by_cell > 0).sum())
         return (
             f"{100 * self.share:.1f} % of the plan's {total:,} bins have a pose; {n_missing:,} missing in "
-            f"{int((by_cell > 0).sum()):,} cells, most at {named}"
+            f"{n_cells:,} cell{'' if n_cells == 1 else 's'}, most at {named}"
         )
