@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from fnmatch import fnmatchcase
 from functools import partial
 from multiprocessing import get_context
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import benchmarks.fuzz.structure
+from benchmarks.arguments import parser_of
 from benchmarks.fuzz.structure import drives
 from benchmarks.fuzz.structure.cases import case_of_job, draft_of, jobs_of
 from benchmarks.fuzz.structure.judge import Outcome
@@ -62,10 +63,7 @@ def table(results: Sequence[Outcome]) -> list[str]:
 
 def main() -> int:
     """Fuzz, print a table, and return 1 if anything crashed or was silently wrong."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.fuzz.structure",
-        description=benchmarks.fuzz.structure.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = parser_of(benchmarks.fuzz.structure.__doc__)
     parser.add_argument("--n", type=int, default=1000, help="number of logs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
@@ -104,7 +102,7 @@ def main() -> int:
             results.append(one)
             if given.keep is not None:
                 with given.keep.open("a") as file:
-                    file.write(json.dumps(one.to_dict()) + "\n")
+                    file.write(json.dumps(asdict(one)) + "\n")
     print("\n".join(table(results)))
     print(f"{len(results):,} logs, {len(jobs):,} of them now, in {time.monotonic() - began:.0f} s")
     return int(any(one.is_crash or one.is_silent for one in results))

@@ -70,7 +70,7 @@ def _header(index_pos: int, n_connections: int, n_chunks: int) -> bytes:
 
 def bag20(draft: Draft, style: Style = Style()) -> bytes:
     """Return a bag of version 2.0."""
-    sources = list(dict.fromkeys([(item.topic, item.kind) for item in draft.items] + draft.empty))
+    sources = draft.sources
     links = [
         _record({"op": b"\x07", "conn": _u4(i), "topic": topic.encode()}, _fields(_about(draft, topic, kind)))
         for i, (topic, kind) in enumerate(sources)

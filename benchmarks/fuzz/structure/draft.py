@@ -103,9 +103,31 @@ class Draft:
         """The messages of the laser that is located."""
         return [item for item in self.items if item.scan >= 0]
 
+    @property
+    def sources(self) -> list[tuple[str, str]]:
+        """Each topic with a type of its messages."""
+        return list(dict.fromkeys([(item.topic, item.kind) for item in self.items] + self.empty))
+
     def keep(self, wanted: Callable[[Item], bool]) -> None:
         """Drop all other messages."""
         self.items = [item for item in self.items if wanted(item)]
+
+    def drop(self, *topics: str) -> None:
+        """Drop the messages of topics."""
+        self.keep(lambda item: item.topic not in topics)
+
+    def drop_odometry(self) -> None:
+        """Drop the odometry, which the reader then need not find."""
+        self.drop("/odom", "/tf")
+        self.expects.discard("odom")
+
+    def add_static(self, *edges: tuple[str, str, Floats]) -> None:
+        """Add a message of static transforms (parent, child, value)."""
+        self.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": [*edges]}))
+
+    def add_transform(self, t: float, edge: tuple[str, str, Floats]) -> None:
+        """Add a message with a transform at a time [s]."""
+        self.add(Item("/tf", "TFMessage", t, logged(t, self.rng), "", {"transforms": [edge]}))
 
     def rename(self, old: str, new: str) -> None:
         """Rename a topic."""
@@ -224,8 +246,7 @@ def base_draft(drive: Drive, rng: np.random.Generator, laser: Laser) -> Draft:
             Item("/odom", "Odometry", t, log, "odom", value),
             Item("/tf", "TFMessage", t, log + 1e-4, "", {"transforms": [("odom", "base_link", vec7(*pose))]}),
         )
-    static = [("base_link", "laser", vec7(*mount_of(laser), z=0.25))]
-    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
+    draft.add_static(("base_link", "laser", vec7(*mount_of(laser), z=0.25)))
     for t, command in zip(drive.cmd_times, drive.commands, strict=True):
         draft.add(Item("/cmd_vel", "Twist", t, logged(t, rng), "", {"twist": _six(command)}))
     return draft
@@ -257,7 +278,7 @@ def rear_scans(draft: Draft, *, topic: str, frame: str, n: int = 180, every: int
         }  # fmt: skip
         draft.add(Item(topic, "LaserScan", at, logged(at, draft.rng), frame, content))
     mount = vec7(*REAR_MOUNT, np.pi, z=0.2)
-    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": [("base_link", frame, mount)]}))
+    draft.add_static(("base_link", frame, mount))
 
 
 def _six(twist: Floats) -> Floats:

@@ -7,7 +7,7 @@ import io
 import re
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import logs
-from benchmarks.fuzz.judge import judge
+from benchmarks.fuzz.judge import OURS, judge
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, compose, inverse, ray_times
 from benchmarks.fuzz.structure.drives import Floats
 from logs.ros.recording import parse_topics
@@ -95,10 +95,6 @@ class Outcome:
         """Whether `locate` located the run."""
         return self.locate == "ok" and self.ok >= USED_SHARE
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return asdict(self)
-
 
 def _ended(action: Callable[[], object]) -> tuple[str, str]:
     """Run a command; return how it ended and the line of a refusal."""
@@ -107,19 +103,13 @@ def _ended(action: Callable[[], object]) -> tuple[str, str]:
     def run() -> None:
         try:
             action()
-        except (logs.LogError, *_ours()) as exc:
+        except (logs.LogError, *OURS) as exc:
             line.append(str(exc))
             raise
 
     with contextlib.redirect_stderr(io.StringIO()):
         wrong = judge(run, SECONDS)
     return (wrong, "") if wrong else ("refused" if line else "ok", line[0] if line else "")
-
-
-def _ours() -> tuple[type[Exception], ...]:
-    from benchmarks.fuzz.judge import OURS
-
-    return OURS
 
 
 def look(draft: Draft, path: Path, kind: str, seed: int) -> Outcome:
@@ -164,7 +154,7 @@ def look(draft: Draft, path: Path, kind: str, seed: int) -> Outcome:
     if found is not None and run is not None:
         ok = np.array(found.status) == "ok"
         out.ok = float(ok.mean())
-        _compare(out, draft, run, found, ok, locate_said="\n".join([*out.notes]))
+        _compare(out, draft, run, found, ok, locate_said="\n".join(out.notes))
     return out
 
 
@@ -294,8 +284,6 @@ def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Fl
         if "yaw" in gauges:
             start[free.index("bphi")] = turn
         start[:3] = compose(poses[k], inverse(compose(truth[k], np.array([0.0, 0.0, turn]))))
-        fit = least_squares(
-            lambda v: (difference(v) * [50.0, 50.0, 50.0]).ravel(), start, loss="soft_l1", x_scale="jac"
-        )
+        fit = least_squares(lambda v: (50.0 * difference(v)).ravel(), start, loss="soft_l1", x_scale="jac")
         best = fit if best is None or fit.cost < best.cost else best
     return difference(best.x)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Laser
-from benchmarks.fuzz.structure.start import Start, named
+from benchmarks.fuzz.structure.start import Start, named, of
 
 
-def varying_rays(start: Start) -> Draft:
+@of(spins=True)
+def varying_rays(start: Start, draft: Draft) -> None:
     """A driver sends a few rays more or less in each scan, over the same angle."""
-    draft = start.draft(spins=True)
     few = start.pick((1, 3, 10))
     for item in draft.scans:
         c = item.content
@@ -29,19 +29,16 @@ def varying_rays(start: Start) -> Draft:
         c["intensities"] = (
             np.zeros(0) if not len(c["intensities"]) else item.scan + np.linspace(0.25, 0.75, n)
         )
-    return draft
 
 
-def few_scans(start: Start) -> Draft:
-    draft = start.draft()
+def few_scans(start: Start, draft: Draft) -> None:
     n = start.pick((0, 1, 2, 3, 5, 9, 10, 12, 20, 40))
     kept = draft.scans[60 : 60 + n]
-    draft.keep(lambda item: item.topic != "/scan")
+    draft.drop("/scan")
     draft.add(*kept)
     draft.usable = n >= 10
     if n == 0:
         draft.empty = [("/scan", "LaserScan")]
-    return draft
 
 
 def few_rays(start: Start) -> Draft:
@@ -61,62 +58,48 @@ def narrow(start: Start) -> Draft:
     return draft
 
 
-def empty_scans(start: Start) -> Draft:
+def empty_scans(start: Start, draft: Draft) -> None:
     """Some messages have no rays at all."""
-    draft = start.draft()
     for item in draft.scans:
         if start.chance(0.1):
             item.content |= {"ranges": np.zeros(0), "intensities": np.zeros(0)}
-    return draft
 
 
-def blind_stretch(start: Start) -> Draft:
+def blind_stretch(start: Start, draft: Draft) -> None:
     """For some seconds no ray returns."""
-    draft = start.draft()
     first, last = sorted(start.rng.uniform(3, 18, 2))
     for item in draft.scans:
         if first < item.stamp < min(last, first + 5):
             item.content["ranges"] = np.full(len(item.content["ranges"]), start.pick((np.inf, 0.0)))
-    return draft
 
 
-def gap_of_scans(start: Start) -> Draft:
-    draft = start.draft()
+def gap_of_scans(start: Start, draft: Draft) -> None:
     at, width = float(start.rng.uniform(4, 14)), start.pick((0.5, 2.0, 5.0))
     draft.keep(lambda item: item.topic != "/scan" or not at < item.stamp < at + width)
-    return draft
 
 
-def gap_of_odometry(start: Start) -> Draft:
-    draft = start.draft()
+def gap_of_odometry(start: Start, draft: Draft) -> None:
     at, width = float(start.rng.uniform(4, 14)), start.pick((0.5, 2.0, 5.0))
     draft.keep(lambda item: item.topic not in ("/odom", "/tf") or not at < item.stamp < at + width)
-    return draft
 
 
-def gap_of_all(start: Start) -> Draft:
+def gap_of_all(start: Start, draft: Draft) -> None:
     """Nothing is recorded for a while, and the robot has moved on."""
-    draft = start.draft()
     at, width = float(start.rng.uniform(4, 12)), start.pick((1.0, 3.0, 6.0))
     draft.keep(lambda item: item.topic == "/tf_static" or not at < item.stamp < at + width)
-    return draft
 
 
-def pause(start: Start) -> Draft:
+def pause(start: Start, draft: Draft) -> None:
     """The recorder is stopped and started again an hour later, where the robot still stands."""
-    draft = start.draft()
     at = float(start.rng.uniform(6, 14))
     for item in draft.items:
         late = 3600.0 * (item.stamp > at)
         item.stamp, item.log, item.arrival = item.stamp + late, item.log + late, item.arrival + late
-    return draft
 
 
-def lost_scans(start: Start) -> Draft:
-    draft = start.draft()
+def lost_scans(start: Start, draft: Draft) -> None:
     share = start.pick((0.1, 0.5))
     draft.keep(lambda item: item.topic != "/scan" or start.rng.random() > share)
-    return draft
 
 
 def rare_scans(start: Start) -> Draft:
@@ -124,36 +107,30 @@ def rare_scans(start: Start) -> Draft:
     return start.draft(every=start.pick((5, 10, 20)))
 
 
-def rare_odometry(start: Start) -> Draft:
-    draft = start.draft()
+def rare_odometry(start: Start, draft: Draft) -> None:
     every = start.pick((5, 25, 50))
     for topic in ("/odom", "/tf"):
         kept = {id(item) for item in draft.on(topic)[::every]}
         draft.keep(lambda item, topic=topic, kept=kept: item.topic != topic or id(item) in kept)  # type: ignore[misc]
-    return draft
 
 
-def short_odometry(start: Start) -> Draft:
+def short_odometry(start: Start, draft: Draft) -> None:
     """Odometry starts late or ends early."""
-    draft = start.draft()
     first, last = start.pick(((6.0, 99.0), (0.0, 12.0), (5.0, 15.0), (0.0, 0.25), (-1.0, -0.5)))
     draft.keep(lambda item: item.topic not in ("/odom", "/tf") or first < item.stamp < last)
     if last < 1:
         draft.expects.discard("odom")
-    return draft
 
 
-def short_pose(start: Start) -> Draft:
-    draft = start.draft(reference=1.0)
+@of(reference=1.0)
+def short_pose(start: Start, draft: Draft) -> None:
     first, last = start.pick(((6.0, 99.0), (0.0, 12.0), (0.0, 0.3)))
     draft.keep(lambda item: item.topic != "/pose" or first < item.stamp < last)
     draft.expects.discard("pose")
-    return draft
 
 
-def standing(start: Start) -> Draft:
+def standing(start: Start, draft: Draft) -> None:
     """The robot never moves."""
-    draft = start.draft()
     still = replace(draft.drive, poses=np.repeat(draft.drive.poses[:1], len(draft.drive.poses), axis=0),
                     odometry=np.zeros_like(draft.drive.odometry))  # fmt: skip
     first = draft.scans[0].content["ranges"]
@@ -168,22 +145,18 @@ def standing(start: Start) -> Draft:
             item.content["transforms"] = [("odom", "base_link", np.r_[np.zeros(6), 1.0])]
     draft.drive = still
     draft.expects = set()
-    return draft
 
 
-def spin(start: Start) -> Draft:
-    draft = start.draft(drive="spin")
+@of(drive="spin")
+def spin(start: Start, draft: Draft) -> None:
     if start.chance():
-        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
-        draft.expects.discard("odom")
-    return draft
+        draft.drop_odometry()
 
 
 def corridor(start: Start) -> Draft:
     draft = start.draft(drive="corridor", range_max=start.pick((5.0, 8.0)))
     if start.chance():
-        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
-        draft.expects.discard("odom")
+        draft.drop_odometry()
         draft.usable = False
         draft.said = "ambiguous|along|corridor"
     return draft
@@ -195,18 +168,16 @@ def short_range(start: Start) -> Draft:
     return draft
 
 
-def dense_odometry(start: Start) -> Draft:
+def dense_odometry(start: Start, draft: Draft) -> None:
     """Two hundred messages of odometry a second."""
-    draft = start.draft()
     times = np.arange(0.0, draft.drive.odom_times[-1], 0.005)
     poses = np.stack([np.interp(times, draft.drive.odom_times, c) for c in draft.drive.odometry.T], axis=1)
     from benchmarks.fuzz.structure.draft import Item, logged, vec7
 
-    draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
+    draft.drop("/odom", "/tf")
     for t, pose in zip(times, poses, strict=True):
         content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": "base_link"}
         draft.add(Item("/odom", "Odometry", t, logged(t, draft.rng), "odom", content))
-    return draft
 
 
 COUNTS = named(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Floats, Item, compose, inverse, logged, mount_of, vec7
-from benchmarks.fuzz.structure.start import LASERS, Start, named
+from benchmarks.fuzz.structure.start import LASERS, Start, named, of
 
 
 def _planar(value: Floats) -> Floats:
@@ -20,22 +20,18 @@ def _turned(start: Start, yaw: float) -> Draft:
     return start.draft(replace(laser, yaw=yaw, first=round(laser.first + yaw)))
 
 
-def prefixed(start: Start) -> Draft:
-    draft = start.draft()
+def prefixed(start: Start, draft: Draft) -> None:
     prefix = start.pick(("robot1/", "/robot1/", "robot_1/base/"))
     draft.frames(lambda name: prefix + name if name not in ("", "map") else name)
-    return draft
 
 
-def leading_slash(start: Start) -> Draft:
-    draft = start.draft()
+def leading_slash(start: Start, draft: Draft) -> None:
     some = start.pick((("laser",), ("laser", "base_link"), ("odom", "base_link", "laser", "map")))
     if start.chance():  # the messages only, not the transforms
         for item in draft.items:
             item.frame = "/" + item.frame if item.frame in some else item.frame
     else:
         draft.frames(lambda name: "/" + name if name in some else name)
-    return draft
 
 
 def other_names(start: Start) -> Draft:
@@ -49,83 +45,68 @@ def other_names(start: Start) -> Draft:
     return draft
 
 
-def no_mount(start: Start) -> Draft:
-    draft = start.draft()
-    draft.keep(lambda item: item.topic != "/tf_static")
+def no_mount(start: Start, draft: Draft) -> None:
+    draft.drop("/tf_static")
     draft.gauges.add("lever")
     draft.said = "no transform|mount"
-    return draft
 
 
 def no_mount_turned(start: Start) -> Draft:
     """A laser that looks backwards or sideways, and no transform says so."""
     draft = _turned(start, start.pick((180.0, 90.0, -90.0, 30.0)))
-    draft.keep(lambda item: item.topic != "/tf_static")
+    draft.drop("/tf_static")
     draft.gauges.add("lever")
     draft.said = "turned|backwards|yaw|180"
     return draft
 
 
-def no_frame(start: Start) -> Draft:
-    draft = start.draft()
+def no_frame(start: Start, draft: Draft) -> None:
     for item in draft.on("/scan"):
         item.frame = ""
     draft.gauges.add("lever")
-    return draft
 
 
-def frame_is_base(start: Start) -> Draft:
-    draft = start.draft()
-    draft.keep(lambda item: item.topic != "/tf_static")
+def frame_is_base(start: Start, draft: Draft) -> None:
+    draft.drop("/tf_static")
     for item in draft.on("/scan"):
         item.frame = "base_link"
     draft.gauges.add("lever")
-    return draft
 
 
-def inverted_mount(start: Start) -> Draft:
-    draft = start.draft()
+def inverted_mount(start: Start, draft: Draft) -> None:
 
     def invert(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
         return [(b, a, vec7(*inverse(_planar(value)), z=-value[2]))] if b == "laser" else [(a, b, value)]
 
     draft.edges(invert)
-    return draft
 
 
-def inverted_odometry(start: Start) -> Draft:
+@of(reference=0.0)
+def inverted_odometry(start: Start, draft: Draft) -> None:
     """The tree hangs from base_link: base_link -> odom."""
-    draft = start.draft(reference=0.0)
     draft.edges(
         lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))] if a == "odom" else [(a, b, value)]
     )
     if start.chance():
-        draft.keep(lambda item: item.topic != "/odom")
-    return draft
+        draft.drop("/odom")
 
 
-def map_below_odom(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def map_below_odom(start: Start, draft: Draft) -> None:
     for t, odometry in list(zip(draft.drive.odom_times, draft.drive.odometry, strict=True))[::5]:
         shift = compose(odometry, inverse(draft.drive.pose_at(t)))
-        edges = {"transforms": [("odom", "map", vec7(*shift))]}
-        draft.add(Item("/tf", "TFMessage", t, logged(t, draft.rng), "", edges))
+        draft.add_transform(t, ("odom", "map", vec7(*shift)))
     draft.expects.add("pose")
-    return draft
 
 
-def footprint_root(start: Start) -> Draft:
-    draft = start.draft()
+def footprint_root(start: Start, draft: Draft) -> None:
     height = start.pick((0.0, 0.1, 0.33))
     draft.frames(lambda name: "base_footprint" if name == "base_link" else name)
     draft.edges(lambda a, b, value: [("base_link", b, value)] if b == "laser" else [(a, b, value)])
-    static = [("base_footprint", "base_link", vec7(0.0, 0.0, 0.0, z=height))]
-    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
-    return draft
+    draft.add_static(("base_footprint", "base_link", vec7(0.0, 0.0, 0.0, z=height)))
 
 
-def long_chain(start: Start) -> Draft:
-    draft = start.draft()
+def long_chain(start: Start, draft: Draft) -> None:
     mount = mount_of(draft.laser)
     turn = np.array([0.2, -0.1, float(start.rng.uniform(-3, 3))])
     chain = [
@@ -137,31 +118,25 @@ def long_chain(start: Start) -> Draft:
     if start.chance():  # each transform in a message, some of them in /tf
         parts = [replace(item, content={"transforms": [edge]}, topic=start.pick(("/tf", "/tf_static")))
                  for item in draft.on("/tf_static") for edge in item.content["transforms"]]  # fmt: skip
-        draft.keep(lambda item: item.topic != "/tf_static")
+        draft.drop("/tf_static")
         draft.add(*parts)
-    return draft
 
 
-def static_in_tf(start: Start) -> Draft:
-    draft = start.draft()
+def static_in_tf(start: Start, draft: Draft) -> None:
     static = draft.on("/tf_static")[0].content
-    draft.keep(lambda item: item.topic != "/tf_static")
+    draft.drop("/tf_static")
     period = start.pick((0.02, 0.5, 5.0))
     draft.add(*(Item("/tf", "TFMessage", t + start.pick((0.0, 0.1)), logged(t, draft.rng), "", static)
                 for t in np.arange(0.0, 21.0, period)))  # fmt: skip
-    return draft
 
 
-def static_repeated(start: Start) -> Draft:
-    draft = start.draft()
+def static_repeated(start: Start, draft: Draft) -> None:
     first = draft.on("/tf_static")[0]
     draft.add(*(replace(first, stamp=t, log=t, arrival=t) for t in (3.0, 9.0, 15.0)))
-    return draft
 
 
-def several_in_one(start: Start) -> Draft:
+def several_in_one(start: Start, draft: Draft) -> None:
     """Each message of /tf holds many transforms: wheels, casters, an arm."""
-    draft = start.draft()
     for item in draft.on("/tf"):
         angle = 5.0 * item.stamp
         more = [("base_link", f"wheel_{i}", vec7(0.0, 0.2 * i, 0.0, pitch=angle)) for i in (-1, 1)]
@@ -170,7 +145,6 @@ def several_in_one(start: Start) -> Draft:
             *item.content["transforms"],
             ("torso", "head", vec7(0.0, 0.0, 0.1)),
         ]
-    return draft
 
 
 def upside_down(start: Start) -> Draft:
@@ -201,86 +175,66 @@ def any_yaw(start: Start) -> Draft:
     return _turned(start, float(start.rng.integers(-179, 180)))
 
 
-def tilted_little(start: Start) -> Draft:
-    draft = start.draft()
+def tilted_little(start: Start, draft: Draft) -> None:
     roll, pitch = np.radians(start.rng.uniform(-3.0, 3.0, 2))
     mount = vec7(*mount_of(draft.laser), z=0.25, roll=roll, pitch=pitch)
     draft.edges(lambda a, b, value: [(a, b, mount)] if b == "laser" else [(a, b, value)])
-    return draft
 
 
-def high_mount(start: Start) -> Draft:
-    draft = start.draft()
+def high_mount(start: Start, draft: Draft) -> None:
     draft.edges(
         lambda a, b, value: (
             [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])] if b == "laser" else [(a, b, value)]
         )
     )
-    return draft
 
 
-def two_parents(start: Start) -> Draft:
+@of(reference=0.0)
+def two_parents(start: Start, draft: Draft) -> None:
     """A localizer publishes map -> base_link beside odom -> base_link."""
-    draft = start.draft(reference=0.0)
     for t in np.arange(0.05, 21.0, start.pick((0.1, 0.5))):
-        edges = {"transforms": [("map", "base_link", vec7(*draft.drive.pose_at(t)))]}
-        draft.add(Item("/tf", "TFMessage", t, logged(t, draft.rng), "", edges))
+        draft.add_transform(t, ("map", "base_link", vec7(*draft.drive.pose_at(t))))
     draft.expects.add("pose")
-    return draft
 
 
-def two_trees(start: Start) -> Draft:
-    draft = start.draft()
-    static = [("table", "camera", vec7(1.0, 1.0, 0.0)), ("world", "table", vec7(3.0, 0.0, 0.0))]
-    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
-    return draft
+def two_trees(start: Start, draft: Draft) -> None:
+    draft.add_static(("table", "camera", vec7(1.0, 1.0, 0.0)), ("world", "table", vec7(3.0, 0.0, 0.0)))
 
 
-def world_above_map(start: Start) -> Draft:
-    draft = start.draft()
-    static = [("world", "map", vec7(3.0, 1.0, 0.5)), ("map", "odom", vec7(0.0, 0.0, 0.0))]
-    draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": static}))
-    return draft
+def world_above_map(start: Start, draft: Draft) -> None:
+    draft.add_static(("world", "map", vec7(3.0, 1.0, 0.5)), ("map", "odom", vec7(0.0, 0.0, 0.0)))
 
 
-def no_child(start: Start) -> Draft:
-    draft = start.draft()
+def no_child(start: Start, draft: Draft) -> None:
     for item in draft.on("/odom"):
         item.content = item.content | {"child": ""}
     if start.chance():
-        draft.keep(lambda item: item.topic != "/tf")
-    return draft
+        draft.drop("/tf")
 
 
-def frame_changes(start: Start) -> Draft:
+def frame_changes(start: Start, draft: Draft) -> None:
     """A driver is started again with another frame name, which is in the tree too."""
-    draft = start.draft()
     for item in draft.on("/scan"):
         item.frame = "laser" if item.stamp < 12.0 else "laser_frame"
     draft.edges(
         lambda a, b, value: [(a, b, value), (a, "laser_frame", value)] if b == "laser" else [(a, b, value)]
     )
-    return draft
 
 
-def rounded_quaternion(start: Start) -> Draft:
-    draft = start.draft()
+def rounded_quaternion(start: Start, draft: Draft) -> None:
     sign = start.pick((1.0, -1.0))
 
     def rough(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
         return [(a, b, np.r_[value[:3], sign * np.round(value[3:], 4) * 1.003])]
 
     draft.edges(rough)
-    return draft
 
 
-def late_transforms(start: Start) -> Draft:
-    draft = start.draft()
+def late_transforms(start: Start, draft: Draft) -> None:
     late = start.pick((2.0, 5.0))
     draft.keep(lambda item: not item.topic.startswith("/tf") or item.log > late or item.topic == "/tf_static")
     for item in draft.on("/tf_static"):
         item.stamp = item.log = item.arrival = late
-    return draft
 
 
 FRAMES = named(

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft, Item, Laser, start_of
 from benchmarks.fuzz.structure.drives import PERIOD
-from benchmarks.fuzz.structure.start import LASERS, Start, named
+from benchmarks.fuzz.structure.start import LASERS, Start, named, of
 
 TURN = (Laser(sweep=1, first=-180, n=360), Laser(sweep=1, first=-180, n=180, stride=2))
 """Lasers with rays all around."""
@@ -64,49 +64,43 @@ def silent(start: Start) -> Draft:
     return draft
 
 
-def wrong_sign(start: Start) -> Draft:
+@of(spins=True)
+def wrong_sign(start: Start, draft: Draft) -> None:
     """It spins counter-clockwise; the driver states a negative time increment."""
-    draft = start.draft(spins=True)
     for item in draft.scans:
         item.content["time_increment"] *= -1
-    return draft
 
 
-def invented_increment(start: Start) -> Draft:
+@of(spins=False)
+def invented_increment(start: Start, draft: Draft) -> None:
     """All rays are measured at once; the driver states a sweep."""
-    draft = start.draft(spins=False)
     for item in draft.scans:
         item.content["time_increment"] = PERIOD / len(item.content["ranges"])
-    return draft
 
 
-def too_long(start: Start) -> Draft:
-    draft = start.draft(spins=True)
+@of(spins=True)
+def too_long(start: Start, draft: Draft) -> None:
     factor = start.pick((1.5, 2.0, 10.0, 100.0, 360.0, 1e4))
     for item in draft.scans:
         item.content["time_increment"] *= factor
-    return draft
 
 
-def too_short(start: Start) -> Draft:
-    draft = start.draft(spins=True)
+@of(spins=True)
+def too_short(start: Start, draft: Draft) -> None:
     factor = start.pick((0.5, 0.1, 1e-3))
     for item in draft.scans:
         item.content["time_increment"] *= factor
-    return draft
 
 
-def stamp_at_end(start: Start) -> Draft:
+@of(spins=True)
+def stamp_at_end(start: Start, draft: Draft) -> None:
     """The driver stamps a scan when it is complete, or in its middle."""
-    draft = start.draft(spins=True)
     share = start.pick((1.0, 0.5))
     for item in draft.scans:
         item.stamp += share * item.content["time_increment"] * len(item.content["ranges"])
     has_wheels = start.chance(0.7)
     if not has_wheels:
-        draft.keep(lambda item: item.topic not in ("/odom", "/tf"))
-        draft.expects.discard("odom")
-    return draft
+        draft.drop_odometry()
 
 
 def zero_to_turn(start: Start) -> Draft:
@@ -177,9 +171,8 @@ def turning_start(start: Start) -> Draft:
     return draft
 
 
-def uneven_ends(start: Start) -> Draft:
+def uneven_ends(start: Start, draft: Draft) -> None:
     """The last bearing disagrees with the first, the step and the number of rays."""
-    draft = start.draft()
     form = start.pick(("one_more", "degrees_rounded", "no_step", "no_end"))
     for item in draft.scans:
         c = item.content
@@ -193,18 +186,16 @@ def uneven_ends(start: Start) -> Draft:
         else:
             c["angle_max"] = 0.0
     draft.usable = form not in ("no_step", "no_end")
-    return draft
 
 
-def mirrored(start: Start) -> Draft:
+@of(reference=0.0)
+def mirrored(start: Start, draft: Draft) -> None:
     """A driver that reverses the array and keeps the bearings: the room is seen in a mirror."""
-    draft = start.draft(reference=0.0)
     for item in draft.scans:
         c = item.content
         c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
     draft.usable = False
     draft.said = "mirror|turn"
-    return draft
 
 
 RAYS = named(

@@ -17,7 +17,7 @@ from benchmarks.fuzz.structure.draft import (
     rear_scans,
     vec7,
 )
-from benchmarks.fuzz.structure.start import Start, named
+from benchmarks.fuzz.structure.start import Start, named, of
 
 SCAN_NAMES = (
     "/base_scan", "/front/scan", "/robot_1/lidar/scan_raw", "/LIDAR", "/scan_filtered", "scan", "/lidar/a/b/front_left",
@@ -31,20 +31,16 @@ ODOM_NAMES = (
 )
 
 
-def scan_name(start: Start) -> Draft:
-    draft = start.draft()
+def scan_name(start: Start, draft: Draft) -> None:
     draft.rename("/scan", start.pick(SCAN_NAMES))
-    return draft
 
 
-def odom_name(start: Start) -> Draft:
-    draft = start.draft()
+def odom_name(start: Start, draft: Draft) -> None:
     draft.rename("/odom", start.pick(ODOM_NAMES))
-    return draft
 
 
-def pose_name(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def pose_name(start: Start, draft: Draft) -> None:
     name = start.pick(
         ("/mocap/base", "/vrpn_client_node/robot/pose", "/ground_truth", "/NAV/pose", "/amcl_pose")
     )
@@ -52,51 +48,39 @@ def pose_name(start: Start) -> Draft:
     kind = start.pick(kinds[:3])
     add_reference(draft, name, kind, rate=start.pick((2.0, 10.0, 50.0)))
     draft.expects.add("pose")
-    return draft
 
 
-def namespace(start: Start) -> Draft:
-    draft = start.draft()
+def namespace(start: Start, draft: Draft) -> None:
     whole = start.chance()
     for item in draft.items:
         if whole or not item.topic.startswith("/tf"):
             item.topic = "/robot1" + item.topic
-    return draft
 
 
-def two_lasers(start: Start) -> Draft:
-    draft = start.draft()
+def two_lasers(start: Start, draft: Draft) -> None:
     rear_scans(draft, topic=start.pick(("/scan_rear", "/rear/scan", "/scan2")), frame="rear_laser")
     draft.said = "range sensors that were not used|rear|scan2"
-    return draft
 
 
-def two_lasers_choice(start: Start) -> Draft:
-    draft = start.draft()
+def two_lasers_choice(start: Start, draft: Draft) -> None:
     draft.rename("/scan", "/front/scan")
     rear_scans(draft, topic="/rear/scan", frame="rear_laser")
     draft.usable = start.chance()
     draft.options = ["--topic", "scan=/front/scan"] if draft.usable else []
-    return draft
 
 
-def two_lasers_as_one(start: Start) -> Draft:
-    draft = start.draft()
+def two_lasers_as_one(start: Start, draft: Draft) -> None:
     draft.rename("/scan", "/front/scan")
     rear_scans(draft, topic="/rear/scan", frame="rear_laser", every=1)
     draft.options = ["--topic", "scan=/front/scan,/rear/scan"]
-    return draft
 
 
-def two_lasers_one_topic(start: Start) -> Draft:
-    draft = start.draft()
+def two_lasers_one_topic(start: Start, draft: Draft) -> None:
     rear_scans(draft, topic="/scan", frame="rear_laser", every=start.pick((1, 2)))
     draft.said = "rear_laser"
-    return draft
 
 
-def two_robots(start: Start) -> Draft:
-    draft = start.draft()
+def two_robots(start: Start, draft: Draft) -> None:
     for item in draft.items:
         item.topic = "/robot1" + item.topic if not item.topic.startswith("/tf") else item.topic
     draft.frames(lambda name: f"robot1/{name}" if name not in ("", "map") else name)
@@ -109,20 +93,17 @@ def two_robots(start: Start) -> Draft:
         draft.add(Item("/tf", "TFMessage", t, log, "", edges))
         draft.add(Item("/robot2/odom", "Odometry", t, log, "robot2/odom", content))
     draft.options = ["--topic", "scan=/robot1/scan"]
-    return draft
 
 
-def two_poses(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def two_poses(start: Start, draft: Draft) -> None:
     add_reference(draft, "/nav350/pose")
     for t, pose in zip(draft.drive.odom_times[::5], draft.drive.odometry[::5], strict=True):
         wish = {"pose": vec7(*(pose + [0.5, 0.0, 0.0]))}
         draft.add(Item("/path_follower/wish", "PoseStamped", t, logged(t, draft.rng), "map", wish))
-    return draft
 
 
-def goals(start: Start) -> Draft:
-    draft = start.draft()
+def goals(start: Start, draft: Draft) -> None:
     for topic, kind in (
         ("/move_base_simple/goal", "PoseStamped"),
         ("/initialpose", "PoseWithCovarianceStamped"),
@@ -130,7 +111,6 @@ def goals(start: Start) -> Draft:
         for t in draft.rng.uniform(1.0, 20.0, 3):
             content = {"pose": vec7(9.0, 9.0, 1.0), "covariance": np.zeros(36)}
             draft.add(Item(topic, kind, t, logged(t, draft.rng), "map", content))
-    return draft
 
 
 def _another_odometry(draft: Draft, topic: str, noise: float) -> None:
@@ -139,34 +119,29 @@ def _another_odometry(draft: Draft, topic: str, noise: float) -> None:
         draft.add(replace(item, topic=topic, content=item.content | {"pose": pose}, log=item.log + 1e-4))
 
 
-def two_odometries(start: Start) -> Draft:
-    draft = start.draft()
+def two_odometries(start: Start, draft: Draft) -> None:
     _another_odometry(draft, start.pick(("/odometry/filtered", "/ekf/odom", "/rf2o_laser_odometry")), 1e-3)
-    return draft
 
 
-def two_odometries_choice(start: Start) -> Draft:
-    draft = start.draft()
+def two_odometries_choice(start: Start, draft: Draft) -> None:
     _another_odometry(draft, "/odometry/filtered", 1e-3)
     draft.rename("/odom", "/odometry/wheels")
     if start.chance():
         draft.options = ["--topic", "odom=/odometry/wheels"]
     else:
         draft.expects.discard("odom")
-    return draft
 
 
-def true_odometry(start: Start) -> Draft:
+@of(reference=0.0)
+def true_odometry(start: Start, draft: Draft) -> None:
     """Stage publishes the true pose as Odometry."""
-    draft = start.draft(reference=0.0)
     for t in np.arange(0.0, draft.drive.times[-1], 0.1):
         content = {"pose": vec7(*draft.drive.pose_at(t)), "twist": np.zeros(6), "child": ""}
         draft.add(Item("/base_pose_ground_truth", "Odometry", t, logged(t, draft.rng), "odom", content))
-    return draft
 
 
-def latched(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def latched(start: Start, draft: Draft) -> None:
     grid = {"resolution": 0.05, "data": np.full((40, 60), -1), "origin": vec7(-1.0, -1.0, 0.0)}
     draft.add(Item("/map", "OccupancyGrid", -EPOCH if start.chance() else -5000.0, 0.0, "map", grid))
     if start.chance():
@@ -174,11 +149,9 @@ def latched(start: Start) -> Draft:
                        {"pose": vec7(1.0, 1.0, 0.0), "covariance": np.zeros(36)}))  # fmt: skip
     for item in draft.on("/tf_static"):
         item.stamp = start.pick((-EPOCH, -86400.0, 0.0))
-    return draft
 
 
-def other_types(start: Start) -> Draft:
-    draft = start.draft()
+def other_types(start: Start, draft: Draft) -> None:
     own = {
         "my_msgs/msg/LaserScan": "std_msgs/Header header\nfloat32[] ranges\n",
         "my_robot_msgs/msg/Odometry": "float64 left\nfloat64 right\n",
@@ -199,19 +172,16 @@ def other_types(start: Start) -> Draft:
         draft.add(
             *(Item(f"/camera/raw_{k}", "String", 1.0, 1.0, "", {"text": "x" * 200_000}) for k in range(3))
         )
-    return draft
 
 
-def many_topics(start: Start) -> Draft:
-    draft = start.draft()
+def many_topics(start: Start, draft: Draft) -> None:
     draft.add(
         *(Item(f"/joint_{k}/state", "Float64", 1.0, 1.0 + k / 100, "", {"value": 0.0}) for k in range(120))
     )
-    return draft
 
 
-def empty_topics(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def empty_topics(start: Start, draft: Draft) -> None:
     draft.empty = [
         ("/pose", "PoseStamped"),
         ("/scan_rear", "LaserScan"),
@@ -219,13 +189,11 @@ def empty_topics(start: Start) -> Draft:
         ("/points", "PointCloud2"),
     ]
     if start.chance():
-        draft.keep(lambda item: item.topic != "/odom")
+        draft.drop("/odom")
         draft.empty.append(("/odom", "Odometry"))
-    return draft
 
 
-def commands(start: Start) -> Draft:
-    draft = start.draft()
+def commands(start: Start, draft: Draft) -> None:
     stamped = [
         replace(item, topic="/cmd_vel_stamped", kind="TwistStamped", frame="base_link")
         for item in draft.on("/cmd_vel")
@@ -233,33 +201,28 @@ def commands(start: Start) -> Draft:
     if start.chance():
         draft.keep(lambda item: item.kind != "Twist")
     draft.add(*stamped)
-    return draft
 
 
-def no_odometry(start: Start) -> Draft:
-    draft = start.draft()
+def no_odometry(start: Start, draft: Draft) -> None:
     draft.keep(lambda item: item.topic in ("/scan", "/tf_static", "/pose"))
     draft.expects.discard("odom")
-    return draft
 
 
-def scans_alone(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def scans_alone(start: Start, draft: Draft) -> None:
     draft.keep(lambda item: item.topic == "/scan")
     draft.expects = set()
     draft.gauges |= {"lever", "yaw"}
-    return draft
 
 
-def transforms_alone(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def transforms_alone(start: Start, draft: Draft) -> None:
     draft.keep(lambda item: item.topic in ("/scan", "/tf_static", "/tf"))
-    return draft
 
 
-def map_in_transforms(start: Start) -> Draft:
+@of(reference=0.0)
+def map_in_transforms(start: Start, draft: Draft) -> None:
     """The reference is map -> odom, as SLAM and AMCL publish it, at any rate."""
-    draft = start.draft(reference=0.0)
     every = start.pick((1, 5, 25, 50))
     for t, odometry in list(zip(draft.drive.odom_times, draft.drive.odometry, strict=True))[::every]:
         shift = compose(draft.drive.pose_at(t), inverse(odometry))
@@ -267,7 +230,6 @@ def map_in_transforms(start: Start) -> Draft:
         edges = {"transforms": [("map", "odom", vec7(*shift))]}
         draft.add(Item("/tf", "TFMessage", t + ahead, logged(t, draft.rng), "", edges))
     draft.expects.add("pose")
-    return draft
 
 
 TOPICS = named(

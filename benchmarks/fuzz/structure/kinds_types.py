@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from benchmarks.fuzz.structure.draft import Draft, Item, Laser, logged, vec7
 from benchmarks.fuzz.structure.drives import PERIOD, Floats
-from benchmarks.fuzz.structure.start import Start, named
+from benchmarks.fuzz.structure.start import Start, named, of
 
 
-def multi_echo(start: Start) -> Draft:
-    draft = start.draft()
+def multi_echo(start: Start, draft: Draft) -> None:
     more = start.chance()
     for item in draft.scans:
         c = item.content
@@ -26,7 +25,6 @@ def multi_echo(start: Start) -> Draft:
         values = c["intensities"] if len(c["intensities"]) else np.full(len(echoes), 100.0)
         c["intensities"] = [[value] * len(each) for value, each in zip(values, echoes, strict=True)]
         c["ranges"], item.kind = echoes, "MultiEchoLaserScan"
-    return draft
 
 
 def _bearings(item: Item) -> Floats:
@@ -64,9 +62,8 @@ def _as_cloud(
     item.kind = "PointCloud2"
 
 
-def flat_cloud(start: Start) -> Draft:
+def flat_cloud(start: Start, draft: Draft) -> None:
     """The points of one laser in its plane, as laser_geometry and drivers of planar lasers send them."""
-    draft = start.draft()
     layout = start.pick(("xyz", "intensity", "double", "padded", "big", "nan"))
     for item in draft.scans:
         z, bearing = item.content["ranges"], _bearings(item)
@@ -83,7 +80,6 @@ def flat_cloud(start: Start) -> Draft:
             kinds["intensity"] = "f4"
         _as_cloud(item, columns, kinds, pad=4 if layout == "padded" else 0, big=layout == "big")
     draft.rename("/scan", "/points")
-    return draft
 
 
 def ring_cloud(start: Start) -> Draft:
@@ -122,8 +118,7 @@ def ring_cloud(start: Start) -> Draft:
     return draft
 
 
-def cloud_beside_scan(start: Start) -> Draft:
-    draft = start.draft()
+def cloud_beside_scan(start: Start, draft: Draft) -> None:
     clouds = [
         replace(item, scan=-1, topic="/points", content=dict(item.content)) for item in draft.scans[::5]
     ]
@@ -133,7 +128,6 @@ def cloud_beside_scan(start: Start) -> Draft:
             item, {"x": z * np.cos(bearing), "y": z * np.sin(bearing), "z": 0 * z}, dict.fromkeys("xyz", "f4")
         )
     draft.add(*clouds)
-    return draft
 
 
 def sonar_ring(start: Start) -> Draft:
@@ -152,56 +146,51 @@ def sonar_ring(start: Start) -> Draft:
         if k == 0:
             rings = [("base_link", f"sonar_{i}", vec7(mount[0], mount[1], 2 * np.pi * (i * 360 // n) / 360 - np.pi))
                      for i in range(n)]  # fmt: skip
-            draft.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": rings}))
-    draft.keep(lambda item: item.topic != "/scan")
+            draft.add_static(*rings)
+    draft.drop("/scan")
     draft.usable = False
     return draft
 
 
-def twist_only(start: Start) -> Draft:
+@of(reference=0.0)
+def twist_only(start: Start, draft: Draft) -> None:
     """Odometry whose pose is never filled in."""
-    draft = start.draft(reference=0.0)
     has_tf = start.chance()
     draft.keep(lambda item: item.topic != "/tf" or has_tf)
     zero = start.pick((np.r_[np.zeros(6), 1.0], np.zeros(7)))
     for item in draft.on("/odom"):
         item.content = item.content | {"pose": zero}
-    return draft
 
 
-def pose_only(start: Start) -> Draft:
+def pose_only(start: Start, draft: Draft) -> None:
     """Odometry whose twist is never filled in."""
-    draft = start.draft()
     for item in draft.on("/odom"):
         item.content = item.content | {"twist": np.full(6, start.pick((0.0, np.nan)))}
-    return draft
 
 
-def no_orientation(start: Start) -> Draft:
-    draft = start.draft(reference=1.0)
+@of(reference=1.0)
+def no_orientation(start: Start, draft: Draft) -> None:
     topic = start.pick(("/pose", "/odom"))
-    draft.keep(lambda item: item.topic != "/tf")
+    draft.drop("/tf")
     for item in draft.on(topic):
         item.content = item.content | {"pose": item.content["pose"] * [1, 1, 1, 0, 0, 0, 0]}
     draft.expects.discard("pose")
     draft.expects.discard("odom")
     draft.said = "no orientation|quaternion|heading"
-    return draft
 
 
-def odometry_is_pose(start: Start) -> Draft:
+@of(reference=0.0)
+def odometry_is_pose(start: Start, draft: Draft) -> None:
     """The odometry comes as PoseStamped."""
-    draft = start.draft(reference=0.0)
-    draft.keep(lambda item: item.topic != "/tf")
+    draft.drop("/tf")
     for item in draft.on("/odom"):
         item.topic, item.kind, item.content = "/odom_pose", "PoseStamped", {"pose": item.content["pose"]}
     draft.expects = set()
-    return draft
 
 
-def not_finite(start: Start) -> Draft:
+@of(reference=1.0)
+def not_finite(start: Start, draft: Draft) -> None:
     """A few values of odometry, poses or transforms are nan."""
-    draft = start.draft(reference=1.0)
     topic = start.pick(("/pose", "/odom", "/tf"))
     for item in draft.on(topic):
         if start.chance(0.05):
@@ -211,27 +200,23 @@ def not_finite(start: Start) -> Draft:
                 if topic == "/tf"
                 else item.content | {"pose": bad}
             )
-    return draft
 
 
-def three_dimensional(start: Start) -> Draft:
+@of(reference=1.0)
+def three_dimensional(start: Start, draft: Draft) -> None:
     """Poses with height, roll and pitch, as a motion capture or an inertial unit states them."""
-    draft = start.draft(reference=1.0)
     for item in draft.items:
         if item.topic in ("/pose", "/odom"):
             x, y, _, _, _, s, c = item.content["pose"]
             yaw = 2 * np.arctan2(s, c)
             roll, pitch = 0.02 * start.rng.normal(size=2)
             item.content["pose"] = vec7(x, y, yaw, z=0.8 + 0.01 * start.rng.normal(), roll=roll, pitch=pitch)
-    return draft
 
 
-def two_types_one_topic(start: Start) -> Draft:
+def two_types_one_topic(start: Start, draft: Draft) -> None:
     """/scan is LaserScan in one part of the file and MultiEchoLaserScan in another."""
-    draft = start.draft()
     draft.add(Item("/scan", "String", 0.5, 0.5, "", {"text": "laser started"}))
     draft.container = start.pick(("bag", "mcap"))
-    return draft
 
 
 def slow_cloud(start: Start) -> Draft:

@@ -5,25 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, vec7
-from benchmarks.fuzz.structure.start import Start, named
+from benchmarks.fuzz.structure.start import Start, named, of
 
 LENGTHS = {"mm": 1000.0, "cm": 100.0}
 TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
-def ranges_unit(start: Start) -> Draft:
-    draft = start.draft()
+def ranges_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(LENGTHS.values()))
     for item in draft.scans:
         for name in ("ranges", "range_min", "range_max"):
             item.content[name] = item.content[name] * factor
     draft.said = "millimet|centimet"
     draft.usable = False
-    return draft
 
 
-def odometry_unit(start: Start) -> Draft:
-    draft = start.draft(reference=0.0)
+@of(reference=0.0)
+def odometry_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(LENGTHS.values()))
     for item in draft.items:
         if item.kind == "Odometry":
@@ -32,21 +30,19 @@ def odometry_unit(start: Start) -> Draft:
     draft.edges(lambda a, b, v: [(a, b, v * np.r_[[factor] * 3, np.ones(4)])] if a == "odom" else [(a, b, v)])
     draft.said = "odometry|distance"
     draft.expects = set()
-    return draft
 
 
-def pose_unit(start: Start) -> Draft:
-    draft = start.draft(reference=1.0)
+@of(reference=1.0)
+def pose_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(LENGTHS.values()))
     for item in draft.on("/pose"):
         item.content["pose"] = item.content["pose"] * np.r_[[factor] * 3, np.ones(4)]
     draft.said = "pose"
-    return draft
 
 
-def odometry_scale(start: Start) -> Draft:
+@of(reference=0.0)
+def odometry_scale(start: Start, draft: Draft) -> None:
     """Wheels of another radius or base than the driver has."""
-    draft = start.draft(reference=0.0)
     way, turn = start.pick((0.5, 0.9, 1.1, 2.0)), start.pick((0.8, 0.95, 1.0, 1.2))
     steps = np.diff(draft.drive.odometry, axis=0, prepend=draft.drive.odometry[:1])
     forward = (
@@ -60,54 +56,46 @@ def odometry_scale(start: Start) -> Draft:
         item.content["twist"] = item.content["twist"] * [way, 1, 1, 1, 1, turn]
     for item, pose in zip(draft.on("/tf"), wrong, strict=True):
         item.content["transforms"] = [("odom", "base_link", pose)]
-    return draft
 
 
-def odometry_backwards(start: Start) -> Draft:
+@of(reference=0.0)
+def odometry_backwards(start: Start, draft: Draft) -> None:
     """An encoder counts the other way, so that driving ahead counts as back."""
-    draft = start.draft(reference=0.0)
-    draft.keep(lambda item: item.topic != "/tf")
+    draft.drop("/tf")
     for item in draft.on("/odom"):
         item.content["pose"] = item.content["pose"] * [-1, -1, 1, 1, 1, 1, 1]
         item.content["twist"] = item.content["twist"] * [-1, 1, 1, 1, 1, 1]
     draft.usable = False  # it may as well be the laser that looks backwards
     draft.said = "odometry|distance|wheel|turned|laser"
-    return draft
 
 
-def degrees(start: Start) -> Draft:
-    draft = start.draft()
+def degrees(start: Start, draft: Draft) -> None:
     for item in draft.scans:
         for name in ("angle_min", "angle_max", "angle_increment"):
             item.content[name] = np.degrees(item.content[name])
     draft.said = "degrees"
-    return draft
 
 
-def increment_unit(start: Start) -> Draft:
-    draft = start.draft(spins=True)
+@of(spins=True)
+def increment_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(TIMES.values()))
     names = start.pick((("time_increment",), ("scan_time",), ("time_increment", "scan_time")))
     for item in draft.scans:
         for name in names:
             item.content[name] *= factor
     draft.said = "milliseconds|microseconds|nanoseconds|rescaled|was used"
-    return draft
 
 
-def stamp_unit(start: Start) -> Draft:
-    draft = start.draft()
+def stamp_unit(start: Start, draft: Draft) -> None:
     factor = 1 / start.pick(list(TIMES.values())) if start.chance() else start.pick((1e3,))
     topics = start.pick((("/scan",), ("/odom",), ("/scan", "/odom", "/tf", "/pose")))
     for item in draft.items:
         if item.topic in topics:
             item.stamp = (item.stamp + 100.0) * factor - EPOCH
     draft.said = "seconds|rescaled|clock|stamps"
-    return draft
 
 
-def limits(start: Start) -> Draft:
-    draft = start.draft()
+def limits(start: Start, draft: Draft) -> None:
     low, high = start.pick(
         (
             (0.0, 0.0),
@@ -122,15 +110,12 @@ def limits(start: Start) -> Draft:
     )
     for item in draft.scans:
         item.content |= {"range_min": low, "range_max": high}
-    return draft
 
 
-def scan_time(start: Start) -> Draft:
-    draft = start.draft()
+def scan_time(start: Start, draft: Draft) -> None:
     value = start.pick((0.0, np.nan, -0.1, 1e9, 0.025, np.inf))
     for item in draft.scans:
         item.content["scan_time"] = value
-    return draft
 
 
 def no_return_code(start: Start) -> Draft:
@@ -148,19 +133,16 @@ def no_return_code(start: Start) -> Draft:
     return draft
 
 
-def error_codes(start: Start) -> Draft:
+def error_codes(start: Start, draft: Draft) -> None:
     """Hokuyo writes codes of errors as millimetres."""
-    draft = start.draft()
     for item in draft.scans:
         z = item.content["ranges"]
         bad = start.rng.random(len(z)) < 0.05
         item.content["ranges"] = np.where(bad, start.rng.integers(1, 20, len(z)) / 1000, z)
         item.content["range_min"] = start.pick((0.0, 0.02))
-    return draft
 
 
-def intensities(start: Start) -> Draft:
-    draft = start.draft()
+def intensities(start: Start, draft: Draft) -> None:
     form = start.pick(("constant", "nan", "short", "long", "huge"))
     for item in draft.scans:
         n = len(item.content["ranges"])
@@ -168,15 +150,12 @@ def intensities(start: Start) -> Draft:
             "constant": np.full(n, 47.0), "nan": np.full(n, np.nan), "short": np.ones(n - 3), "long": np.ones(2 * n),
             "huge": 1e38 * start.rng.random(n),
         }[form]  # fmt: skip
-    return draft
 
 
-def coarse_ranges(start: Start) -> Draft:
-    draft = start.draft()
+def coarse_ranges(start: Start, draft: Draft) -> None:
     step = start.pick((0.01, 0.05))
     for item in draft.scans:
         item.content["ranges"] = np.round(item.content["ranges"] / step) * step
-    return draft
 
 
 UNITS = named(

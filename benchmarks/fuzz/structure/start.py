@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +79,29 @@ def number_scans(draft: Draft) -> None:
 
 
 Kind = Callable[[Start], Draft]
+Change = Callable[[Start, Draft], None]
+"""Makes a log odd."""
 
 
-def named(*kinds: Kind) -> dict[str, Kind]:
-    """Return kinds by the names of their functions."""
-    return {kind.__name__: kind for kind in kinds}
+def of(**options: Any) -> Callable[[Change], Change]:
+    """State options of `Start.draft` for the log that a change is given."""
+
+    def mark(change: Change) -> Change:
+        change.options = options  # type: ignore[attr-defined]
+        return change
+
+    return mark
+
+
+def named(*kinds: Kind | Change) -> dict[str, Kind]:
+    """Return kinds by the names of their functions; a change is given a log without anything odd."""
+
+    def kind(change: Any) -> Kind:
+        def make(start: Start) -> Draft:
+            draft = start.draft(**getattr(change, "options", {}))
+            change(start, draft)
+            return draft
+
+        return make if len(signature(change).parameters) == 2 else change
+
+    return {one.__name__: kind(one) for one in kinds}

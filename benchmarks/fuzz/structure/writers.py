@@ -39,10 +39,6 @@ def _bag(**style: object) -> Container:
     return _bytes("log.bag", lambda draft: bag20(draft, Style(**style)))  # type: ignore[arg-type]
 
 
-def _sources(draft: Draft) -> list[tuple[str, str]]:
-    return list(dict.fromkeys([(item.topic, item.kind) for item in draft.items] + draft.empty))
-
-
 def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, packed: bool = False) -> None:
     """Write a .db3; `schema` 1 has no quality of service, 4 has hashes and definitions."""
     pack = zstandard.ZstdCompressor().compress if packed else bytes
@@ -68,7 +64,7 @@ def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, pac
             "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
         )
         base.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
-        sources = _sources(draft)
+        sources = draft.sources
         more = [""] * (schema >= 3) + ["RIHS01_0"] * (schema >= 4)
         for i, (topic, kind) in enumerate(sources):
             row = (i + 1, topic, full(kind), "cdr", *more)
@@ -98,7 +94,7 @@ def _mcap(
         writer = Writer(file, **options)  # type: ignore[arg-type]
         writer.start(profile="ros1" if ros1 else "ros2", library="another")
         channels: dict[tuple[str, str], int] = {}
-        for topic, kind in _sources(draft):
+        for topic, kind in draft.sources:
             text, _ = definition(kind, draft.definitions.get(kind, ""), ros1=ros1)
             schema = writer.register_schema(
                 full(kind, ros1=ros1), "ros1msg" if ros1 else "ros2msg", text.encode()
@@ -150,7 +146,7 @@ def _metadata(
             },
             "message_count": counts[topic, kind],
         }
-        for topic, kind in _sources(draft)
+        for topic, kind in draft.sources
     ]  # fmt: skip
     stamps = [nanoseconds(item.log) for item in draft.items] or [0]
     information = {
