@@ -54,10 +54,7 @@ def main() -> None:
                 data.second, data.truth, field, parameters, np.random.default_rng(seed), laser_model
             )
             done = np.isfinite(poses[:, 0]) & data.covered
-            print(
-                f"{given.log.name}, {label}, seed {seed}, covered: {said(poses[done], data.truth[done])}",
-                flush=True,
-            )
+            print(f"{given.log.name}, {label}, seed {seed}, covered: {said(poses[done], data.truth[done])}")
 
 
 if __name__ == "__main__":

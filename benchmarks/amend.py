@@ -304,8 +304,8 @@ def main() -> None:
         print(f"| {seed} | floor | {' | '.join(f'{one:.2g}' for one in floor)} |")
         for name, text in (("user's model", mjcf(Numbers())), ("amended", amended)):
             gap = errors(other, Twin(text, robot), arena) / floor
-            print(f"| {seed} | {name} | {' | '.join(f'{one:.3f}' for one in gap)} |", flush=True)
-        print(f"<!-- hidden {hidden}; found {effects}; left out {found.left_out} -->", flush=True)
+            print(f"| {seed} | {name} | {' | '.join(f'{one:.3f}' for one in gap)} |")
+        print(f"<!-- hidden {hidden}; found {effects}; left out {found.left_out} -->")
 
 
 if __name__ == "__main__":

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 
 def parser_of(doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser whose help is the docstring of its module, as it stands."""
+    """Return a parser whose help is the docstring of its module, as it stands; from here on each line is printed at once."""
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
 
 

@@ -5,8 +5,8 @@
     python -m benchmarks.coverage_planners --drive dubins --arena square
     python -m benchmarks.coverage_planners --race square office -o docs/pages/pictures/coverage_by_time.png
 
-The random offices are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on for reports, on which
-nothing was tuned, and `--first 1` for development. `s/10k` is the time to plan 10,000 bins, `cpu` the processor time in
+The random offices are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on, on which
+nothing was tuned. `s/10k` is the time to plan 10,000 bins, `cpu` the processor time in
 it, which another load on the machine changes less; compiling is left out of both.
 """
 
@@ -38,7 +38,6 @@ def main() -> None:
     parser.add_argument("--planner", nargs="*", default=["coverage", "stop_and_spin"])
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
     parser.add_argument("--random", type=int, default=0, help="count of random offices")
-    parser.add_argument("--first", type=int, default=FIRST_SEED, help="seed of the first of them")
     parser.add_argument("--race", nargs="+", help="draw coverage against driving time in these arenas")
     parser.add_argument("-o", "--out", type=Path, default=Path("race.png"))
     options = parser.parse_args()
@@ -47,9 +46,8 @@ def main() -> None:
         race({name: load_arena(name) for name in options.race}, options.out)
         return
     arenas = {name: load_arena(name) for name in options.arena}
-    arenas |= {
-        f"office {k}": arena_named(str(k)) for k in range(options.first, options.first + options.random)
-    }
+    seeds = range(FIRST_SEED, FIRST_SEED + options.random)
+    arenas |= {f"office {k}": arena_named(str(k)) for k in seeds}
     planners = options.planner if options.drive == "diff" else ["coverage"]
     print(TABLE_HEAD)
     for planner in planners:
@@ -76,8 +74,7 @@ def row(name: str, arena: Arena, planner: str, drive: Drive) -> tuple[float, ...
     print(
         f"{name:12} {planner:14} {report['reachable_cells']:7,} {100 * report['coverage']:8.3f} % "
         f"{report['core_coverage']:6.3f} {report['ratio']:7.3f} {wall:6.1f} {cpu:6.1f} "
-        f"{report['limit_violations']:5} {report['min_clearance_m']:6.3f}",
-        flush=True,
+        f"{report['limit_violations']:5} {report['min_clearance_m']:6.3f}"
     )
     return report["coverage"], report["core_coverage"], report["ratio"], wall, cpu, report["limit_violations"]
 
@@ -110,7 +107,7 @@ def race(arenas: dict[str, Arena], path: Path) -> None:
         )
         for planner, (stamps, share) in lines[name].items():
             marks = np.interp(np.array([0.25, 0.5, 0.75, 1.0]) * done, stamps, share)
-            print(f"  {planner:16} " + " ".join(f"{100 * mark:6.1f} %" for mark in marks), flush=True)
+            print(f"  {planner:16} " + " ".join(f"{100 * mark:6.1f} %" for mark in marks))
     growth_picture(lines, path)
     print(f"wrote {path}")
 

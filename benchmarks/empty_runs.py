@@ -122,11 +122,10 @@ def main() -> None:
             doubts += [] if finding.unknown is None else [(seed, finding.unknown.statement)]
         doubted = len({seed for seed, text in doubts if " " in text})
         print(
-            f"{name:14} {minutes:8.1f} {options.seeds:5d} {named:6d} {doubted:8d} {np.median(seconds):12.1f}",
-            flush=True,
+            f"{name:14} {minutes:8.1f} {options.seeds:5d} {named:6d} {doubted:8d} {np.median(seconds):12.1f}"
         )
         for seed, text in doubts:
-            print(f"    seed {seed}: {text}", flush=True)
+            print(f"    seed {seed}: {text}")
 
 
 if __name__ == "__main__":

@@ -246,8 +246,7 @@ def main() -> None:
                     scores.append(r)
                     print(
                         f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
-                        f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
-                        flush=True,
+                        f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |"
                     )
                     if options.keep:
                         keep(

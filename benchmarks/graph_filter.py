@@ -285,10 +285,7 @@ def print_amcl(
             scans = np.flatnonzero(np.isfinite(poses[:, 0]))
             done = scans[:n_updates][data.covered[scans[:n_updates]]]
             rate = len(scans) / (time.process_time() - began)
-            print(
-                f"{label}, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s",
-                flush=True,
-            )
+            print(f"{label}, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s")
 
 
 def print_starts(
@@ -317,8 +314,7 @@ def print_starts(
         for name, follow in (("AMCL, fitted", by_amcl), ("graph", by_graph)):
             share, seconds = converged(follow, graph, data, n, np.random.default_rng(0))
             print(
-                f"{name}, {n} particles anywhere: {100 * share:.0f} % found after {N_FIRST} updates; {seconds:.1f} s",
-                flush=True,
+                f"{name}, {n} particles anywhere: {100 * share:.0f} % found after {N_FIRST} updates; {seconds:.1f} s"
             )
 
 
@@ -354,8 +350,7 @@ def main() -> None:
         print(
             f"graph, {found.counts.mean():.0f} particles (median {np.median(found.counts):.0f}), seed {seed}: "
             f"{said(found.poses[done], data.truth[done])}; NEES {nees(found, data):.2f}; "
-            f"{len(found.counts) / found.seconds:.1f} updates/s",
-            flush=True,
+            f"{len(found.counts) / found.seconds:.1f} updates/s"
         )
     if given.picture:
         picture(found, data, graph, given.picture)

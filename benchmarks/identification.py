@@ -128,7 +128,7 @@ def noise_orders(n_seeds: int) -> None:
                 order += len(model.noise_terms) == len(ma)
                 exact += {frozenset(t) for t in model.terms} == truth
                 plain += {frozenset(t) for t in fit(record, "y", candidates).terms} == truth
-            print(f"n={n:<6} c={ma!s:<20}{order:>12}{exact:>8}{plain:>16}", flush=True)
+            print(f"n={n:<6} c={ma!s:<20}{order:>12}{exact:>8}{plain:>16}")
 
 
 def ar95(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -90,7 +90,7 @@ def main() -> None:
             sizes = [path.stat().st_size / 1e6 for path in (ours, theirs)]
             for job, (mine, peer) in times.items():
                 rates = f"{options.scans / mine:,.0f} | {options.scans / peer:,.0f} | {peer / mine:.1f} ×"
-                print(f"| {n_rays} | {job} | {rates} | {sizes[0]:.2f} | {sizes[1]:.2f} |", flush=True)
+                print(f"| {n_rays} | {job} | {rates} | {sizes[0]:.2f} | {sizes[1]:.2f} |")
 
 
 if __name__ == "__main__":

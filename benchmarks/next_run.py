@@ -137,10 +137,9 @@ def main() -> None:
         ratios[name], medians[name] = best / max(median, 1.0), median
         print(
             f"{name:34} {best:9.0f} {median:8.0f} {max(got):8.0f} {ratios[name]:6.1f}   {chosen.evidence:8.0f} "
-            f"{chosen.evidence / max(chosen.median_random_evidence, 1e-9):9.1f} {clock:6.2f} s",
-            flush=True,
+            f"{chosen.evidence / max(chosen.median_random_evidence, 1e-9):9.1f} {clock:6.2f} s"
         )
-        print(f"    {chosen.why}", flush=True)
+        print(f"    {chosen.why}")
     kinds = {
         f"a median random run leaves open (below {DECIDED:g} nats)": [
             n for n in ratios if medians[n] < DECIDED

@@ -95,8 +95,7 @@ def run(benchmark: Benchmark) -> AutoFit:
         rmse = float(np.sqrt(np.mean(error**2))) / benchmark.per_unit
         print(
             f"{benchmark.name + ', ' + name:<36}{rmse:>8.3f} {benchmark.unit:<4}{benchmark.published[name]:<36}"
-            f"{len(found.model.terms):>6}{found.chosen.order:>7}{found.chosen.degree:>8}{seconds:>9.0f} s",
-            flush=True,
+            f"{len(found.model.terms):>6}{found.chosen.order:>7}{found.chosen.degree:>8}{seconds:>9.0f} s"
         )
     return found
 

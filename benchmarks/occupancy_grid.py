@@ -175,7 +175,7 @@ def compare(run: Run, name: str, split: str) -> None:
         start = time.perf_counter()
         graph = build([run], model=model, split=split)
         took = time.perf_counter() - start
-        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took), flush=True)
+        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took))
     kinds: tuple[type[Map], ...] = (Grid, Tsdf)
     for kind in kinds:
         for label, threshold in tuned(kind, poses, ranges, bearings).items():
@@ -185,7 +185,7 @@ def compare(run: Run, name: str, split: str) -> None:
             origin = {"inputs": [], "split": split}
             wrapped = Sensorgraph(model=stand_in, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
             result = evaluate(wrapped, run, split=split, cap=MAX_HIT)
-            print(line(f"{label} (threshold {threshold:g})", result, took), flush=True)
+            print(line(f"{label} (threshold {threshold:g})", result, took))
 
 
 def main() -> None:

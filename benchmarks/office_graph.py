@@ -202,12 +202,12 @@ def main() -> None:
                 cells = [
                     f"{scale * getattr(rows[-1], key):.{d}f}" for key, (_, scale, d) in GRAPH_COLUMNS.items()
                 ]
-                print(f"| {kind} | {name}, {seed} | " + " | ".join(cells) + " |", flush=True)
+                print(f"| {kind} | {name}, {seed} | " + " | ".join(cells) + " |")
         means = []
         for key, (_, scale, digits) in GRAPH_COLUMNS.items():
             values = np.array([scale * getattr(row, key) for row in rows])
             means.append(f"**{values.mean():.{digits}f}** ± {half_interval(values):.{digits}f}")
-        print(f"| **{kind}** | mean of {len(rows)} | " + " | ".join(means) + " |", flush=True)
+        print(f"| **{kind}** | mean of {len(rows)} | " + " | ".join(means) + " |")
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def compare(run: Run, name: str, placements: int) -> None:
         result = evaluate(build([train], model="cells"), test, cap=MAX_HIT)
         rows["cells"].append(row(result))
         answered.append(np.array([result.answered, result.answered_only["within_0.1m"]], dtype=np.float64))
-        print(f"  placement {k}: cells " + " ".join(f"{v:.3f}" for v in rows["cells"][-1]), flush=True)
+        print(f"  placement {k}: cells " + " ".join(f"{v:.3f}" for v in rows["cells"][-1]))
     both = {model: np.array(values) for model, values in rows.items()}
     print(f"{name:<34}" + "".join(f"{column:>16}" for column in PLACEMENT_COLUMNS))
     for model, values in both.items():
@@ -77,7 +77,7 @@ def compare(run: Run, name: str, placements: int) -> None:
     )
     print(f"{'  cells better, of ' + str(placements):<34}" + "".join(f"{count:>16}" for count in better))
     share, near = np.mean(answered, axis=0)
-    print(f"  cells answer {share:.3f} of the rays, {near:.3f} of those within 0.1 m", flush=True)
+    print(f"  cells answer {share:.3f} of the rays, {near:.3f} of those within 0.1 m")
 
 
 def main() -> None:

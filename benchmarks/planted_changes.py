@@ -147,15 +147,8 @@ FULL_SIZE = (
     Plant("lattice", "quantisation", 0.08, "m", lattice, _of("q")),
     Plant("pillar", "unmapped_obstacle", 0.20, "m", pillar, _of("r", 2.0)),
 )
-HALF_SIZE = (
-    Plant("bias", "range_bias", 0.015, "m", bias, _of("b")),
-    Plant("offset", "mount_xy", 0.03, "m", offset, _offset),
-    Plant("yaw", "mount_yaw", 0.5, "deg", yaw, _of("delta", DEGREES)),
-    Plant("drift", "range_drift", 0.01, "m", drift, _of("b1")),
-    Plant("sector 35 deg", "sector_bias", 0.03, "m", sector, _of("b")),
-    Plant("occlusion", "self_occlusion", 1.5, "deg", occlusion, _width),
-    Plant("occlusion", "self_occlusion", 5.0, "deg", occlusion, _width),
-    Plant("max range", "max_range", 6.0, "m", cut_off, _of("R")),
-    Plant("lattice", "quantisation", 0.02, "m", lattice, _of("q")),
-    Plant("pillar", "unmapped_obstacle", 0.10, "m", pillar, _of("r", 2.0)),
+HALF_SIZE = tuple(
+    replace(plant, size=plant.size / 2)
+    for plant in FULL_SIZE
+    if plant.name not in ("max_range", "quantisation")
 )

@@ -1,6 +1,6 @@
 """Plant effects in a real log, and see whether the diagnosis names them against a commissioning stretch of the same site.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planted_effects [LOG] [--effects bias,yaw] [--windows 0,3] [--only full]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planted_effects [LOG] [--windows 0,3] [--only full]
 
 The log's poses come from the scans themselves (SLAM), and nobody drew a map. So the even scans of each unbroken
 stretch of the log make a map of short surfaces, and the odd scans, some 90 rays of each, are the measurement, in two
@@ -139,7 +139,7 @@ def diagnose_window(
             size = plant.estimate(finding.effects[0].parameters) if right else np.nan
             results.outcomes.append(Outcome(plant, first, nats, size))
             label = f"{plant.label} {plant.size:g} {plant.unit}"
-        print(f"  {label:<22} {results.seconds[-1]:5.1f} s  {names_text(finding)}", flush=True)
+        print(f"  {label:<22} {results.seconds[-1]:5.1f} s  {names_text(finding)}")
 
 
 def known_good(
@@ -166,7 +166,6 @@ def arguments_given() -> argparse.Namespace:
     """Read the command line."""
     parser = parser_of(__doc__)
     parser.add_argument("log", nargs="?", type=existing, default=str(LOG))
-    parser.add_argument("--effects", default="", help="labels, comma-separated; default: all")
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
     parser.add_argument(
         "--graph", type=Path, help="of the first half of a located log, built if it is not there"
@@ -191,8 +190,6 @@ def main() -> None:
         log = scans_alone(log)
     lists = {"full": FULL_SIZE, "half": HALF_SIZE}
     plants = [p for part in arguments.only.split(",") if part in lists for p in lists[part]]
-    if arguments.effects:
-        plants = [p for p in plants if p.label in arguments.effects.split(",")]
     wanted = [int(k) for k in arguments.windows.split(",")] if arguments.windows else None
     robot = robot_of(log, 0.001 if arguments.undithered else 0.01)
     if arguments.another_day:
@@ -205,7 +202,7 @@ def main() -> None:
         parts = list(spread_over_log(log, load_arena(str(arguments.pixels))))
     else:
         parts = list(windows(log))
-    print(f"{len(parts)} windows", flush=True)
+    print(f"{len(parts)} windows")
     baseline_of_others = known_good(log, parts, robot, one_map=arguments.graph is not None)
     results = Results()
     for number, window in enumerate(parts):

@@ -3,7 +3,6 @@
     python -m benchmarks.real_floors ../kth-floors -o floors.jsonl                 # all, the smallest first
     python -m benchmarks.real_floors ../kth-floors -o floors.jsonl --raster FLOOR  # FLOOR as a map_server map, too
     python -m benchmarks.real_floors ../kth-floors -o floors.jsonl --drive dubins --largest 900    # by a car, the smaller ones
-    python -m benchmarks.real_floors ../kth-floors -o floors.jsonl --table         # of what was planned so far
 
 A folder of floors holds `index.csv` (floor, start_x, start_y, area_m2) and `FLOOR.geojson` or `FLOOR.geojson.gz`, such as
 the 21 floors of the KTH campus in kth_simulation_packages, 331 to 2,999 m². Each floor planned is one line of the output,
@@ -48,28 +47,25 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("real_floors.jsonl"))
     parser.add_argument("--raster", nargs="*", default=[], help="floors to plan as raster maps of 5 cm, too")
     parser.add_argument("--largest", type=float, default=3000.0, help="[m2] of a floor")
-    parser.add_argument("--order", default="fast", choices=["fast", "anytime"])
     parser.add_argument("--drive", default="diff", choices=DRIVES)
-    parser.add_argument("--table", action="store_true", help="print the table, plan nothing")
     options = parser.parse_args()
     known = {row["floor"] for row in rows(options.out)}
-    if not options.table:
-        warm_up(options.drive)
-        for floor, start, area in floors(options.folder):
-            for is_raster in (False, True):
-                kind = [
-                    *(["raster"] if is_raster else []),
-                    *([options.drive] if options.drive != "diff" else []),
-                ]
-                name = f"{floor} ({', '.join(kind)})" if kind else floor
-                if name in known or area > options.largest or (is_raster and floor not in options.raster):
-                    continue
-                arena = read_floor(options.folder, floor)
-                arena = rasterised(arena) if is_raster else arena
-                row = {"floor": name, "area_m2": area} | planned(arena, start, options.order, options.drive)
-                with options.out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
-                print(line(rows(options.out)[-1]), flush=True)
+    warm_up(options.drive)
+    for floor, start, area in floors(options.folder):
+        for is_raster in (False, True):
+            kind = [
+                *(["raster"] if is_raster else []),
+                *([options.drive] if options.drive != "diff" else []),
+            ]
+            name = f"{floor} ({', '.join(kind)})" if kind else floor
+            if name in known or area > options.largest or (is_raster and floor not in options.raster):
+                continue
+            arena = read_floor(options.folder, floor)
+            arena = rasterised(arena) if is_raster else arena
+            row = {"floor": name, "area_m2": area} | planned(arena, start, options.drive)
+            with options.out.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            print(line(rows(options.out)[-1]))
     table(rows(options.out))
 
 
@@ -118,10 +114,10 @@ def rasterised(arena: Arena) -> Arena:
         return load_arena(Path(folder) / "map.yaml")
 
 
-def planned(arena: Arena, start: np.ndarray, order: str, drive: str) -> dict[str, Any]:
+def planned(arena: Arena, start: np.ndarray, drive: str) -> dict[str, Any]:
     """Plan one floor, and return what the table needs of it."""
     before, began = processor_time(), time.perf_counter()
-    report = plan(arena, vehicle(drive), start=start, order=order).report
+    report = plan(arena, vehicle(drive), start=start).report
     keys = (
         "reachable_cells",
         "coverage",

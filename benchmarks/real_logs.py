@@ -108,7 +108,7 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
         took = time.process_time() - start
         result = evaluate(graph, log.run, split=split, cap=10.0)
         print(line(log.name, result, took))
-        print(calibration(result), flush=True)
+        print(calibration(result))
         if others:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
@@ -125,8 +125,7 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
                 model=model, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=graph.origin
             )
             print(
-                line("  visibility of the other logs", evaluate(stranger, log.run, split=split, cap=10.0), 0),
-                flush=True,
+                line("  visibility of the other logs", evaluate(stranger, log.run, split=split, cap=10.0), 0)
             )
 
 

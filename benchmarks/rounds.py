@@ -78,8 +78,7 @@ def compared(name: str, place: Place, count: int, ahead: list[str]) -> list[floa
         share = found.all["wrong_5cm"]
         assert share is not None
         print(
-            f"| {short} | {place.seed} | {way} | {minutes:.0f} | {100 * share:.3f} % | {100 * found.answered:.2f} % |",
-            flush=True,
+            f"| {short} | {place.seed} | {way} | {minutes:.0f} | {100 * share:.3f} % | {100 * found.answered:.2f} % |"
         )
         return share
 
@@ -89,10 +88,7 @@ def compared(name: str, place: Place, count: int, ahead: list[str]) -> list[floa
     others = [wrong(way, AHEAD, build(ways(place)[way](AHEAD))) for way in ahead]
     good = [k for k, error in enumerate(errors, 1) if error <= min(others)]
     after = f"after {ROUND * good[0]:.0f} min" if good else f"not in {ROUND * count:.0f} min"
-    print(
-        f"{short}, seed {place.seed}: as good as the best of {AHEAD:.0f} min planned ahead {after}",
-        flush=True,
-    )
+    print(f"{short}, seed {place.seed}: as good as the best of {AHEAD:.0f} min planned ahead {after}")
     return errors + others
 
 

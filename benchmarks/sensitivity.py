@@ -325,11 +325,10 @@ def main() -> None:
             raise SystemExit(f"{channel}: {usual}")
         took, cpu = time.perf_counter() - begin[0], os.times().children_user - begin[1]
         print(
-            f"{channel}: {len(settings)} settings, {len(cases)} cases, {took:.0f} s ({cpu:.1f} of CPU) a variant",
-            flush=True,
+            f"{channel}: {len(settings)} settings, {len(cases)} cases, {took:.0f} s ({cpu:.1f} of CPU) a variant"
         )
         for one, said in zip(hidden, usual, strict=True):
-            print(f"  {one.label}: {said}", flush=True)
+            print(f"  {one.label}: {said}")
         still, moved = 0, np.zeros(len(cases), dtype=np.intp)
         for setting in settings:
             lines = []
@@ -343,8 +342,8 @@ def main() -> None:
                 lines += [f"x {factor:g}: {hidden[k].label} -> {got[k]}" for k in changed]
             still += not lines
             for line in lines:
-                print(f"  {setting.label} = {setting.value}, {line}", flush=True)
-        print(f"{channel}: {still} of {len(settings)} settings move no answer", flush=True)
+                print(f"  {setting.label} = {setting.value}, {line}")
+        print(f"{channel}: {still} of {len(settings)} settings move no answer")
 
 
 if __name__ == "__main__":

@@ -199,9 +199,7 @@ def main() -> None:
     for log in given.logs:
         done.append(one := score(log, given.most, given.dither))
         shares = " / ".join(f"{100 * share:.1f}" for share in one.coverage)
-        print(
-            f"{one.name}: within 50 / 90 / 99 % intervals {shares} % of {len(one.pit):,} returns", flush=True
-        )
+        print(f"{one.name}: within 50 / 90 / 99 % intervals {shares} % of {len(one.pit):,} returns")
         print(
             "  within 50 % intervals in each stretch:",
             *("-" if np.isnan(share) else f"{100 * share:.0f}" for share in one.stretches),  # no returns

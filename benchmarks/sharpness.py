@@ -45,9 +45,7 @@ def main() -> None:
         counts = [
             cells(run), *(cells(with_sweep(run, sweep)) for sweep in (stated, 0.0, -(stated or 1 / run.sensor.rate)))
         ]  # fmt: skip
-        print(
-            f"| {path.rstrip('/').split('/')[-1]} | {' | '.join(f'{n:,.0f}' for n in counts)} |", flush=True
-        )
+        print(f"| {path.rstrip('/').split('/')[-1]} | {' | '.join(f'{n:,.0f}' for n in counts)} |")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Run inspect, locate, build and diagnose on every log of some folders, and print one table, a row a file.
 
-    python -m benchmarks.strangers FOLDER... [--only PATTERN,...] [--commands inspect,locate] [--seconds 900] [--keep FILE]
+    python -m benchmarks.strangers FOLDER... [--only PATTERN,...] [--keep FILE]
 
 Logs are found recursively; a folder that is a rosbag2 is one log. Each log is copied first, so nothing is written beside
 it. A file `options.yaml` in a FOLDER gives options by file pattern, with paths relative to the FOLDER:
@@ -36,17 +36,18 @@ import logs
 from benchmarks.arguments import parser_of
 from benchmarks.locate import aligned
 from benchmarks.measures import processor_time
-from logs.formats import FORMATS, format_of
+from logs.formats import format_of
 from logs.formats.bag_folder import logs_in
 from logs.run import Run, pair
 from logs.transforms import compose, invert
 from sensorgraph.cli.inputs import read_options
 from sensorgraph.localization.locate import has_reference, is_located
 
-COMMANDS = ("inspect", "locate", "build", "diagnose")
 SUFFIXES = (".bag", ".db3", ".mcap", ".log", ".clf", ".gz", ".bz2", ".csv", ".active")
 """Files with other names are not tried."""
 OPTIONS = "options.yaml"
+LIMIT = 900.0
+"""[s] of a command, of wall time."""
 LINE = 110
 """Characters of a message in a cell."""
 
@@ -113,12 +114,12 @@ def words_of(options: Mapping[str, Any], folder: Path, command: str) -> list[str
     return words
 
 
-def run_command(words: Sequence[str], work: Path, limit: float) -> tuple[int | None, list[str], float]:
+def run_command(words: Sequence[str], work: Path) -> tuple[int | None, list[str], float]:
     """Run a command in a folder.
 
     Returns
     -------
-    Exit code, None if it took longer than `limit` [s]; its last lines; its seconds of CPU time.
+    Exit code, None if it took longer than LIMIT; its last lines; its seconds of CPU time.
     """
     before = processor_time()
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
@@ -128,7 +129,7 @@ def run_command(words: Sequence[str], work: Path, limit: float) -> tuple[int | N
     )  # fmt: skip
     code: int | None
     try:
-        out, _ = process.communicate(timeout=limit)
+        out, _ = process.communicate(timeout=LIMIT)
         code = process.returncode
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGTERM)
@@ -223,7 +224,7 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], Callable[[Path, Run | None], str]]] = 
 """Command -> its output options, and its result from these files."""
 
 
-def row_of(path: Path, folder: Path, commands: Sequence[str], limit: float) -> Row:
+def row_of(path: Path, folder: Path) -> Row:
     """Run the commands on a copy of a log."""
     options = options_of(folder, path)
     what, run = described(path, options)
@@ -232,13 +233,12 @@ def row_of(path: Path, folder: Path, commands: Sequence[str], limit: float) -> R
         work = Path(temporary)
         copy = work / path.name
         shutil.copytree(path, copy) if path.is_dir() else shutil.copy(path, copy)
-        for command in commands:
-            output, result = OUTPUTS[command]
+        for command, (output, result) in OUTPUTS.items():
             words = [command, path.name, *words_of(options, folder, command), *output]
-            code, lines, row.seconds[command] = run_command(words, work, limit)
+            code, lines, row.seconds[command] = run_command(words, work)
             row.ended[command] = code
             if code is None:
-                row.said[command] = f"took longer than {limit:.0f} s"
+                row.said[command] = f"took longer than {LIMIT:.0f} s"
             elif code == 0:
                 row.said[command] = result(work, run)
             else:
@@ -251,15 +251,15 @@ def row_of(path: Path, folder: Path, commands: Sequence[str], limit: float) -> R
     return row
 
 
-def lines_of(rows: Sequence[Row], commands: Sequence[str]) -> list[str]:
+def lines_of(rows: Sequence[Row]) -> list[str]:
     """Return the table in Markdown."""
     lines = [
-        f"| log | what it is | {' | '.join(commands)} | s |",
-        f"|---|---|{'---|' * len(commands)}---:|",
+        f"| log | what it is | {' | '.join(OUTPUTS)} | s |",
+        f"|---|---|{'---|' * len(OUTPUTS)}---:|",
     ]
     for row in rows:
-        said = [("✗ " if row.ended[c] != 0 else "") + shortened(row.said[c]) for c in commands]
-        took = " / ".join(f"{row.seconds[c]:.0f}" for c in commands)
+        said = [("✗ " if row.ended[c] != 0 else "") + shortened(row.said[c]) for c in OUTPUTS]
+        took = " / ".join(f"{row.seconds[c]:.0f}" for c in OUTPUTS)
         lines.append(f"| {row.name} | {row.what} | {' | '.join(said)} | {took} |")
     crashed = sum(code not in (0, 2) for row in rows for code in row.ended.values())
     refused = sum(code == 2 for row in rows for code in row.ended.values())
@@ -275,14 +275,10 @@ def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--only", default="*", help="patterns of names, separated by commas")
-    parser.add_argument("--commands", default=",".join(COMMANDS))
-    parser.add_argument("--seconds", type=float, default=900.0, help="limit of each command, of wall time")
     parser.add_argument(
         "--keep", type=Path, help="JSON lines of the rows; what is there already is not repeated"
     )
     given = parser.parse_args()
-    commands = given.commands.split(",")
-    assert set(FORMATS) and set(commands) <= set(COMMANDS), commands
     known = {}
     if given.keep is not None and given.keep.is_file():
         known = {row["name"]: Row(**row) for row in map(json.loads, given.keep.read_text().splitlines())}
@@ -293,13 +289,13 @@ def main() -> int:
             name = path.relative_to(folder).as_posix()
             if not any(fnmatchcase(name, pattern) for pattern in given.only.split(",")):
                 continue
-            row = known.get(name) or row_of(path, folder, commands, given.seconds)
+            row = known.get(name) or row_of(path, folder)
             if given.keep is not None and name not in known:
                 with given.keep.open("a") as file:
                     file.write(json.dumps(asdict(row)) + "\n")
             rows.append(row)
-            print(f"{time.strftime('%H:%M')} {name}", file=sys.stderr, flush=True)
-    print("\n".join(lines_of(rows, commands)))
+            print(f"{time.strftime('%H:%M')} {name}", file=sys.stderr)
+    print("\n".join(lines_of(rows)))
     return int(any(code not in (0, 2) for row in rows for code in row.ended.values()))
 
 

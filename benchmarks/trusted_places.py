@@ -68,7 +68,7 @@ def main() -> None:
         for name, run in train.items():
             graph = build([run], model=model)
             found = {other: evaluate(graph, log) for other, log in fresh.items()}
-            print(f"| {model}, {name} | " + " | ".join(map(said, found.values())) + " |", flush=True)
+            print(f"| {model}, {name} | " + " | ".join(map(said, found.values())) + " |")
             for other, one in found.items():
                 if one.in_sequence:
                     ways = " | ".join(

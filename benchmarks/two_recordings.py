@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def _do(*words: str) -> None:
-    print("sensorgraph", *words, flush=True)
+    print("sensorgraph", *words)
     if command(list(words)):
         raise SystemExit(1)
 

@@ -43,8 +43,7 @@ def main() -> None:
         every, answered = found.all, found.answered_only
         print(
             f"{name:<32}{took:>8.0f}{found.answered:>10.1%}{answered['within_0.1m']:>12.1%}"
-            f"{every['within_0.1m']:>9.1%}{every['mae_m']:>8.3f}",
-            flush=True,
+            f"{every['within_0.1m']:>9.1%}{every['mae_m']:>8.3f}"
         )
 
 

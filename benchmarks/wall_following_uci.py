@@ -152,9 +152,7 @@ def main() -> None:
     for label, (terms, free) in forms.items():
         kept: list[Narmax] = []
         line = row(f"polynomial: {label}", folds, polynomials(terms, kept, free=free), "SIZE")
-        print(
-            line.replace("SIZE", f"{np.median([len(m.terms) for m in kept]):.0f} of {len(terms)}"), flush=True
-        )
+        print(line.replace("SIZE", f"{np.median([len(m.terms) for m in kept]):.0f} of {len(terms)}"))
     for label, names in (("24 sonars", SONARS), ("4 sector minima", list(SECTOR_MIDDLES))):
         print(row(f"{N_NEIGHBOURS} nearest neighbours, {label}", folds, partial(nearest, names=names)))
     print(

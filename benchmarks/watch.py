@@ -313,7 +313,7 @@ def pose_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator
                         scores.setdefault(name, []).append(value)
         total = said + missed + sum(lag > WITHIN for lag in lags)
         print(f"{kind}: {said} of {total} said within {WITHIN:g} s, {missed} missed within {AFTER:g} s, "
-              f"median {np.median(lags):.1f} s; false before in {false}", flush=True)  # fmt: skip
+              f"median {np.median(lags):.1f} s; false before in {false}")  # fmt: skip
     print(
         "area under the curve: "
         + ", ".join(f"{name} {area(np.array(each), np.array(labels)):.3f}" for name, each in scores.items())
@@ -332,7 +332,7 @@ def clean_part(data: Halves, graph: Sensorgraph) -> None:
     outside = np.mean([not status.pose.is_known_place for status in said])
     print(f"clean: {60 * hours:.1f} min, {outside:.0%} outside what the graph knows, seconds {dict(Counter(words))}, "
           f"{begun} false alarms = {begun / hours:.1f} per hour; {len(said[-1].changes)} changes; "
-          f"{cpu / (3600 * hours):.1%} of a core", flush=True)  # fmt: skip
+          f"{cpu / (3600 * hours):.1%} of a core")  # fmt: skip
     named = Counter(fault.name for status in said for fault in status.faults)
     print(f"named without a policy, in seconds: {dict(named)}")
 
@@ -353,8 +353,7 @@ def main() -> None:
     graph = sg.load(options.work / f"{options.log.name}.{half}.sensorgraph")
     rng = np.random.default_rng(0)
     print(
-        f"{options.log.name}: {data.second.n_scans:,} scans, {data.covered.mean():.0%} covered by the graph",
-        flush=True,
+        f"{options.log.name}: {data.second.n_scans:,} scans, {data.covered.mean():.0%} covered by the graph"
     )
     if options.part == "clean":
         clean_part(data, graph)

@@ -114,7 +114,7 @@ def watch(folder: Path, rate: float, hours: float) -> None:
         if one.stamp >= mark * seconds:
             gc.collect()
             told.append(memory())
-            print(f"{one.stamp / 3600:5.2f} h driven: {told[-1]:.0f} MB", flush=True)
+            print(f"{one.stamp / 3600:5.2f} h driven: {told[-1]:.0f} MB")
             mark += 0.1
     n_statements = int(stating.counts.sum())
     cpu, n_rays = time.process_time() - began, watcher.readings.sensor.n_rays

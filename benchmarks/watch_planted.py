@@ -118,7 +118,7 @@ def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
             right += name in found
             wrong += bool(found - {name})
             others.update(found - {name})
-        print(f"{name}: named in {right} of {total}, another fault in {wrong} {dict(others)}", flush=True)
+        print(f"{name}: named in {right} of {total}, another fault in {wrong} {dict(others)}")
 
 
 def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:
@@ -174,7 +174,7 @@ def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
     hours = float(np.ptp(watched.stamps)) / 3600
     *_, last = watch_scans(graph, watched.observations(), data.second.sensor)
     plain = last.changes
-    print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour", flush=True)
+    print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour")
     told = list(watch_scans(graph, with_things(watched, data, things).observations(), data.second.sensor))
     found = 0
     for thing in things:
@@ -185,7 +185,7 @@ def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
             f"({thing[0]:.1f}, {thing[1]:.1f}) m: third pass ends at {third:.0f} s, reported at {when:.0f} s"
         )
     others = [c for c in told[-1].changes if not any(_is_at(c, thing) for thing in things)]
-    print(f"found by the third pass: {found} of {len(things)}; other changes {len(others)}", flush=True)
+    print(f"found by the third pass: {found} of {len(things)}; other changes {len(others)}")
 
 
 def _is_at(change: PlaceChange, thing: Floats) -> bool:

@@ -61,11 +61,11 @@ def main() -> int:
         found = fuzz(counts[name], given.seed, folder)
         seconds = time.monotonic() - began
         kinds = f"{found.total():5,} findings of {len(found)} kinds"
-        print(f"{name:14} {counts[name]:7,} inputs {seconds:6.0f} s  {kinds}", flush=True)
+        print(f"{name:14} {counts[name]:7,} inputs {seconds:6.0f} s  {kinds}")
         for wrong, count in found.most_common(MOST_KINDS):
-            print(f"    {count:5}  {wrong}", flush=True)
+            print(f"    {count:5}  {wrong}")
         total += found.total()
-    print(f"{sum(counts.values()):,} inputs, {total:,} findings", flush=True)
+    print(f"{sum(counts.values()):,} inputs, {total:,} findings")
     if given.keep and (folder / "found").is_dir():
         shutil.copytree(folder / "found", given.keep, dirs_exist_ok=True)
     shutil.rmtree(folder)
