@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import sensorgraph as sg
@@ -31,6 +30,7 @@ from benchmarks.localize_in_map import Halves, halves, said
 from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
 from logs.transforms import compose, invert, wrap
+from planners.types import Floats, Ints
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
 from sensorgraph.exporting.amcl_filter import (
     LASER_MODELS,
@@ -51,7 +51,6 @@ from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.show.figures.style import new_figure, save_figure
 from sensorgraph.world.identified_arena import arena_of
 
-Floats = NDArray[np.float64]
 N_RAYS = 60
 """Number of rays of a scan that count, as many as AMCL's."""
 N_GROUPS, ORDER = 8, (0, 4, 2, 6, 1, 5, 3, 7)
@@ -78,7 +77,7 @@ class Posterior:
     covariances: Floats
     seconds: float
     """[s] of CPU"""
-    counts: NDArray[np.intp]
+    counts: Ints
     """(n_updates,) Number of particles."""
 
 
@@ -110,7 +109,7 @@ def is_effective(log_weights: Floats) -> bool:
 class ScanLikelihood:
     """Log-likelihood of one scan for particles: tabulated where they are near each other, else cast for each particle."""
 
-    def __init__(self, graph: Sensorgraph, scan: Floats, rays: NDArray[np.intp]) -> None:
+    def __init__(self, graph: Sensorgraph, scan: Floats, rays: Ints) -> None:
         self.graph, self.scan, self.rays = graph, scan, rays
         self.near: NearbyLikelihood | None = None
         bearings = graph.sensor.bearings[rays]
@@ -121,7 +120,7 @@ class ScanLikelihood:
         """Return whether the particles are near enough to each other for tables."""
         return bool((spread_of(particles) <= NEAR).all())
 
-    def of(self, particles: Floats, some: NDArray[np.intp]) -> Floats:
+    def of(self, particles: Floats, some: Ints) -> Floats:
         """Return the log-likelihood (n,) of the rays at positions `some` among all that count."""
         spread = spread_of(particles)
         if not self.is_near(particles):

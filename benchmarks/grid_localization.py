@@ -9,17 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from benchmarks.occupancy_grid import GRID_CELL, Grid
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
+from planners.types import Floats
 from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
 
-Floats = NDArray[np.float64]
 MOST_DISTANCE = 2.0
 """[m] as AMCL's laser_likelihood_max_dist."""
 RANDOM = 0.5 / 0.5 / 10.0

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import logs
 import sensorgraph as sg
@@ -26,6 +25,7 @@ from benchmarks.arguments import parser_of
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from planners.types import Bools, Floats
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
@@ -38,7 +38,6 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
-Floats = NDArray[np.float64]
 RIGHT_PLACE, RIGHT_TURN = 0.5, 0.26
 """[m, rad] a place nearer to the truth is the right one."""
 COVERED = 0.7
@@ -61,7 +60,7 @@ class Halves:
     """(n_scans, 3) base_link in map."""
     truth_covariances: Floats
     """(n_scans, 3, 3) as stated where the whole log was located: the truth is an estimate, too."""
-    covered: NDArray[np.bool_]
+    covered: Bools
     """(n_scans,) the scan fits the graph at its true pose."""
 
 

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import logs
@@ -24,6 +23,7 @@ from benchmarks.measures import cpu
 from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from planners.types import Floats, Ints
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.loop_closures import LoopCloser, spread
 from sensorgraph.localization.mapping import map_run
@@ -39,7 +39,6 @@ from sensorgraph.world.robot import default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-Floats = NDArray[np.float64]
 RAW = ("aces", "intel", "fr079")
 PUBLISHED = {"aces": "ple-aces", "intel": "ple-intel", "fr079": "ple-freiburg-079"}
 RADIUS, MIN_NEIGHBOURS, LEFT_OUT = 0.2, 5, 3  # [m], points, scans before and after
@@ -67,7 +66,7 @@ def relations_row(name: str, errors: tuple[Floats, Floats]) -> str:
     )
 
 
-def triangle_closures(relations: Floats) -> tuple[Floats, Floats, NDArray[np.intp]]:
+def triangle_closures(relations: Floats) -> tuple[Floats, Floats, Ints]:
     """Return how far [m] and by how much [rad] three relations among three times miss the start, and which relations these are.
 
     No poses can meet relations that contradict each other: with n independent errors of one size, three relations miss by √3
@@ -91,7 +90,7 @@ def triangle_closures(relations: Floats) -> tuple[Floats, Floats, NDArray[np.int
     return np.hypot(missed[:, 0], missed[:, 1]), np.abs(wrap(missed[:, 2])), used
 
 
-def sharpness(points: Floats, scans: NDArray[np.intp], *, n: int = 20000, seed: int = 0) -> Floats:
+def sharpness(points: Floats, scans: Ints, *, n: int = 20000, seed: int = 0) -> Floats:
     """Return distances [m] of returns from the line fitted to returns of other scans within `RADIUS`.
 
     Parameters
@@ -114,7 +113,7 @@ def sharpness(points: Floats, scans: NDArray[np.intp], *, n: int = 20000, seed: 
     return np.array(out)
 
 
-def in_map(run: Run, chosen: NDArray[np.intp], poses: Floats) -> tuple[Floats, NDArray[np.intp]]:
+def in_map(run: Run, chosen: Ints, poses: Floats) -> tuple[Floats, Ints]:
     """Return points (n, 2) of some scans seen from their poses, and the number of their scan."""
     scans = scan_points(run, odometry_of(run))
     points, numbers = [], []
@@ -126,7 +125,7 @@ def in_map(run: Run, chosen: NDArray[np.intp], poses: Floats) -> tuple[Floats, N
     return np.concatenate(points), np.concatenate(numbers)
 
 
-def published_poses(data: Path, name: str, run: Run) -> tuple[NDArray[np.intp], Floats]:
+def published_poses(data: Path, name: str, run: Run) -> tuple[Ints, Floats]:
     """Return scans of a raw log that the published log holds, too, and base_link there."""
     path = next((data / PUBLISHED[name]).glob("*.log*"))
     theirs = logs.read(path)

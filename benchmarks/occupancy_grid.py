@@ -15,18 +15,17 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.arguments import parser_of
 from benchmarks.tsdf import Tsdf
 from logs import Run, pair, read
+from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
 
-Floats = NDArray[np.float64]
 GRID_CELL = 0.05  # [m]
 MARCH_STEP = 0.025  # [m] of the march
 MAX_HIT = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
@@ -51,7 +50,7 @@ class Map(Protocol):
 
     def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None: ...
 
-    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
         """Return ranges (n, n_rays) [m], and whether they are more than a best guess."""
         ...
 
@@ -83,7 +82,7 @@ class Grid:
             passes += np.bincount(cells[seen], minlength=n_cells) * (MARCH_STEP / GRID_CELL)
         self.share = np.where(hits > 0, hits / np.maximum(hits + passes, 1e-9), 0.0)
 
-    def _cells(self, poses: Floats, distance: Floats) -> NDArray[np.int64]:
+    def _cells(self, poses: Floats, distance: Floats) -> Ints:
         """Return the cell at distances (n, n_rays, n_steps) along each ray."""
         angle = (poses[:, 2:3] + self.bearings)[:, :, None]
         distance = np.where(np.isfinite(distance), np.clip(distance, 0.0, MAX_HIT), 0.0)
@@ -92,7 +91,7 @@ class Grid:
         inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
         return np.where(inside, i * self.shape[1] + j, 0)
 
-    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
         """March each ray; return ranges (n, n_rays) [m] and whether a cell reached the threshold."""
         ranges, found = (
             np.empty((len(poses), len(self.bearings))),
@@ -123,7 +122,7 @@ class Tuned:
     def __init__(self, made: Map, threshold: float) -> None:
         self.made, self.threshold = made, threshold
 
-    def predict(self, poses: Floats, rays: NDArray[np.intp], point: Point) -> Prediction:
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict; one value stands for median, mode and mean."""
         ranges, found = self.made.cast(poses, self.threshold)
         ranges, found = ranges[:, rays], found[:, rays]

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from benchmarks.particle_filter import driven
 from logs import pair
 from logs.run import Run
 from logs.transforms import compose, invert
+from planners.types import Floats
 from sensorgraph.exporting.amcl_filter import updates
 
-Floats = NDArray[np.float64]
 FREEDOM = 4
 """Degrees of freedom of Student's distribution of the motion noise."""
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.run import Run
+from planners.types import Floats
 from sensorgraph.exporting.amcl_filter import LASER_MODELS, CellDistances, filtered
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-
-Floats = NDArray[np.float64]
 
 
 def driven(run: Run) -> Floats:

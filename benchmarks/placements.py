@@ -15,19 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.arguments import parser_of
 from benchmarks.measures import half_interval
 from benchmarks.occupancy_grid import MAX_HIT, Grid, Tuned, tuned
 from logs import Run, pair, read
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 PLACEMENT_COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r")
 SMALLER_IS_BETTER = np.array([True, True, False, False, False])
 

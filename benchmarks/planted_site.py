@@ -9,18 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs import Run, pair
 from planners.arena import Arena
+from planners.types import Floats, Ints
 from sensorgraph import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.world.open_borders import open_borders
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, default_robot
 
-Floats = NDArray[np.float64]
 MAP_MAX_RANGE = 12.0  # [m] the map is made up to here; a longer reading counts as nothing seen
 MAP_MIN_RANGE = 0.05  # [m] a shorter reading is broken
 N_MEASURED = 90  # of a scan that are measured, evenly spread
@@ -38,7 +37,7 @@ N_SPREAD, SCANS_SPREAD = 3, 200  # samples of a whole log against a map of pixel
 MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 
 
-def ends(poses: Floats, ranges: Floats, bearings: Floats) -> tuple[Floats, NDArray[np.intp]]:
+def ends(poses: Floats, ranges: Floats, bearings: Floats) -> tuple[Floats, Ints]:
     """Return where rays end (n, 2) [m], and of which scan each is."""
     seen = np.isfinite(ranges) & (ranges > 2 * MAP_MIN_RANGE) & (ranges < MAP_MAX_RANGE)
     scan, ray = np.nonzero(seen)
@@ -152,13 +151,13 @@ def limited(ranges: Floats) -> Floats:
     return np.where(ranges < MAP_MIN_RANGE, np.nan, np.where(ranges > MAP_MAX_RANGE, np.inf, ranges))
 
 
-def measured_rays(log: Run) -> NDArray[np.intp]:
+def measured_rays(log: Run) -> Ints:
     """Return which rays of the log are measured."""
     every = max(1, log.sensor.n_rays // N_MEASURED)
     return np.arange(every // 2, log.sensor.n_rays, every)
 
 
-def measurement(log: Run, scans: NDArray[np.intp]) -> Run:
+def measurement(log: Run, scans: Ints) -> Run:
     """Return some scans of the log, some 90 rays of each."""
     rays = measured_rays(log)
     sensor = replace(log.sensor, bearings=log.sensor.bearings[rays], range_max=MAP_MAX_RANGE)
@@ -191,7 +190,7 @@ class LogWindow:
     """A stretch of the log, and the map of its surroundings."""
 
     name: str
-    scans: NDArray[np.intp]
+    scans: Ints
     arena: Arena
 
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.arguments import parser_of
 from logs import Run, pair, read
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
@@ -31,7 +31,6 @@ from sensorgraph.models.cells.ray_march import tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 
-Floats = NDArray[np.float64]
 LOG_COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r", "wrong_5cm", "f_score")
 WEIGHT_PER_LOG = 3e5
 """Weight that every log has, however long it is."""

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
@@ -27,13 +26,12 @@ from benchmarks.occupancy_grid import Grid, tuned
 from logs import pair, read
 from logs.motion import ray_poses
 from logs.transforms import wrap
+from planners.types import Bools, Floats
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
 from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
 from sensorgraph.show.figures.style import new_figure, save_figure
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 LEVELS = (0.5, 0.9, 0.99)
 MAX_RANGE = 10.0
 """[m] Longest scored return, the reach of cells and grid."""

@@ -17,8 +17,8 @@ from PIL import Image
 
 from benchmarks.arguments import existing, parser_of
 from logs import pair, read
+from planners.types import Floats
 
-Floats = NDArray[np.float64]
 MIN_PASS_THROUGH, OCCUPANCY = 2, 0.1
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 MAX_USED = 20.0  # [m] a longer reading is followed up to here, and ends nowhere

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from planners.types import Bools, Floats
+
 TSDF_CELL = 0.05  # [m]
 TSDF_STEP = 0.025  # [m]
 TSDF_MAX_HIT = 10.0  # [m]
@@ -59,7 +59,7 @@ class Tsdf:
         self.weight = weight.reshape(self.shape)
         self.mean = (total / np.maximum(weight, 1e-9)).reshape(self.shape)
 
-    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
         """March each ray; return ranges (n, n_rays) [m] and whether the field changes sign."""
         steps = np.arange(TSDF_STEP / 2, TSDF_MAX_HIT, TSDF_STEP)
         ranges = np.empty((len(poses), len(self.bearings)))
@@ -84,7 +84,7 @@ class Tsdf:
             found[start : start + 16] = hit
         return ranges, found
 
-    def _at(self, x: Floats, y: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+    def _at(self, x: Floats, y: Floats, threshold: float) -> tuple[Floats, Bools]:
         """Interpolate the field at places between the middles of four cells; all four must be known."""
         u, v = (x - self.low[0]) / TSDF_CELL - 0.5, (y - self.low[1]) / TSDF_CELL - 0.5
         u, v = np.clip(u, 0, self.shape[0] - 2), np.clip(v, 0, self.shape[1] - 2)

@@ -16,17 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from benchmarks.arguments import parser_of
 from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena
+from planners.types import Bools, Floats
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.world.raycast import cast
 
-Floats = NDArray[np.float64]
 LASER_SIGMA = 0.01  # [m]
 STATED = np.array([0.10, 0.0, 0.0])  # [m, m, rad] mount as the robot file says
 OFFSET = np.array([0.050, 0.020, np.radians(0.5)])
@@ -81,7 +80,7 @@ def free_poses(arena: Arena, n: int, rng: np.random.Generator) -> Floats:
     return np.column_stack([found[:n], rng.uniform(-np.pi, np.pi, n)])
 
 
-def score(predicted: Floats, truth: Floats, noise: Floats, use: NDArray[np.bool_] | None = None) -> Floats:
+def score(predicted: Floats, truth: Floats, noise: Floats, use: Bools | None = None) -> Floats:
     """Return the columns of the table for readings (n_scans, n_rays)."""
     use = np.isfinite(truth) if use is None else use & np.isfinite(truth)
     error = np.abs(np.where(np.isfinite(predicted), predicted, 30.0) - truth)[use]

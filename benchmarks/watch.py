@@ -27,7 +27,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import gaussian_kde, rankdata
 
 import logs
@@ -37,6 +36,7 @@ from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import compose, invert
+from planners.types import Floats, Ints
 from sensorgraph.exporting import amcl_filter
 from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.graph import Sensorgraph
@@ -47,7 +47,6 @@ from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.tracker import PoseTracker
 from sensorgraph.watching.watcher import watch_scans
 
-Floats = NDArray[np.float64]
 BEFORE, AFTER, WITHIN = 15.0, 8.0, 5.0
 """[s] of log before and after a kidnap; time within which it must be said."""
 LEAST_WAY = 2.0
@@ -85,7 +84,7 @@ def stretch(data: Halves, odometry: Floats, first: int, last: int) -> Watched:
     return clean_scans(data, odometry, np.arange(first, last))
 
 
-def clean_scans(data: Halves, odometry: Floats, scans: NDArray[np.intp]) -> Watched:
+def clean_scans(data: Halves, odometry: Floats, scans: Ints) -> Watched:
     """Return scans of the second half, with the truth as belief."""
     return Watched(
         stamps=data.second.stamps[scans], ranges=data.second.ranges[scans], odometry=odometry[scans],
@@ -199,7 +198,7 @@ def _separation(field: Field, right: Floats, wrong: Floats, ranges: Floats) -> f
     return area(-np.array([*good, *bad]), np.repeat([0, 1], len(good)))
 
 
-def area(scores: Floats, wrong: NDArray[np.intp]) -> float:
+def area(scores: Floats, wrong: Ints) -> float:
     """Return the area under the curve of an alarm: probability that a wrong second scores higher than a right one."""
     n_wrong, n_right = int((wrong == 1).sum()), int((wrong == 0).sum())
     return float(

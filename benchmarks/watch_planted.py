@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import sensorgraph as sg
 from benchmarks.arguments import parser_of
@@ -27,12 +26,12 @@ from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from benchmarks.watch import Watched, clean_scans, stretch
 from logs.transforms import compose, invert
+from planners.types import Floats
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.place import PlaceChange
 from sensorgraph.watching.policy import learn
 from sensorgraph.watching.watcher import watch_scans
 
-Floats = NDArray[np.float64]
 RADIUS = 0.15
 """[m] of a planted thing."""
 IN_SIGHT, CLEAR, APART, NEAR = 4.0, 0.5, 2.0, 0.4
