@@ -9,12 +9,9 @@ models; all are told where to start.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import halves, said
 from benchmarks.particle_filter import followed
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
@@ -26,14 +23,11 @@ from sensorgraph.world.identified_arena import arena_of
 def main() -> None:
     """Print the parameters, and the errors with each set."""
     parser = parser_of(__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument(
-        "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"
-    )
+    log_of_halves(parser)
     parser.add_argument("--seeds", type=int, default=3)
     given = parser.parse_args()
     data = halves(given.log, given.work)
-    arena = arena_of(sg.Sensorgraph.load(given.work / f"{given.log.name}.first.sensorgraph"))
+    arena = arena_of(data.graph)
     grid = map_of(arena)
     estimates = estimate_amcl(data.first, arena, grid)
     for name, found in estimates.items():

@@ -18,7 +18,6 @@ views of what it does not answer. With `--thin` n only every n-th scan is built 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -27,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.drives import drive_and_log
 from benchmarks.error_tables import ALL_MINUTES, DriveScore, picture, single_places, summary
 from benchmarks.places import arena_named
@@ -219,7 +218,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
     if options.table:
-        rows = kept(options.keep, options.thin)
+        rows = thinned(options.keep, options.thin)
         summary(rows, options.out)
         single_places(rows)
         return
@@ -234,7 +233,7 @@ def main() -> None:
             check, short = check_of(place), Path(name.partition("@")[0]).name
             known = {
                 (row["arena"], row["seed"], row["way"], row["minutes"])
-                for row in kept(options.keep, options.thin)
+                for row in thinned(options.keep, options.thin)
             }
             for way, drive in ways(place).items():
                 if options.ways and way not in options.ways:
@@ -248,28 +247,17 @@ def main() -> None:
                         f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
                         f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |"
                     )
-                    if options.keep:
-                        keep(
-                            options.keep,
-                            asdict(r)
-                            | {"arena": short, "seed": seed, "minutes": minutes, "thin": options.thin},
-                        )
+                    where = {"arena": short, "seed": seed, "minutes": minutes, "thin": options.thin}
+                    keep(options.keep, asdict(r) | where)
     if options.keep:
-        summary(kept(options.keep, options.thin), options.out)
+        summary(thinned(options.keep, options.thin), options.out)
     elif scores:
         picture(scores, options.out)
 
 
-def kept(path: Path | None, thin: int) -> list[dict[str, Any]]:
+def thinned(path: Path | None, thin: int) -> list[dict[str, Any]]:
     """Return the results that a file holds of graphs built from every `thin`-th scan."""
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
-    return [row for row in rows if row["thin"] == thin]
-
-
-def keep(path: Path, result: dict[str, Any]) -> None:
-    """Add a result to a file."""
-    with path.open("a") as file:
-        file.write(json.dumps(result) + "\n")
+    return [row for row in kept(path) if row["thin"] == thin]
 
 
 if __name__ == "__main__":

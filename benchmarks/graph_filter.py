@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, halves, said
 from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
@@ -320,15 +320,14 @@ def print_starts(
 def main() -> None:
     """Print the errors of each filter."""
     parser = parser_of(__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("runs/in_map"))
+    log_of_halves(parser)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--updates", type=int, help="only the first updates")
     parser.add_argument("--global-start", action="store_true", help="also starts without a pose")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     data = halves(given.log, given.work)
-    arena = arena_of(sg.Sensorgraph.load(given.work / f"{given.log.name}.first.sensorgraph"))
+    arena = arena_of(data.graph)
     grid = map_of(arena)
     numbers = chosen(estimate_amcl(data.first, arena, grid))
     compared = compare_laser_models(data.first, grid, numbers)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import fastest
 from benchmarks.raycast import arena_of, box
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
@@ -205,17 +206,6 @@ def room(rng: np.random.Generator, n: int, n_rays: int) -> tuple[Signals, np.nda
     return columns, ranges + 0.01 * rng.normal(size=ranges.shape)
 
 
-def timed(call: Callable[[], object], repeats: int) -> float:
-    """Return the median processor time [s] of a call."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    return float(np.median(times))
-
-
 def peers(n_peer_rays: int) -> None:
     """Time 181 rays x 20,000 poses, 35 terms of degree 3, 20 kept, beside the peers in the same run."""
     columns, ranges = room(np.random.default_rng(FIRST_DATA_SEED), 20_000, 181)
@@ -228,7 +218,7 @@ def peers(n_peer_rays: int) -> None:
     def exchanged() -> np.ndarray:
         return select(Moments(terms, 181, scale=scale).add(columns, ranges), 20, search="exchange").order
 
-    mine, swapped = timed(ours, 7), timed(exchanged, 3)
+    mine, swapped = fastest(ours, 7), fastest(exchanged, 3)
     print(f"{len(terms)} terms: ours {1e3 * mine:.1f} ms for 181 rays; with exchange {1e3 * swapped:.1f} ms")
     rays = np.linspace(0, 180, n_peer_rays).round().astype(int).tolist()
     for name, run in (("SysIdentPy 0.9", sysidentpy_order), ("fastcan 0.6", fastcan_order)):
@@ -239,7 +229,7 @@ def peers(n_peer_rays: int) -> None:
             continue
         times, own, same = [], [], 0
         for ray in rays:
-            own.append(timed(ours, 3))  # in turn, so that both meet the same machine
+            own.append(fastest(ours, 3))  # in turn, so that both meet the same machine
             start = time.process_time()
             theirs = run(columns, terms, ranges[:, ray], 20)
             times.append(time.process_time() - start)
@@ -305,7 +295,7 @@ def streaming(n_poses: int) -> None:
         made = time.process_time()
         moments.add(columns, ranges)
         making, adding = making + made - clock, adding + time.process_time() - made
-    chosen = timed(lambda: select(moments, 20), 3)
+    chosen = fastest(lambda: select(moments, 20), 3)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f"{n_rays} rays x {n_poses} poses, {len(terms)} terms: moments {adding:.2f} s, selection {1e3 * chosen:.0f} ms, "

@@ -21,7 +21,7 @@ import numpy as np
 
 import logs
 import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -48,6 +48,7 @@ COVERED = 0.7
 class Halves:
     """A graph of the first half, and the second half with its truth."""
 
+    graph: sg.Sensorgraph
     walls: Floats
     normals: Floats
     """(n_walls, 2) to where each was seen from."""
@@ -94,7 +95,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
             found = match(scans.points[own], scans.normals[own], place.surfaces, truth[k])
             covered[k] = found.agreement >= COVERED
     return Halves(
-        walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
+        graph=graph, walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
         truth_covariances=whole_part.pose_covariances[nearest],
     )  # fmt: skip
 
@@ -271,16 +272,9 @@ def _joined(one: Run, two: Run) -> Run:
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument(
-        "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"
-    )
+    log_of_halves(parser)
     parser.add_argument("--parts", default="start,track,grid,kidnap")
-    parser.add_argument(
-        "--swap",
-        action="store_true",
-        help="the first half in a graph of the second: settings were made on this",
-    )
+    parser.add_argument("--swap", action="store_true", help="the first half in a graph of the second")
     parser.add_argument("--places", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
 from benchmarks.offices import office
 from planners.arena import Arena
 from planners.maps import geojson
@@ -17,3 +23,16 @@ def arena_named(name: str) -> Arena:
 def vehicle(drive: Drive) -> Vehicle:
     """Return a vehicle with the limits of the shipped robot; cars turn at 0.4 m or wider."""
     return Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+
+
+def write_map(folder: Path, grey: NDArray[np.uint8], origin: tuple[float, float], cell: float) -> Path:
+    """Write map.pgm and map.yaml of a picture, row 0 on top, with its lower left corner and the size of cells [m]; return the latter."""
+    folder.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey).save(folder / "map.pgm")
+    path = folder / "map.yaml"
+    path.write_text(
+        f"image: map.pgm\nmode: trinary\nresolution: {cell}\norigin: [{origin[0]}, {origin[1]}, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
+        encoding="utf-8",
+    )
+    return path

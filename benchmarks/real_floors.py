@@ -14,20 +14,17 @@ from __future__ import annotations
 
 import csv
 import gzip
-import json
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from PIL import Image
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.coverage_planners import warm_up
 from benchmarks.measures import processor_time
-from benchmarks.places import vehicle
+from benchmarks.places import vehicle, write_map
 from planners import plan
 from planners.arena import Arena
 from planners.clearance import Barriers
@@ -49,7 +46,7 @@ def main() -> None:
     parser.add_argument("--largest", type=float, default=3000.0, help="[m2] of a floor")
     parser.add_argument("--drive", default="diff", choices=DRIVES)
     options = parser.parse_args()
-    known = {row["floor"] for row in rows(options.out)}
+    known = {row["floor"] for row in kept(options.out)}
     warm_up(options.drive)
     for floor, start, area in floors(options.folder):
         for is_raster in (False, True):
@@ -63,15 +60,9 @@ def main() -> None:
             arena = read_floor(options.folder, floor)
             arena = rasterised(arena) if is_raster else arena
             row = {"floor": name, "area_m2": area} | planned(arena, start, options.drive)
-            with options.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-            print(line(rows(options.out)[-1]))
-    table(rows(options.out))
-
-
-def rows(path: Path) -> list[dict[str, Any]]:
-    """Return what was planned so far."""
-    return [json.loads(text) for text in path.read_text().splitlines()] if path.exists() else []
+            keep(options.out, row)
+            print(line(row))
+    table(kept(options.out))
 
 
 def floors(folder: Path) -> list[tuple[str, np.ndarray, float]]:
@@ -104,14 +95,8 @@ def rasterised(arena: Arena) -> Arena:
     places = np.column_stack([x0 + (i + 0.5) * RESOLUTION, y0 + (k + 0.5) * RESOLUTION])
     is_wall = ~arena.contains(places) | (Barriers(arena).distances(places) < RESOLUTION / 2)
     image = np.where(is_wall, OCCUPIED, FREE).astype(np.uint8).reshape(nx, ny).T[::-1]
-    facts = {
-        "image": "map.pgm", "resolution": RESOLUTION, "origin": [float(x0), float(y0), 0.0], "negate": 0,
-        "occupied_thresh": 0.65, "free_thresh": 0.196,
-    }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        Image.fromarray(image).save(Path(folder) / "map.pgm")
-        (Path(folder) / "map.yaml").write_text(yaml.safe_dump(facts))
-        return load_arena(Path(folder) / "map.yaml")
+        return load_arena(write_map(Path(folder), image, (float(x0), float(y0)), RESOLUTION))
 
 
 def planned(arena: Arena, start: np.ndarray, drive: str) -> dict[str, Any]:

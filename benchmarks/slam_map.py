@@ -1,6 +1,6 @@
 """A map of pixels of a real building, counted as slam_toolbox does (Karto), and written as map_server reads it.
 
-    python -m benchmarks.slam_map LOCATED.mcap -o FOLDER [--cell 0.05]
+    python -m benchmarks.slam_map LOCATED.mcap -o FOLDER
 
 A cell that two rays or more reach is occupied where at least a tenth of them end in it, and else free (Konolige, Grisetti,
 Kümmerle, Burgard, Limketkai and Vincent 2010, Efficient sparse pose adjustment for 2D mapping; Karto's parameters
@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from benchmarks.arguments import existing, parser_of
+from benchmarks.places import write_map
 from logs import pair, read
 from planners.types import Floats
 
 MIN_PASS_THROUGH, OCCUPANCY = 2, 0.1
+CELL = 0.05  # [m]
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 MAX_USED = 20.0  # [m] a longer reading is followed up to here, and ends nowhere
 MARGIN = 1.0  # [m] around what was reached
@@ -62,25 +63,11 @@ def grey_of(
     return np.ascontiguousarray(grey.T[::-1]), (float(low[0]), float(low[1]))
 
 
-def write(folder: Path, grey: NDArray[np.uint8], origin: tuple[float, float], cell: float) -> Path:
-    """Write map.pgm and map.yaml; return the latter."""
-    folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(grey).save(folder / "map.pgm")
-    path = folder / "map.yaml"
-    path.write_text(
-        f"image: map.pgm\nmode: trinary\nresolution: {cell}\norigin: [{origin[0]}, {origin[1]}, 0]\n"
-        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
-        encoding="utf-8",
-    )
-    return path
-
-
 def main() -> None:
     """Map a log."""
     parser = parser_of(__doc__)
     parser.add_argument("log", type=existing)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--cell", type=float, default=0.05, help="[m]")
     options = parser.parse_args()
     log = read(options.log)
     pairing = pair(log)
@@ -93,10 +80,10 @@ def main() -> None:
     lasers = poses + np.stack(
         [c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], np.full(len(poses), mount[2])], axis=1
     )
-    grey, origin = grey_of(lasers[slow], log.ranges[kept][slow], log.sensor.bearings, options.cell)
+    grey, origin = grey_of(lasers[slow], log.ranges[kept][slow], log.sensor.bearings, CELL)
     print(
         f"{int(slow.sum())} of {len(kept)} scans, {int((grey == OCCUPIED).sum())} cells occupied, "
-        f"{int((grey == FREE).sum())} free; wrote {write(options.output, grey, origin, options.cell)}"
+        f"{int((grey == FREE).sum())} free; wrote {write_map(options.output, grey, origin, CELL)}"
     )
 
 

@@ -33,7 +33,7 @@ import numpy as np
 import yaml
 
 import logs
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.locate import aligned
 from benchmarks.measures import processor_time
 from logs.formats import format_of
@@ -279,9 +279,7 @@ def main() -> int:
         "--keep", type=Path, help="JSON lines of the rows; what is there already is not repeated"
     )
     given = parser.parse_args()
-    known = {}
-    if given.keep is not None and given.keep.is_file():
-        known = {row["name"]: Row(**row) for row in map(json.loads, given.keep.read_text().splitlines())}
+    known = {row["name"]: Row(**row) for row in kept(given.keep)}
     rows = []
     for folder in given.folders:
         folder = folder.resolve()
@@ -290,9 +288,8 @@ def main() -> int:
             if not any(fnmatchcase(name, pattern) for pattern in given.only.split(",")):
                 continue
             row = known.get(name) or row_of(path, folder)
-            if given.keep is not None and name not in known:
-                with given.keep.open("a") as file:
-                    file.write(json.dumps(asdict(row)) + "\n")
+            if name not in known:
+                keep(given.keep, asdict(row))
             rows.append(row)
             print(f"{time.strftime('%H:%M')} {name}", file=sys.stderr)
     print("\n".join(lines_of(rows)))

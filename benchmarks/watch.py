@@ -24,14 +24,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import gaussian_kde, rankdata
 
 import logs
-import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from logs.run import OccupancyMap, RangeSensor
@@ -271,12 +269,12 @@ def seconds(
     return out
 
 
-def pose_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
+def pose_part(data: Halves, n: int, rng: np.random.Generator) -> None:
     """Print how soon wrong poses are said, and the areas under the curves."""
     odometry, stamps = driven(data.second), data.second.stamps
     known = data.covered & np.isfinite(data.truth[:, 0])
     share = np.convolve(known, np.ones(25) / 25, "same")
-    readings, field = GraphReadings(graph, data.second.sensor), field_of(data, rng)
+    readings, field = GraphReadings(data.graph, data.second.sensor), field_of(data, rng)
     starts = np.flatnonzero(
         known & (share > 0.9) & (stamps > stamps[0] + BEFORE) & (stamps < stamps[-1] - AFTER)
     )
@@ -299,7 +297,7 @@ def pose_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator
                 watched = put_off(data, odometry, first, at, last, rng)
             if np.isnan(watched.believed).any():
                 continue
-            rows = seconds(graph, readings, watched, Alarms(field, rng))
+            rows = seconds(data.graph, readings, watched, Alarms(field, rng))
             wrong = [t for t, status, _ in rows if t >= 0 and status in ("off", "lost")]
             false += any(status in ("off", "lost") for t, status, _ in rows if t < 0)
             said += bool(wrong) and wrong[0] <= WITHIN
@@ -319,12 +317,12 @@ def pose_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator
     )
 
 
-def clean_part(data: Halves, graph: Sensorgraph) -> None:
+def clean_part(data: Halves) -> None:
     """Print false alarms and the load on the second half."""
     odometry = driven(data.second)
     watched = clean_scans(data, odometry, np.flatnonzero(np.isfinite(data.truth[:, 0])))
     began = time.process_time()
-    said = list(watch_scans(graph, watched.observations(), data.second.sensor))
+    said = list(watch_scans(data.graph, watched.observations(), data.second.sensor))
     cpu, hours = time.process_time() - began, data.second.duration / 3600
     words = [status.pose.status for status in said]
     begun = sum(a in ("ok", "ambiguous") and b in ("off", "lost") for a, b in pairwise(words))
@@ -339,8 +337,7 @@ def clean_part(data: Halves, graph: Sensorgraph) -> None:
 def main() -> None:
     """Print the tables."""
     parser = parser_of(__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
+    log_of_halves(parser)
     parser.add_argument("--part", choices=("clean", "pose"), default="clean")
     parser.add_argument("--n", type=int, default=50)
     parser.add_argument(
@@ -348,16 +345,13 @@ def main() -> None:
     )
     options = parser.parse_args()
     data = halves(options.log, options.work, swapped=options.swapped)
-    half = "second" if options.swapped else "first"
-    graph = sg.load(options.work / f"{options.log.name}.{half}.sensorgraph")
-    rng = np.random.default_rng(0)
     print(
         f"{options.log.name}: {data.second.n_scans:,} scans, {data.covered.mean():.0%} covered by the graph"
     )
     if options.part == "clean":
-        clean_part(data, graph)
+        clean_part(data)
     else:
-        pose_part(data, graph, options.n, rng)
+        pose_part(data, options.n, np.random.default_rng(0))
 
 
 if __name__ == "__main__":

@@ -16,18 +16,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from benchmarks.watch import Watched, clean_scans, stretch
 from logs.transforms import compose, invert
 from planners.types import Floats
-from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.place import PlaceChange
 from sensorgraph.watching.policy import learn
 from sensorgraph.watching.watcher import watch_scans
@@ -77,14 +74,14 @@ def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator)
     return replace(watched, ranges=ranges, odometry=odometry)
 
 
-def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
+def robot_part(data: Halves, n: int, rng: np.random.Generator) -> None:
     """Print how often planted faults are named, with a policy from one half of the covered stretches."""
     odometry, stamps = driven(data.second), data.second.stamps
     known = np.flatnonzero(np.isfinite(data.truth[:, 0]))
     middle = known[len(known) // 2]
     good = stretch(data, odometry, known[0], middle)
     sensor = data.second.sensor
-    policy = learn([list(watch_scans(graph, good.observations(), sensor))])
+    policy = learn([list(watch_scans(data.graph, good.observations(), sensor))])
     print(
         "baseline: " + ", ".join(f"{k} {v.value:.4f} ± {v.tolerance:.4f}" for k, v in policy.baseline.items())
     )
@@ -104,7 +101,10 @@ def robot_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generato
                 continue
             said = list(
                 watch_scans(
-                    graph, planted(data, watched, name, rng).observations(), sensor, baseline=policy.baseline
+                    data.graph,
+                    planted(data, watched, name, rng).observations(),
+                    sensor,
+                    baseline=policy.baseline,
                 )
             )
             found = {
@@ -164,17 +164,19 @@ def chosen_things(watched: Watched, data: Halves, n: int, rng: np.random.Generat
             return
 
 
-def place_part(data: Halves, graph: Sensorgraph, n: int, rng: np.random.Generator) -> None:
+def place_part(data: Halves, n: int, rng: np.random.Generator) -> None:
     """Print how many planted things are found by the third pass, and how many changes are reported besides."""
     odometry, is_true = driven(data.second), np.isfinite(data.truth[:, 0])
     watched = clean_scans(data, odometry, np.flatnonzero(is_true))
     seen = clean_scans(data, odometry, np.flatnonzero(is_true & data.covered))
     things = np.array(list(chosen_things(seen, data, n, rng))).reshape(-1, 2)
     hours = float(np.ptp(watched.stamps)) / 3600
-    *_, last = watch_scans(graph, watched.observations(), data.second.sensor)
+    *_, last = watch_scans(data.graph, watched.observations(), data.second.sensor)
     plain = last.changes
     print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour")
-    told = list(watch_scans(graph, with_things(watched, data, things).observations(), data.second.sensor))
+    told = list(
+        watch_scans(data.graph, with_things(watched, data, things).observations(), data.second.sensor)
+    )
     found = 0
     for thing in things:
         third = passes_of(seen, data, thing)[2][1]
@@ -195,15 +197,13 @@ def _is_at(change: PlaceChange, thing: Floats) -> bool:
 def main() -> None:
     """Print the tables."""
     parser = parser_of(__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
+    log_of_halves(parser)
     parser.add_argument("--part", choices=("robot", "place"), required=True)
     parser.add_argument("--n", type=int, default=8)
     options = parser.parse_args()
     data = halves(options.log, options.work)
-    graph = sg.load(options.work / f"{options.log.name}.first.sensorgraph")
     part = robot_part if options.part == "robot" else place_part
-    part(data, graph, options.n, np.random.default_rng(0))
+    part(data, options.n, np.random.default_rng(0))
 
 
 if __name__ == "__main__":

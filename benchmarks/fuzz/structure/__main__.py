@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import benchmarks.fuzz.structure
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.fuzz.structure import drives
 from benchmarks.fuzz.structure.cases import case_of_job, draft_of, jobs_of
 from benchmarks.fuzz.structure.judge import Outcome
@@ -89,20 +88,15 @@ def main() -> int:
         for name, number in jobs:
             print(write(draft_of(name, number, given.seed, given.cache), given.logs / f"{name}-{number}"))
         return 0
-    results = []
-    if given.keep is not None and given.keep.exists():
-        results = [Outcome(**json.loads(line)) for line in given.keep.read_text().splitlines()]
-        known = {(one.kind, one.seed) for one in results}
-        results = [one for one in results if (one.kind, one.seed) in set(jobs)]
-        jobs = [job for job in jobs if job not in known]
+    before = {(row["kind"], row["seed"]): Outcome(**row) for row in kept(given.keep)}
+    results = [before[job] for job in jobs if job in before]
+    jobs = [job for job in jobs if job not in before]
     began = time.monotonic()
     work = partial(case_of_job, seed=given.seed, cache=given.cache)
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for one in pool.map(work, jobs) if given.processes > 1 else map(work, jobs):
             results.append(one)
-            if given.keep is not None:
-                with given.keep.open("a") as file:
-                    file.write(json.dumps(asdict(one)) + "\n")
+            keep(given.keep, asdict(one))
     print("\n".join(table(results)))
     print(f"{len(results):,} logs, {len(jobs):,} of them now, in {time.monotonic() - began:.0f} s")
     return int(any(one.is_crash or one.is_silent for one in results))
