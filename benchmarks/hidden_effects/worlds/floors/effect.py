@@ -24,10 +24,12 @@ class Effect:
     channel = "scan"
     """Scan, odometry, drive or pose."""
     scene: Scene
+    spans: Mapping[str, tuple[float, float]] = types.MappingProxyType({})
+    """Parameters that are drawn between two numbers."""
 
-    def __init_subclass__(cls, name: str = "", channel: str = "scan") -> None:
+    def __init_subclass__(cls, name: str = "", channel: str = "scan", **spans: tuple[float, float]) -> None:
         """Register an effect by its name."""
-        cls.name, cls.channel = name, channel
+        cls.name, cls.channel, cls.spans = name, channel, spans
         if name:
             EFFECTS[name] = cls
 
@@ -42,6 +44,7 @@ class Effect:
 
     def draw(self, scene: Scene) -> None:
         """Draw size and place."""
+        self.parameters = rounded(**{key: even(scene, *span) for key, span in self.spans.items()})
 
     # commands and base
 
@@ -165,7 +168,13 @@ def signed(scene: Scene, materiality: float) -> float:
 Law = Callable[..., Any]
 
 
-def law(name: str, draw: Callable[[Scene], Mapping[str, float]], channel: str = "scan", **hooks: Law) -> None:
+def law(
+    name: str,
+    draw: Callable[[Scene], Mapping[str, float]],
+    channel: str = "scan",
+    note: str = "",
+    **hooks: Law,
+) -> None:
     """Define an effect by what it does at hooks of `Effect`, each a function of its parameters and the hook's arguments.
 
     Of the hook `ideal` it is a function of parameters and rays that returns the ranges.
@@ -177,5 +186,6 @@ def law(name: str, draw: Callable[[Scene], Mapping[str, float]], channel: str = 
         return lambda self, *arguments: function(self.parameters, *arguments)
 
     members: dict[str, Any] = {hook: acts(hook, function) for hook, function in hooks.items()}
+    members["__doc__"] = note
     members["draw"] = lambda self, scene: setattr(self, "parameters", rounded(**draw(scene)))
     types.new_class(name, (Effect,), {"name": name, "channel": channel}, lambda body: body.update(members))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from scipy import ndimage
 
 from benchmarks.hidden_effects.log import Booleans, Floats
-from benchmarks.hidden_effects.worlds.floors.effect import Effect, Mount, even, rounded, sign
+from benchmarks.hidden_effects.worlds.floors.effect import Effect, Mount, even, law, rounded, sign
 from benchmarks.hidden_effects.worlds.floors.placing import dip
 from benchmarks.hidden_effects.worlds.floors.scene import OMEGA, STEP, TIME, Rays, Scene, V
 
@@ -48,16 +49,16 @@ class Mast(Effect, name="g_mast"):
         return swing
 
 
-class WrappedRange(Effect, name="g_wrap"):
-    """Phase-shift laser: ranges beyond the ambiguity read r - R; near max_range/random_outliers."""
+def _finite(rays: Rays, otherwise: float = 0.0) -> Floats:
+    return np.where(np.isfinite(rays.ranges), rays.ranges, otherwise)
 
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(R=np.quantile(scene.hits.ranges, even(scene, 0.85, 0.95)))
 
-    def ideal(self, rays: Rays) -> None:
-        is_hit = np.isfinite(rays.ranges)
-        wrapped = np.mod(np.where(is_hit, rays.ranges, 0.0), self.parameters["R"])
-        rays.ranges = np.where(is_hit, wrapped, rays.ranges)
+law(
+    "g_wrap",
+    lambda scene: {"R": np.quantile(scene.hits.ranges, even(scene, 0.85, 0.95))},
+    note="Phase-shift laser: ranges beyond the ambiguity read r - R; near max_range/random_outliers.",
+    ideal=lambda p, rays: np.where(np.isfinite(rays.ranges), np.mod(_finite(rays), p["R"]), rays.ranges),
+)
 
 
 class Restart(Effect, name="g_restart"):
@@ -103,16 +104,14 @@ class EndStamp(Effect, name="g_endstamp"):
         return np.asarray(first - age * (1 - share))
 
 
-class SquaredRange(Effect, name="g_square"):
-    """Triangulating laser with a bent baseline: z = r + c r^2; near range_scale."""
-
-    def draw(self, scene: Scene) -> None:
-        far = np.quantile(scene.hits.ranges, 0.75)
-        self.parameters = rounded(c=sign(scene) * even(scene, 3.5, 6) * scene.robot.sigma / far**2)
-
-    def ideal(self, rays: Rays) -> None:
-        ranges = np.where(np.isfinite(rays.ranges), rays.ranges, 0)
-        rays.ranges = rays.ranges + self.parameters["c"] * ranges * ranges
+law(
+    "g_square",
+    lambda scene: {
+        "c": sign(scene) * even(scene, 3.5, 6) * scene.robot.sigma / np.quantile(scene.hits.ranges, 0.75) ** 2
+    },
+    note="Triangulating laser with a bent baseline: z = r + c r^2; near range_scale.",
+    ideal=lambda p, rays: rays.ranges + p["c"] * _finite(rays) * _finite(rays),
+)
 
 
 class Facets(Effect, name="g_facets"):
@@ -129,36 +128,29 @@ class Facets(Effect, name="g_facets"):
         rays.ranges = rays.ranges + self.offsets[facet][:, None]
 
 
-class NearBias(Effect, name="g_nearbias"):
-    """Strong echoes of near walls trigger early (walk error): z = r - A exp(-r/L) cos; near
-    range_bias/range_scale.
-    """
-
-    def draw(self, scene: Scene) -> None:
-        bias = even(scene, 0.08, 0.14)
-        length = np.quantile(scene.hits.ranges, even(scene, 0.25, 0.5))
-        self.parameters = rounded(A=bias, L=length)
-
-    def ideal(self, rays: Rays) -> None:
-        ranges = np.where(np.isfinite(rays.ranges), rays.ranges, 99)
-        near = self.parameters["A"] * np.exp(-ranges / self.parameters["L"])
-        rays.ranges = rays.ranges - near * rays.cosine
+law(
+    "g_nearbias",
+    lambda scene: {
+        "A": even(scene, 0.08, 0.14),
+        "L": np.quantile(scene.hits.ranges, even(scene, 0.25, 0.5)),
+    },
+    note="Strong echoes of near walls trigger early (walk error): z = r - A exp(-r/L) cos; near range_bias/range_scale.",
+    ideal=lambda p, rays: rays.ranges - p["A"] * np.exp(-_finite(rays, 99) / p["L"]) * rays.cosine,
+)
 
 
-class Blanking(Effect, name="g_blanking"):
-    """The receiver is blind for a band of ranges: no returns between r1 and r2; near
-    max_range/min_range/black_surface.
-    """
+def _draw_band(scene: Scene) -> Mapping[str, float]:
+    share = even(scene, 0.3, 0.7)
+    near, far = np.quantile(scene.hits.ranges, [share, share + even(scene, 0.05, 0.12)])
+    return {"r1": near, "r2": far}
 
-    def draw(self, scene: Scene) -> None:
-        share = even(scene, 0.3, 0.7)
-        near = np.quantile(scene.hits.ranges, share)
-        far = np.quantile(scene.hits.ranges, share + even(scene, 0.05, 0.12))
-        self.parameters = rounded(r1=near, r2=far)
 
-    def noisy(self, rays: Rays, ranges: Floats) -> Floats:
-        is_lost = (ranges > self.parameters["r1"]) & (ranges < self.parameters["r2"])
-        return np.where(is_lost, np.inf, ranges)
+law(
+    "g_blanking",
+    _draw_band,
+    note="The receiver is blind for a band of ranges: no returns between r1 and r2; near max_range/min_range/black_surface.",
+    noisy=lambda p, rays, ranges: np.where((ranges > p["r1"]) & (ranges < p["r2"]), np.inf, ranges),
+)
 
 
 class Pitch(Effect, name="g_pitch"):
@@ -201,18 +193,14 @@ class Interpolated(Effect, name="g_interp"):
         return told
 
 
-class Median(Effect, name="g_median"):
-    """The driver puts a wide median over each scan: thin things vanish, corners are cut; near
-    missing_obstacle/mixed_pixels.
-    """
-
-    def draw(self, scene: Scene) -> None:
-        least = {720: 41, 120: 9}.get(scene.robot.n_rays, 15)
-        self.parameters = rounded(window=least + 2 * int(scene.rng.integers(0, 3)))
-
-    def driver(self, rays: Rays, ranges: Floats) -> Floats:
-        window = int(self.parameters["window"])
-        return np.asarray(ndimage.median_filter(ranges, size=(1, window), mode="nearest"))
+law(
+    "g_median",
+    lambda scene: {
+        "window": {720: 41, 120: 9}.get(scene.robot.n_rays, 15) + 2 * int(scene.rng.integers(0, 3))
+    },
+    note="The driver puts a wide median over each scan: thin things vanish, corners are cut; near missing_obstacle/mixed_pixels.",
+    driver=lambda p, rays, ranges: ndimage.median_filter(ranges, size=(1, int(p["window"])), mode="nearest"),
+)
 
 
 class Reversed(Effect, name="g_reversed"):
@@ -263,11 +251,8 @@ class PacketShift(Effect, name="g_packetshift"):
         return told
 
 
-class Average(Effect, name="g_average"):
+class Average(Effect, name="g_average", a=(0.35, 0.55)):
     """The sensor averages each ray over the last scans; near latency/mixed_pixels."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(a=even(scene, 0.35, 0.55))
 
     def driver(self, rays: Rays, ranges: Floats) -> Floats:
         share = self.parameters["a"]

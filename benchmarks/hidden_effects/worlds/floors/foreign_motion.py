@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from scipy import ndimage
 
 from benchmarks.hidden_effects.log import Floats, Odometry
 from benchmarks.hidden_effects.worlds.floors.base import follow
-from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, even, rounded, sign
+from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, even, law, rounded, sign
 from benchmarks.hidden_effects.worlds.floors.scene import (
     OMEGA,
     STEP,
@@ -80,50 +81,45 @@ class Joints(Effect, name="g_joints", channel="odometry"):
         return v, 0.0, omega
 
 
-class Scrub(Effect, name="g_scrub", channel="odometry"):
-    """Wide tyres scrub: the effective base is larger the tighter the turn; near wheel_base."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(k=even(scene, 0.1, 0.22))
-
-    def body(self, state: BaseState, v: float, omega: float) -> tuple[float, float, float]:
-        rim = abs(omega) * state.setup.robot.wheel_base / 2
-        tight = rim / (rim + abs(v) + 1e-6)
-        return v, 0.0, omega / (1 + self.parameters["k"] * tight**2)
+def _scrubbed(p: Mapping[str, float], state: BaseState, v: float, omega: float) -> tuple[float, float, float]:
+    rim = abs(omega) * state.setup.robot.wheel_base / 2
+    return v, 0.0, omega / (1 + p["k"] * (rim / (rim + abs(v) + 1e-6)) ** 2)
 
 
-class TurnAsymmetry(Effect, name="g_turnasym", channel="odometry"):
-    """A gyro with another scale to the left than to the right makes the heading; near
-    wheel_base/wheel_radius_diff.
-    """
-
-    def draw(self, scene: Scene) -> None:
-        left = even(scene, 0.02, 0.05)
-        self.parameters = rounded(left=left, right=-even(scene, 0.5, 1.0) * left)
-
-    def increments(self, way: Floats, turn: Floats) -> tuple[Floats, Floats]:
-        left, right = 1 + self.parameters["left"], 1 + self.parameters["right"]
-        return way, turn * np.where(turn > 0, left, right)
+law(
+    "g_scrub",
+    lambda scene: {"k": even(scene, 0.1, 0.22)},
+    "odometry",
+    note="Wide tyres scrub: the effective base is larger the tighter the turn; near wheel_base.",
+    body=_scrubbed,
+)
 
 
-class Crab(Effect, name="g_crab", channel="odometry"):
-    """The axle is askew in the frame, the robot goes slightly sideways; near none (mount_yaw with
-    mount_xy).
-    """
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(angle=sign(scene) * even(scene, 3.0, 6.0) * DEGREE)
-
-    def body(self, state: BaseState, v: float, omega: float) -> tuple[float, float, float]:
-        angle = self.parameters["angle"]
-        return v * math.cos(angle), v * math.sin(angle), omega
+def _draw_scales(scene: Scene) -> Mapping[str, float]:
+    left = even(scene, 0.02, 0.05)
+    return {"left": left, "right": -even(scene, 0.5, 1.0) * left}
 
 
-class Gaps(Effect, name="g_gaps", channel="odometry"):
+law(
+    "g_turnasym",
+    _draw_scales,
+    "odometry",
+    note="A gyro with another scale to the left than to the right makes the heading; near wheel_base/wheel_radius_diff.",
+    increments=lambda p, way, turn: (way, turn * np.where(turn > 0, 1 + p["left"], 1 + p["right"])),
+)
+
+
+law(
+    "g_crab",
+    lambda scene: {"angle": sign(scene) * even(scene, 3.0, 6.0) * DEGREE},
+    "odometry",
+    note="The axle is askew in the frame, the robot goes slightly sideways; near none (mount_yaw with mount_xy).",
+    body=lambda p, state, v, omega: (v * math.cos(p["angle"]), v * math.sin(p["angle"]), omega),
+)
+
+
+class Gaps(Effect, name="g_gaps", channel="odometry", every=(4, 7), span=(0.25, 0.45)):
     """Bursts of lost encoder packets: the way in between is never counted; near wheel_slip/wheel_radius."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(every=even(scene, 4, 7), span=even(scene, 0.25, 0.45))
 
     def encoders(self, t: Floats, travel: Floats) -> Floats:
         steps = np.diff(travel, axis=0, prepend=travel[:1])
@@ -131,13 +127,10 @@ class Gaps(Effect, name="g_gaps", channel="odometry"):
         return np.asarray(travel[0] + np.cumsum(steps, axis=0))
 
 
-class SlewedClock(Effect, name="g_ntp", channel="odometry"):
+class SlewedClock(Effect, name="g_ntp", channel="odometry", rate=(0.004, 0.008), every=(14, 25)):
     """The base computer is slewed by NTP: its clock runs off and is pulled back, over and over; near
     pose_clock_offset.
     """
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(rate=even(scene, 0.004, 0.008), every=even(scene, 14, 25))
 
     def read_times(self, t: Floats) -> Floats:
         every = self.parameters["every"]
@@ -256,19 +249,20 @@ class Stale(Effect, name="g_stale", channel="pose"):
         return told
 
 
-class SetSteps(Effect, name="g_setsteps", channel="drive"):
-    """The base rounds set points to a coarse grid towards zero; near speed_saturation."""
+def _to_grid(value: float, step: float) -> float:
+    return math.copysign(math.floor(abs(value) / step + 0.2) * step, value)
 
-    def draw(self, scene: Scene) -> None:
-        robot = scene.robot
-        self.parameters = rounded(v=robot.v / even(scene, 5, 8), omega=robot.omega / even(scene, 6, 9))
 
-    def target(self, state: BaseState, v: float, omega: float) -> tuple[float, float]:
-        step_v, step_omega = self.parameters["v"], self.parameters["omega"]
-        return (
-            math.copysign(math.floor(abs(v) / step_v + 0.2) * step_v, v),
-            math.copysign(math.floor(abs(omega) / step_omega + 0.2) * step_omega, omega),
-        )
+law(
+    "g_setsteps",
+    lambda scene: {
+        "v": scene.robot.v / even(scene, 5, 8),
+        "omega": scene.robot.omega / even(scene, 6, 9),
+    },
+    "drive",
+    note="The base rounds set points to a coarse grid towards zero; near speed_saturation.",
+    target=lambda p, state, v, omega: (_to_grid(v, p["v"]), _to_grid(omega, p["omega"])),
+)
 
 
 class Resonance(Effect, name="g_resonance", channel="drive"):
@@ -302,38 +296,33 @@ class LagAsymmetry(Effect, name="g_lagasym", channel="drive"):
         return rim + follow(self.parameters["up" if gains else "down"]) * (target - rim)
 
 
-class Bursts(Effect, name="g_bursts", channel="drive"):
-    """Under load commands wait in a queue for half a second, then act at once; near dead_time."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(every=even(scene, 4, 7), span=even(scene, 0.5, 0.8))
-
-    def command_age(self, t: float) -> float:
-        return max(0.0, float(self.parameters["span"] - t % self.parameters["every"]))
-
-
-class PowerShare(Effect, name="g_powershare", channel="drive"):
-    """Wheels share the power: the faster the turn, the slower it drives; near speed_saturation."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(k=even(scene, 0.5, 0.8))
-
-    def target(self, state: BaseState, v: float, omega: float) -> tuple[float, float]:
-        share = min(1, 1.5 * abs(omega) / state.setup.robot.omega)
-        return v * (1 - self.parameters["k"] * share), omega
+law(
+    "g_bursts",
+    lambda scene: {"every": even(scene, 4, 7), "span": even(scene, 0.5, 0.8)},
+    "drive",
+    note="Under load commands wait in a queue for half a second, then act at once; near dead_time.",
+    command_age=lambda p, t: max(0.0, float(p["span"] - t % p["every"])),
+)
 
 
-class Slope(Effect, name="g_slope", channel="drive"):
-    """The floor is inclined: downhill it runs faster than told, uphill slower, and rolls when stopped;
-    near none.
-    """
+law(
+    "g_powershare",
+    lambda scene: {"k": even(scene, 0.5, 0.8)},
+    "drive",
+    note="Wheels share the power: the faster the turn, the slower it drives; near speed_saturation.",
+    target=lambda p, state, v, omega: (
+        v * (1 - p["k"] * min(1, 1.5 * abs(omega) / state.setup.robot.omega)), omega,
+    ),
+)  # fmt: skip
 
-    def draw(self, scene: Scene) -> None:
-        speed = even(scene, 0.12, 0.2) * scene.robot.v
-        self.parameters = rounded(k=speed, dir=even(scene, -3, 3))
 
-    def target(self, state: BaseState, v: float, omega: float) -> tuple[float, float]:
-        return v + self.parameters["k"] * math.cos(state.phi - self.parameters["dir"]), omega
+law(
+    "g_slope",
+    lambda scene: {"k": even(scene, 0.12, 0.2) * scene.robot.v, "dir": even(scene, -3, 3)},
+    "drive",
+    note="The floor is inclined: downhill it runs faster than told, uphill slower, and rolls when stopped; near none.",
+    target=lambda p, state, v, omega: (v + p["k"] * math.cos(state.phi - p["dir"]), omega),
+)
 
 
 class Windup(Effect, name="g_windup", channel="drive"):

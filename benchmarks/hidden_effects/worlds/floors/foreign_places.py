@@ -133,13 +133,10 @@ class Radiators(Added, name="g_radiators"):
         self.add(rays, self.rings)
 
 
-class Plaster(Rebuilt, name="g_plaster"):
+class Plaster(Rebuilt, name="g_plaster", d=(0.03, 0.05)):
     """Plan of the raw building: all walls have a lining, free space is smaller all around; near
     range_bias/map_scale.
     """
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(d=even(scene, 0.03, 0.05))
 
     def changed(self, room: Room) -> Room:
         def lined(name: str, ring: Floats) -> Floats:
@@ -181,11 +178,8 @@ class Cart(Added, name="g_cart"):
             self.add(rays, [ring], is_there)
 
 
-class Overhang(Rebuilt, name="g_overhang"):
+class Overhang(Rebuilt, name="g_overhang", d=(0.07, 0.11)):
     """At the height of the laser all furniture is larger by its table tops; near moved_obstacle."""
-
-    def draw(self, scene: Scene) -> None:
-        self.parameters = rounded(d=even(scene, 0.07, 0.11))
 
     def changed(self, room: Room) -> Room:
         def larger(name: str, ring: Floats) -> Floats:
