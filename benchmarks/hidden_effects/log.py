@@ -1,61 +1,26 @@
-"""What a robot logs, and its file: MCAP with ROS 2 messages, packed into CDR by hand, so that any reader will do."""
+"""What a robot logs, and its file: MCAP with ROS 2 messages, so that any reader will do."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Booleans = npt.NDArray[np.bool_]
 
-SEPARATOR = "\n" + "=" * 80 + "\n"
-HEADER = (
-    f"MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id{SEPARATOR}"
-    "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
-)
-VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
-QUATERNION = "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w"
-POSE = (
-    f"MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation{SEPARATOR}"
-    f"MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z{SEPARATOR}{QUATERNION}"
-)
-TWIST = f"MSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular{SEPARATOR}{VECTOR}"
-SCAN = (
-    "std_msgs/Header header\nfloat32 angle_min\nfloat32 angle_max\nfloat32 angle_increment\nfloat32 time_increment\n"
-    "float32 scan_time\nfloat32 range_min\nfloat32 range_max\nfloat32[] ranges\nfloat32[] intensities"
-)
-ODOMETRY = (
-    "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
-    "geometry_msgs/TwistWithCovariance twist"
-)
-POSE_COVARIANCE = "MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance"
-TWIST_COVARIANCE = "MSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance"
-TRANSFORM = (
-    "MSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
-    f"geometry_msgs/Transform transform{SEPARATOR}{HEADER}{SEPARATOR}MSG: geometry_msgs/Transform\n"
-    f"geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation{SEPARATOR}{VECTOR}{SEPARATOR}{QUATERNION}"
-)
-SCHEMAS = {
-    "/scan": ("sensor_msgs/msg/LaserScan", [SCAN, HEADER]),
-    "/pose": (
-        "geometry_msgs/msg/PoseStamped",
-        ["std_msgs/Header header\ngeometry_msgs/Pose pose", HEADER, POSE],
-    ),
-    "/odom": ("nav_msgs/msg/Odometry", [ODOMETRY, HEADER, POSE_COVARIANCE, TWIST_COVARIANCE, POSE, TWIST]),
-    "/cmd_vel": (
-        "geometry_msgs/msg/TwistStamped",
-        ["std_msgs/Header header\ngeometry_msgs/Twist twist", HEADER, TWIST],
-    ),
-    "/tf_static": ("tf2_msgs/msg/TFMessage", ["geometry_msgs/TransformStamped[] transforms", TRANSFORM]),
-}
-LITTLE_ENDIAN = b"\0\1\0\0"
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TOPICS = {
+    "/scan": "sensor_msgs/msg/LaserScan", "/pose": "geometry_msgs/msg/PoseStamped", "/odom": "nav_msgs/msg/Odometry",
+    "/cmd_vel": "geometry_msgs/msg/TwistStamped", "/tf_static": "tf2_msgs/msg/TFMessage",
+}  # fmt: skip
 POSE_VARIANCE = 1e-3
 """[m2, rad2] that a driver states of its odometry's poses, where it states anything."""
 
@@ -107,104 +72,95 @@ class Log:
     """Of how late each message arrives; None: at once."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Message:
-    topic: str
-    stamp_ns: int
-    arrival_ns: int
-    content: bytes
-
-
 def write_log(log: Log, path: Path, library: str) -> None:
     """Write all messages in the order in which they arrived, in the name of a library."""
-    messages = sorted(_messages(log), key=lambda message: message.arrival_ns)
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=library)
         channels = {}
-        for topic, (name, parts) in SCHEMAS.items():
-            schema = writer.register_schema(name, "ros2msg", SEPARATOR.join(parts).encode())
-            channels[topic] = writer.register_channel(topic, "cdr", schema)
-        counts = dict.fromkeys(SCHEMAS, 0)
-        for one in messages:
-            writer.add_message(
-                channels[one.topic], one.arrival_ns, one.content, one.stamp_ns, counts[one.topic]
+        for topic, name in TOPICS.items():
+            text, _ = STORE.generate_msgdef(name, ros_version=2)
+            channels[topic] = writer.register_channel(
+                topic, "cdr", writer.register_schema(name, "ros2msg", text.encode())
             )
-            counts[one.topic] += 1
+        counts = dict.fromkeys(TOPICS, 0)
+        for arrival_ns, topic, stamp_ns, message in sorted(_messages(log), key=lambda one: one[0]):
+            content = bytes(STORE.serialize_cdr(message, TOPICS[topic]))
+            writer.add_message(channels[topic], arrival_ns, content, stamp_ns, counts[topic])
+            counts[topic] += 1
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _messages(log: Log) -> Iterator[_Message]:
-    """Yield all messages, topic by topic."""
+def _messages(log: Log) -> Iterator[tuple[int, str, int, Any]]:
+    """Yield when a message arrives [ns], its topic, its stamp [ns] and itself, topic by topic."""
     rng = None if log.arrival_seed is None else np.random.default_rng(log.arrival_seed)
 
-    def message(
-        topic: str, stamp: float, frame: str, content: bytes, late: tuple[float, float], align: int = 8
-    ) -> _Message:
-        stamp_ns = log.epoch_ns + round(stamp * 1e9)
-        head = LITTLE_ENDIAN + _padded(_time(stamp_ns) + _text(frame), align)
-        arrival_ns = stamp_ns + (0 if rng is None else int(rng.uniform(*late) * 1e9))
-        return _Message(topic=topic, stamp_ns=stamp_ns, arrival_ns=arrival_ns, content=head + content)
+    def sent(
+        topic: str,
+        stamps: Floats,
+        frame: str,
+        late: tuple[float, float],
+        content: Callable[[int], tuple[Any, ...]],
+    ) -> Iterator[tuple[int, str, int, Any]]:
+        """Send a message at each stamp, of fields that follow its header; it arrives between so many seconds later."""
+        for k, stamp in enumerate(stamps):
+            stamp_ns = log.epoch_ns + round(stamp * 1e9)
+            arrival_ns = stamp_ns + (0 if rng is None else int(rng.uniform(*late) * 1e9))
+            yield arrival_ns, topic, stamp_ns, _of(TOPICS[topic], _header(stamp_ns, frame), *content(k))
 
     if log.mount is not None:
-        yield _static(log.mount, log.epoch_ns)
+        x, y, height, yaw = log.mount
+        transform = _geometry("Transform", _geometry("Vector3", x, y, height), _turn(yaw))
+        link = _geometry("TransformStamped", _header(log.epoch_ns, "base_link"), "laser", transform)
+        yield log.epoch_ns, "/tf_static", log.epoch_ns, _of(TOPICS["/tf_static"], [link])
     sweep, n = log.sweep_time, len(log.bearings)
     step = (log.bearings[-1] - log.bearings[0]) / (n - 1)
-    head = struct.pack(
-        "<7fI", log.bearings[0], log.bearings[-1], step, sweep / n, log.scan_period, *log.range_limits, n
+    facts = (log.bearings[0], log.bearings[-1], step, sweep / n, log.scan_period, *log.range_limits)
+    ranges, none = log.ranges.astype(np.float32), np.zeros(0, np.float32)
+    yield from sent(
+        "/scan", log.scan_stamps, "laser", (sweep + 0.001, sweep + 0.004), lambda k: (*facts, ranges[k], none)
     )
-    for stamp, ranges in zip(log.scan_stamps, log.ranges, strict=True):
-        content = head + ranges.astype("<f4").tobytes() + struct.pack("<I", 0)
-        yield message("/scan", stamp, "laser", content, (sweep + 0.001, sweep + 0.004), align=4)
-    for stamp, pose in zip(log.pose_stamps, log.poses, strict=True):
-        yield message("/pose", stamp, "map", _pose(pose), (0.001, 0.01))
-    states = log.twist_sigmas is not None
-    pose_covariance = _covariance(*[POSE_VARIANCE * states] * 3)
+    yield from sent("/pose", log.pose_stamps, "map", (0.001, 0.01), lambda k: (_pose(log.poses[k]),))
     sigma_v, sigma_omega = log.twist_sigmas or (0.0, 0.0)
-    twist_covariance = _covariance(sigma_v**2, 0.0, sigma_omega**2)
-    head_odom = _padded(_time(0) + _text("odom"), 4)
-    child = _padded(head_odom + _text("base_link"), 8)[len(head_odom) :]
-    for stamp, pose, twist in zip(log.odom_stamps, log.odometry, log.twists, strict=True):
-        content = child + _pose(pose) + pose_covariance + _twist(twist) + twist_covariance
-        yield message("/odom", stamp, "odom", content, (0.0005, 0.003), align=4)
-    for stamp, command in zip(log.cmd_stamps, log.commands, strict=True):
-        yield message("/cmd_vel", stamp, "base_link", _twist(command), (0.0002, 0.001))
+    of_pose = _covariance(*[POSE_VARIANCE * (log.twist_sigmas is not None)] * 3)
+    of_twist = _covariance(sigma_v**2, 0.0, sigma_omega**2)
+
+    def state(k: int) -> tuple[Any, ...]:
+        pose = _geometry("PoseWithCovariance", _pose(log.odometry[k]), of_pose)
+        return "base_link", pose, _geometry("TwistWithCovariance", _twist(log.twists[k]), of_twist)
+
+    yield from sent("/odom", log.odom_stamps, "odom", (0.0005, 0.003), state)
+    yield from sent(
+        "/cmd_vel", log.cmd_stamps, "base_link", (0.0002, 0.001), lambda k: (_twist(log.commands[k]),)
+    )
 
 
-def _static(mount: tuple[float, float, float, float], epoch_ns: int) -> _Message:
-    x, y, height, yaw = mount
-    head = struct.pack("<I", 1) + _time(epoch_ns) + _text("base_link")
-    head = LITTLE_ENDIAN + _padded(_padded(head, 4) + _text("laser"), 8)
-    content = head + struct.pack("<7d", x, y, height, *_quaternion(yaw))
-    return _Message(topic="/tf_static", stamp_ns=epoch_ns, arrival_ns=epoch_ns, content=content)
+def _of(name: str, *values: Any) -> Any:
+    return STORE.types[name](*values)
 
 
-def _text(text: str) -> bytes:
-    content = text.encode() + b"\0"
-    return struct.pack("<I", len(content)) + content
+def _geometry(name: str, *values: Any) -> Any:
+    return _of(f"geometry_msgs/msg/{name}", *values)
 
 
-def _padded(content: bytes, align: int) -> bytes:
-    return content + b"\0" * (-len(content) % align)
+def _header(stamp_ns: int, frame: str) -> Any:
+    stamp = _of("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
+    return _of("std_msgs/msg/Header", stamp, frame)
 
 
-def _time(stamp_ns: int) -> bytes:
-    return struct.pack("<iI", stamp_ns // 10**9, stamp_ns % 10**9)
+def _turn(yaw: float) -> Any:
+    return _geometry("Quaternion", 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
 
 
-def _quaternion(yaw: float) -> tuple[float, float, float, float]:
-    return 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))
+def _pose(pose: Floats) -> Any:
+    return _geometry("Pose", _geometry("Point", pose[0], pose[1], 0.0), _turn(pose[2]))
 
 
-def _pose(pose: Floats) -> bytes:
-    return struct.pack("<7d", pose[0], pose[1], 0.0, *_quaternion(pose[2]))
+def _twist(twist: Floats) -> Any:
+    return _geometry(
+        "Twist", _geometry("Vector3", twist[0], 0.0, 0.0), _geometry("Vector3", 0.0, 0.0, twist[1])
+    )
 
 
-def _twist(twist: Floats) -> bytes:
-    return struct.pack("<6d", twist[0], 0.0, 0.0, 0.0, 0.0, twist[1])
-
-
-def _covariance(first: float, second: float, yaw: float) -> bytes:
-    matrix = np.zeros((6, 6))
-    matrix[0, 0], matrix[1, 1], matrix[5, 5] = first, second, yaw
-    return matrix.tobytes()
+def _covariance(first: float, second: float, yaw: float) -> Floats:
+    return np.diag([first, second, 0.0, 0.0, 0.0, yaw]).ravel()

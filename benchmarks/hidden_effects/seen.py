@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
-from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.log import STORE, TOPICS, Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,11 +41,11 @@ def read_case(case: Path) -> Seen:
     rows: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
     bearings: Floats = np.zeros(0)
     epoch = None
+    topics = ("/scan", "/pose", "/odom", "/cmd_vel")
     with (case / "run.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        topics = ("/scan", "/pose", "/odom", "/cmd_vel")
-        decoded = [(one.topic, message) for _, one, _, message in reader.iter_decoded_messages(topics)]
-    for topic, message in decoded:
+        read = [(one.topic, message.data) for _, one, message in make_reader(file).iter_messages(topics)]
+    for topic, data in read:
+        message = STORE.deserialize_cdr(data, TOPICS[topic])
         epoch = message.header.stamp.sec if epoch is None else epoch
         stamp = message.header.stamp.sec - epoch + 1e-9 * message.header.stamp.nanosec
         if topic == "/scan":
