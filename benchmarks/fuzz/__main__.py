@@ -22,13 +22,9 @@ MOST_KINDS = 12
 """Kinds of findings that are printed of each reader and command."""
 
 
-def _of_reader(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
-    return fuzz_reader(READERS[name](), n, seed, folder)
-
-
 def targets() -> dict[str, Callable[[int, int, Path], Counter[str]]]:
     """Return everything that is fuzzed, by name."""
-    readers = {name: partial(_of_reader, name) for name in READERS}
+    readers = {name: partial(fuzz_reader, name) for name in READERS}
     return readers | {COMMAND + name: partial(fuzz_command, name) for name in COMMANDS}
 
 

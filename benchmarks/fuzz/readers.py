@@ -8,7 +8,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -40,12 +40,17 @@ Damage = Callable[[bytes, np.random.Generator], bytes]
 class Reader:
     """One thing that opens a file."""
 
-    name: str
-    seeds: tuple[bytes, ...]
+    make: Callable[[], tuple[bytes, ...]]
+    """Makes small whole files."""
     suffix: str
     read: Callable[[Path], object]
     inner: Damage | None = None
     """Damages what lies within a container whose checksums are right afterwards; 7 of 10 files are damaged so."""
+
+    @cached_property
+    def seeds(self) -> tuple[bytes, ...]:
+        """Small whole files."""
+        return self.make()
 
 
 def damaged(reader: Reader, rng: np.random.Generator) -> bytes:
@@ -93,12 +98,16 @@ def _map_image(path: Path) -> None:
     maps.load(path.with_name("map.yaml"))
 
 
-def _bag_metadata(path: Path, db3: bytes) -> None:
+def _bag_metadata(path: Path) -> None:
     folder = path.with_name("bag")
     folder.mkdir(exist_ok=True)
     shutil.copy(path, folder / "metadata.yaml")
-    (folder / "a.db3").write_bytes(db3)
+    (folder / "a.db3").write_bytes(samples.small_bag())
     logs.read(folder)
+
+
+def _effects(path: Path) -> None:
+    effects_file.read(path, geojson.loads(samples.GEOJSON.decode()))
 
 
 def _model(path: Path) -> None:
@@ -122,59 +131,52 @@ def _moments(path: Path) -> None:
         select(sums, n_terms=2)
 
 
-def _log(
-    name: str, seeds: Callable[[], tuple[bytes, ...]], suffix: str, inner: Damage | None = None
-) -> Callable[[], Reader]:
-    return lambda: Reader(name, seeds(), suffix, read_log, inner)
+def _runs() -> tuple[bytes, ...]:
+    return samples.of_runs(".mcap")
 
 
-def _effects() -> Reader:
-    arena = geojson.loads(samples.GEOJSON.decode())
-    return Reader("effects", samples.every_effect(), ".yaml", lambda path: effects_file.read(path, arena))
+def _bags() -> tuple[bytes, ...]:
+    return (*samples.ros1_bags(), *samples.interrupted_bags())
 
 
-READERS: dict[str, Callable[[], Reader]] = {
-    "mcap": _log("mcap", lambda: samples.of_runs(".mcap"), ".mcap", remcap),
-    "recover": lambda: Reader("recover", samples.of_runs(".mcap"), ".mcap", _recover, remcap),
-    "table": _log("table", lambda: samples.of_runs(".csv"), ".csv"),
-    "carmen": _log("carmen", lambda: (samples.carmen(),), ".log"),
-    "carmen_gzip": _log(
-        "carmen_gzip", lambda: (gzip.compress(samples.carmen(), mtime=0),), ".log.gz", repack
-    ),
-    "wean": _log("wean", lambda: (samples.wean(),), ".log"),
-    "db3": _log("db3", lambda: (samples.small_bag(),), ".db3"),
-    "bag": _log("bag", samples.ros1_bags, ".bag"),
-    "open_bag": _log("open_bag", samples.interrupted_bags, ".bag"),
-    "lasers": _log("lasers", samples.other_lasers, ".bag"),
-    "recover_bag": lambda: Reader(
-        "recover_bag", (*samples.ros1_bags(), *samples.interrupted_bags()), ".bag", _recover
-    ),
-    "bag_metadata": lambda: Reader(
-        "bag_metadata", (samples.METADATA,), ".yaml", partial(_bag_metadata, db3=samples.small_bag())
-    ),
-    "geojson": lambda: Reader("geojson", (samples.GEOJSON,), ".geojson", maps.load),
-    "no_go": lambda: Reader("no_go", (samples.NO_GO,), ".geojson", no_go.read),
-    "map_yaml": lambda: Reader("map_yaml", (samples.MAP,), ".yaml", _map_yaml),
-    "map_image": lambda: Reader("map_image", (samples.PGM,), ".pgm", _map_image),
-    "robot": lambda: Reader("robot", samples.ROBOTS, ".yaml", load_robot),
-    "effects": _effects,
-    "sensorgraph": lambda: Reader("sensorgraph", samples.graphs(), ".sensorgraph", _read_graph, rezip),
-    "walls": lambda: Reader("walls", samples.graphs(), ".sensorgraph", _read_walls, rezip),
-    "trajectory": lambda: Reader("trajectory", (samples.TRAJECTORY,), ".csv", read_csv),
-    "poses": lambda: Reader("poses", (samples.POSES,), ".csv", read_poses),
-    "signals": lambda: Reader(
-        "signals", (samples.SIGNALS,), ".csv", lambda p: signals_of_table(p, ["y", "u"])
-    ),
-    "model": lambda: Reader("model", samples.models(), ".json", _model),
-    "controller": lambda: Reader("controller", samples.models()[-1:], ".json", _controller),
-    "moments": lambda: Reader("moments", (samples.moments(),), ".npz", _moments, rezip),
+def _zipped() -> tuple[bytes, ...]:
+    return (gzip.compress(samples.carmen(), mtime=0),)
+
+
+READERS: dict[str, Reader] = {
+    "mcap": Reader(_runs, ".mcap", read_log, remcap),
+    "recover": Reader(_runs, ".mcap", _recover, remcap),
+    "table": Reader(lambda: samples.of_runs(".csv"), ".csv", read_log),
+    "carmen": Reader(lambda: (samples.carmen(),), ".log", read_log),
+    "carmen_gzip": Reader(_zipped, ".log.gz", read_log, repack),
+    "wean": Reader(lambda: (samples.wean(),), ".log", read_log),
+    "db3": Reader(lambda: (samples.small_bag(),), ".db3", read_log),
+    "bag": Reader(samples.ros1_bags, ".bag", read_log),
+    "open_bag": Reader(samples.interrupted_bags, ".bag", read_log),
+    "lasers": Reader(samples.other_lasers, ".bag", read_log),
+    "recover_bag": Reader(_bags, ".bag", _recover),
+    "bag_metadata": Reader(lambda: (samples.METADATA,), ".yaml", _bag_metadata),
+    "geojson": Reader(lambda: (samples.GEOJSON,), ".geojson", maps.load),
+    "no_go": Reader(lambda: (samples.NO_GO,), ".geojson", no_go.read),
+    "map_yaml": Reader(lambda: (samples.MAP,), ".yaml", _map_yaml),
+    "map_image": Reader(lambda: (samples.PGM,), ".pgm", _map_image),
+    "robot": Reader(lambda: samples.ROBOTS, ".yaml", load_robot),
+    "effects": Reader(samples.every_effect, ".yaml", _effects),
+    "sensorgraph": Reader(samples.graphs, ".sensorgraph", _read_graph, rezip),
+    "walls": Reader(samples.graphs, ".sensorgraph", _read_walls, rezip),
+    "trajectory": Reader(lambda: (samples.TRAJECTORY,), ".csv", read_csv),
+    "poses": Reader(lambda: (samples.POSES,), ".csv", read_poses),
+    "signals": Reader(lambda: (samples.SIGNALS,), ".csv", lambda path: signals_of_table(path, ["y", "u"])),
+    "model": Reader(samples.models, ".json", _model),
+    "controller": Reader(lambda: samples.models()[-1:], ".json", _controller),
+    "moments": Reader(lambda: (samples.moments(),), ".npz", _moments, rezip),
 }
 """Everything that opens a file, with small whole files to begin from."""
 
 
-def fuzz_reader(reader: Reader, n: int, seed: int, folder: Path) -> Counter[str]:
+def fuzz_reader(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
     """Try n damaged files; return what was found, counted. One file of each finding is kept in `folder`/found."""
-    rng = np.random.default_rng([seed, zlib.crc32(reader.name.encode())])
+    reader, rng = READERS[name], np.random.default_rng([seed, zlib.crc32(name.encode())])
     found: Counter[str] = Counter()
     path = folder / f"a{reader.suffix}"
     for _ in range(n):
@@ -184,7 +186,7 @@ def fuzz_reader(reader: Reader, n: int, seed: int, folder: Path) -> Counter[str]
         if wrong:
             found[wrong] += 1
             if found[wrong] == 1:
-                kept = folder / "found" / f"{reader.name}-{len(found)}{reader.suffix}"
+                kept = folder / "found" / f"{name}-{len(found)}{reader.suffix}"
                 kept.parent.mkdir(exist_ok=True)
                 kept.write_bytes(data)
     return found

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sqlite3
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -14,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
 
 import logs
-from benchmarks.fuzz.structure.draft import EPOCH, Item, vec7
-from benchmarks.fuzz.structure.packing import full, payload
+from benchmarks.fuzz.structure.bag1 import Style, bag20
+from benchmarks.fuzz.structure.draft import EPOCH, Draft, Item, vec7
+from benchmarks.fuzz.structure.writers import write_sqlite
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Moments, Terms, fit, polynomial
 from sensorgraph.building.build import build
@@ -133,65 +130,41 @@ LASER = {
 }  # fmt: skip
 
 
-def message(kind: str, second: int, content: Mapping[str, Any], *, ros1: bool) -> bytes:
-    """Return a message in the frame of the laser."""
-    at = second - EPOCH
-    return payload(Item("", kind, at, at, "laser", dict(content)), ros1=ros1)
+Contents = Mapping[str, Callable[[int], Mapping[str, Any]]]
+"""Kind of a message -> its content by its number."""
 
 
+def items_of(contents: Contents, n: int = 12) -> list[Item]:
+    """Return n messages of each kind, one a second, in the frame of the laser."""
+    at = [k - EPOCH for k in range(n)]
+    return [
+        Item(f"/{kind[-4:]}", kind, at[k], at[k], "laser", dict(content(k)))
+        for k in range(n)
+        for kind, content in contents.items()
+    ]
+
+
+@cache
 def small_bag() -> bytes:
     """Return a rosbag2 sqlite3 file of twelve small scans."""
-
-    def write(path: Path) -> None:
-        with contextlib.closing(sqlite3.connect(path)) as base:
-            base.execute(
-                "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
-            )
-            base.execute(
-                "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
-            )
-            base.execute("INSERT INTO topics VALUES(1, '/scan', 'sensor_msgs/msg/LaserScan', 'cdr')")
-            for i in range(12):
-                row = (i, i * 10**8, message("LaserScan", i, LASER, ros1=False))
-                base.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", row)
-            base.commit()
-
-    return bytes_of(".db3", write)
+    items = items_of({"LaserScan": lambda _: LASER})
+    return bytes_of(".db3", lambda path: write_sqlite(path, Draft(items=items), items, schema=1))
 
 
-def ros1_bag(
-    contents: Mapping[str, Callable[[int], Mapping[str, Any]]],
-    n: int = 12,
-    packing: Writer.CompressionFormat | None = None,
-) -> bytes:
+def ros1_bag(contents: Contents, n: int = 12, packing: str = "none") -> bytes:
     """Return a ROS 1 bag of n messages of each kind."""
-
-    def write(path: Path) -> None:
-        writer = Writer(path)
-        if packing is not None:
-            writer.set_compression(packing)
-        store = get_typestore(Stores.ROS1_NOETIC)
-        with writer:
-            links = {
-                kind: writer.add_connection(f"/{kind[-4:]}", full(kind), typestore=store) for kind in contents
-            }
-            for i in range(n):
-                for kind, content in contents.items():
-                    writer.write(links[kind], i * 10**9, message(kind, i, content(i), ros1=True))
-
-    return bytes_of(".bag", write)
+    return bag20(Draft(items=items_of(contents, n)), Style(compression=packing))
 
 
 def ros1_bags() -> tuple[bytes, ...]:
     """Return ROS 1 bags of scans and poses, plain and packed."""
     contents = {"LaserScan": lambda _: LASER, "PoseStamped": lambda i: {"pose": vec7(0.1 * i, 0.0, 0.0)}}
-    packings = (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4)
-    return tuple(ros1_bag(contents, packing=packing) for packing in packings)
+    return tuple(ros1_bag(contents, packing=packing) for packing in ("none", "bz2", "lz4"))
 
 
 def interrupted_bags() -> tuple[bytes, ...]:
-    """Return ROS 1 bags that were not closed: cut before their index, and inside their last chunk."""
-    return tuple(bag[: len(bag) - cut] for bag in ros1_bags() for cut in (700, 1100))
+    """Return ROS 1 bags that were not closed: cut in their index, and inside their last chunk."""
+    return tuple(bag[: len(bag) - cut] for bag in ros1_bags() for cut in (700, 2000))
 
 
 def other_lasers() -> tuple[bytes, ...]:

@@ -63,9 +63,9 @@ class Laser:
 class Draft:
     """A log, and the truth about it."""
 
-    drive: Drive
-    laser: Laser
-    rng: np.random.Generator
+    drive: Drive | None = None
+    laser: Laser = field(default_factory=Laser)
+    rng: np.random.Generator = field(default_factory=np.random.default_rng)
     items: list[Item] = field(default_factory=list)
     true_times: dict[int, float] = field(default_factory=dict)
     """Scan -> [s] true time of its first ray."""

@@ -39,7 +39,9 @@ def _bag(**style: object) -> Container:
     return _bytes("log.bag", lambda draft: bag20(draft, Style(**style)))  # type: ignore[arg-type]
 
 
-def _sqlite(path: Path, draft: Draft, items: list[Item], *, schema: int = 3, packed: bool = False) -> None:
+def write_sqlite(
+    path: Path, draft: Draft, items: list[Item], *, schema: int = 3, packed: bool = False
+) -> None:
     """Write a .db3; `schema` 1 has no quality of service, 4 has hashes and definitions."""
     pack = zstandard.ZstdCompressor().compress if packed else bytes
     columns = (
@@ -110,7 +112,7 @@ def _mcap(
 def _single(suffix: str, **options: object) -> Container:
     def write(draft: Draft, folder: Path) -> Path:
         path = folder / f"log{suffix}"
-        (_mcap if suffix == ".mcap" else _sqlite)(path, draft, draft.items, **options)  # type: ignore[operator]
+        (_mcap if suffix == ".mcap" else write_sqlite)(path, draft, draft.items, **options)  # type: ignore[operator]
         return path
 
     return write
@@ -172,7 +174,9 @@ def _folder(
         edges = np.linspace(0, len(draft.items), parts + 1).astype(int)
         for i, (a, b) in enumerate(pairwise(edges)):
             path = bag / f"log_{i}{suffix}"
-            (_mcap if storage == "mcap" else _sqlite)(path, draft, draft.items[a:b], packed=mode == "MESSAGE")  # type: ignore[operator]
+            (_mcap if storage == "mcap" else write_sqlite)(
+                path, draft, draft.items[a:b], packed=mode == "MESSAGE"
+            )  # type: ignore[operator]
             if mode == "FILE":
                 packed = path.with_name(path.name + ".zstd")
                 packed.write_bytes(zstandard.ZstdCompressor().compress(path.read_bytes()))
