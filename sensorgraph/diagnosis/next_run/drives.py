@@ -163,7 +163,7 @@ class DriveBuilder:
         via = space.spread_places(settings.n_via_places, np.random.default_rng(self.seed))
         points = np.concatenate([here[None], there[None], via])
         i, j = np.triu_indices(len(points), 1)
-        cost = np.hypot(*(points[j] - points[i]).T) + settings.corner_cost
+        cost = np.hypot(*(points[j] - points[i]).T)
         graph = np.zeros((len(points), len(points)))
         free = space.are_clear(points[i], points[j])
         graph[i[free], j[free]] = cost[free]
@@ -192,18 +192,15 @@ def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats
 
 
 def random_drive(space: DrivableSpace, rng: np.random.Generator, duration: float) -> Curve:
-    """Drive between random places at random speeds for `duration` [s], with occasional spins and pauses."""
+    """Drive between random places at random speeds for `duration` [s], with occasional spins."""
     settings, limits, nodes = NEXT_RUN.random, space.robot.limits, space.nodes
     builder = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
     while builder.clock < duration:
         pace = float(rng.uniform(*settings.pace))
         builder.limits = replace(limits, v=pace * limits.v)
         builder.spin = pace * limits.omega
-        chance = rng.random()
-        if chance < settings.p_spin:
+        if rng.random() < settings.p_spin:
             builder.turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(*settings.spin)), "spin")
-        elif chance < settings.p_spin + settings.p_pause:
-            builder.wait(float(rng.uniform(*settings.pause)))
         else:
             places = nodes[rng.integers(len(nodes), size=settings.n_places)]
             here = np.repeat(builder.pose[None, :2], settings.n_places, axis=0)

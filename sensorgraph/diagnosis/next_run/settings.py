@@ -23,8 +23,6 @@ class CandidateSettings:
     """Number of headings at each place for sweeps."""
     sweep_angle: float = float(np.radians(60.0))
     """[rad] of a sweep to either side."""
-    min_shuttle: float = 0.6
-    """[m] minimum length of a shuttle."""
     spare_clearance: float = 0.08
     """[m] additional clearance of places, where available."""
     cell: float = 0.25
@@ -51,8 +49,6 @@ class DriveSettings:
     """[s] standstill at the end."""
     n_via_places: int = 24
     """Number of places through which a path between two motions may lead."""
-    corner_cost: float = 0.5
-    """[m] path length that a corner costs, because the robot turns in place there."""
     max_overtime: float = 1.05
     """Maximum duration of a drive, as a multiple of the requested one."""
     n_random: int = 9
@@ -73,10 +69,6 @@ class RandomDriveSettings:
     """Probability of a spin before the next place."""
     spin: tuple[float, float] = (0.8, 4.5)
     """[rad] range of a spin."""
-    p_pause: float = 0.08
-    """Probability of a pause."""
-    pause: tuple[float, float] = (0.5, 2.0)
-    """[s] range of a pause."""
     n_places: int = 16
     """Number of places that are drawn; the first with a free straight path is taken."""
 
