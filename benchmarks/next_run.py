@@ -4,8 +4,8 @@
 
 For every pair the first model is true. A first random run is simulated and the wrong model fitted to it; from those
 two fits the next run is planned. Two minutes of any drive tell most pairs of effects at twice their materiality
-apart: `--minutes 0.3 --size 0.5` leaves something to win. It and fresh random runs (random places, random speeds, a spin now and
-then) are driven and scanned by the simulator, both models are fitted to each, and their difference in nats is
+apart: `--minutes 0.3 --size 0.5` leaves something to win. It and fresh random runs (random places and
+speeds, a spin now and then) are driven and scanned by the simulator, both models are fitted to each, and their difference in nats is
 compared, per second of drive. The drives, their noise and the rooms come from seeds.
 """
 

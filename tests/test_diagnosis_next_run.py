@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
 )
 from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
 from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
-from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
+from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
@@ -126,7 +126,8 @@ def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena
         for omega in (0.0, 1.0)
     )
     forecast = EvidenceForecast(question, planned_scans([still, turning], arena, robot, 60.0))
-    nothing, much = (forecast.nats(one * 60.0) for one in forecast.per_second())
+    per_second = forecast.per_second()
+    nothing, much = (forecast.nats(per_second[k] * 60.0) for k in (0, 1))
     assert nothing < 1e-6 < 100.0 < much
 
 
@@ -143,7 +144,7 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
             OpenQuestion(truth=(effect("latency", tau=tau),), alternative=(), text=""),
             planned_scans([motion], arena, robot, 60.0),
         )
-        (one,) = forecast.per_second()
+        one = forecast.per_second()[0]
         assert forecast.nats(one * 120.0) > forecast.nats(one * 60.0)
         got.append(forecast.nats(one * 60.0))
     assert got[1] > 3 * got[0]  # at least quadratic: nuisances in their boxes take a constant part
@@ -245,9 +246,9 @@ def test_time_goes_to_the_motions_that_bring_most_and_nowhere_else() -> None:
         def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
             return np.zeros(1)
 
-    def quadratics(nats: list[float]) -> QuadraticsOfMotions:
-        one = {"matrix": np.eye(1), "right": np.zeros(1), "squares": 0.0}
-        return QuadraticsOfMotions.of([EvidenceQuadratic(**one, constant=value) for value in nats])  # type: ignore[arg-type]
+    def quadratics(nats: list[float]) -> EvidenceQuadratic:
+        matrix, right, squares = np.tile(np.eye(1), (4, 1, 1)), np.zeros((4, 1)), np.zeros(4)
+        return EvidenceQuadratic(matrix=matrix, right=right, squares=squares, constant=np.array(nats))
 
     per_second = [quadratics([4.0, 0.0, 3.0, 9.0]), quadratics([0.0, 4.0, 3.0, 9.0])]
     time = allocate_time([Plain(), Plain()], per_second, 100.0, slice(0, 3))  # type: ignore[list-item]

@@ -39,7 +39,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     planned_scans,
 )
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
-from sensorgraph.diagnosis.next_run.time_allocation import QuadraticsOfMotions, allocate_time
+from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
@@ -132,7 +132,7 @@ def next_run(
     samples = [motion_samples(motion, robot, duration) for motion in motions]
     scans = planned_scans(samples, arena, robot, duration)
     forecasts = [EvidenceForecast(q, scans) for q in questions]
-    per_second = [QuadraticsOfMotions.of(forecast.per_second()) for forecast in forecasts]
+    per_second = [forecast.per_second() for forecast in forecasts]
     allocations = [
         allocate_time(forecasts, per_second, duration, part)
         for part in (slice(None), *_parts_by_kind(motions))
@@ -200,10 +200,8 @@ def expected_evidence(
     out, scans = np.zeros((len(questions), len(drives))), planned_scans(drives, arena, robot, duration)
     for i, question in enumerate(questions):
         forecast = EvidenceForecast(question, scans)
-        out[i] = [
-            forecast.nats(quadratic * drive.duration)
-            for quadratic, drive in zip(forecast.per_second(), drives, strict=True)
-        ]
+        rates = forecast.per_second()
+        out[i] = [forecast.nats(rates[k] * drive.duration) for k, drive in enumerate(drives)]
     return out
 
 

@@ -11,7 +11,7 @@ sum over scans is linear in time, so that the best allocation of time among moti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -62,41 +62,43 @@ class MotionSamples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EvidenceQuadratic:
-    """Evidence [nats] of a second of a motion, or of a drive, as a function of the refitted values x (k,).
+    """Evidence [nats] of a drive, or of a second of each of n motions, as a function of the refitted values x (k,).
 
         constant + (squares - 2 right'x + x'matrix x) / 2
 
-    All coefficients are proportional to time.
+    All coefficients are proportional to time. Of n motions, they have n as their first axis.
     """
 
     matrix: Floats
-    """(k, k) normal matrix."""
+    """(..., k, k) normal matrix."""
     right: Floats
-    """(k,) right-hand side of the normal equations."""
-    squares: float
-    """Sum of the weighted squared residuals at x = 0."""
-    constant: float
-    """[nats] part that no refit reduces."""
+    """(..., k) right-hand side of the normal equations."""
+    squares: Floats
+    """(...) sum of the weighted squared residuals at x = 0."""
+    constant: Floats
+    """(...) [nats] part that no refit reduces."""
+
+    def _each(self, change: Callable[[Floats], Any]) -> EvidenceQuadratic:
+        return EvidenceQuadratic(**{f.name: np.asarray(change(getattr(self, f.name))) for f in fields(self)})
+
+    def __getitem__(self, some: int | slice) -> EvidenceQuadratic:
+        return self._each(lambda values: values[some])
 
     def __mul__(self, factor: float) -> EvidenceQuadratic:
-        return EvidenceQuadratic(
-            matrix=self.matrix * factor,
-            right=self.right * factor,
-            squares=self.squares * factor,
-            constant=self.constant * factor,
-        )
+        return self._each(lambda values: values * factor)
 
     def __add__(self, other: EvidenceQuadratic) -> EvidenceQuadratic:
         return EvidenceQuadratic(
-            matrix=self.matrix + other.matrix,
-            right=self.right + other.right,
-            squares=self.squares + other.squares,
-            constant=self.constant + other.constant,
+            **{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
         )
 
-    def at(self, x: Floats) -> float:
-        """Return the evidence [nats] that remains at refitted values x (k,)."""
-        return self.constant + 0.5 * float(self.squares - 2 * self.right @ x + x @ self.matrix @ x)
+    def mean(self) -> EvidenceQuadratic:
+        """Return the mean of the motions."""
+        return self._each(lambda values: values.mean(axis=0))
+
+    def at(self, x: Floats) -> Floats:
+        """Return the evidence (...) [nats] that remains at refitted values x (k,)."""
+        return np.asarray(self.constant + 0.5 * (self.squares - 2 * self.right @ x + (self.matrix @ x) @ x))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,9 +142,9 @@ class EvidenceForecast:
         weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
         self.weight, self.constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
 
-    def per_second(self) -> list[EvidenceQuadratic]:
+    def per_second(self) -> EvidenceQuadratic:
         """Return the evidence of one second of each motion."""
-        out, begin = [], 0
+        parts, begin = [], 0
         for motion in self.motions:
             rows = slice(begin, begin + len(motion.poses))
             begin = rows.stop
@@ -150,14 +152,11 @@ class EvidenceForecast:
             system = solver.assemble(self.weight[rows], 1.0)
             w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
             poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
-            quadratic = EvidenceQuadratic(
-                matrix=system.matrix,
-                right=system.right,
-                squares=float((w * solver.y**2).sum() - poses),
-                constant=float(self.constant[rows].sum()),
-            )
-            out.append(quadratic * (self.rate / len(motion.poses)))
-        return out
+            squares, constant = (w * solver.y**2).sum() - poses, self.constant[rows].sum()
+            per_scan = self.rate / len(motion.poses)
+            parts.append([value * per_scan for value in (system.matrix, system.right, squares, constant)])
+        matrix, right, squares, constant = (np.stack(values) for values in zip(*parts, strict=True))
+        return EvidenceQuadratic(matrix=matrix, right=right, squares=squares, constant=constant)
 
     def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
         """Return the nuisances and parameters (k,) at which the alternative fits best."""
@@ -170,7 +169,7 @@ class EvidenceForecast:
         """Return the expected evidence [nats] of a whole run."""
         x = self.refitted(quadratic)
         prior = 0.5 * float(np.sum((x[: len(self.tau)] / self.tau) ** 2))
-        return max(quadratic.at(x) + prior, 0.0)
+        return max(float(quadratic.at(x)) + prior, 0.0)
 
 
 def planned_scans(

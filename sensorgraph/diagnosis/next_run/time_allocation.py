@@ -9,7 +9,6 @@ The evidence nats of a question is the minimum, over the refitted values, of fun
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from sensorgraph.types import Floats
 
 def allocate_time(
     forecasts: Sequence[EvidenceForecast],
-    per_second: Sequence[QuadraticsOfMotions],
+    per_second: Sequence[EvidenceQuadratic],
     duration: float,
     allowed: slice,
 ) -> Floats:
@@ -38,75 +37,20 @@ def allocate_time(
     """
     out = np.zeros(len(per_second[0].squares))
     time = out[allowed]  # a view
-    some = [quadratics.part(allowed) for quadratics in per_second]
+    some = [quadratics[allowed] for quadratics in per_second]
     time[:] = duration / len(time)
     totals = [quadratics.mean() * duration for quadratics in some]
     for step in range(NEXT_RUN.forecast.n_allocation_steps):
         slope = np.zeros(len(time))
         for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
             x = forecast.refitted(total)
-            slope += quadratics.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(total.at(x), 0.0))
+            slope += quadratics.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(float(total.at(x)), 0.0))
         size = 2.0 / (step + 3.0)
         best = int(slope.argmax())
         time *= 1 - size
         time[best] += size * duration
         totals = [
-            total * (1 - size) + quadratics.one(best) * (size * duration)
+            total * (1 - size) + quadratics[best] * (size * duration)
             for total, quadratics in zip(totals, some, strict=True)
         ]
     return out
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class QuadraticsOfMotions:
-    """Quadratics of n motions, as arrays with n as the first axis."""
-
-    matrix: Floats
-    """(n, k, k)"""
-    right: Floats
-    """(n, k)"""
-    squares: Floats
-    """(n,)"""
-    constant: Floats
-    """(n,)"""
-
-    @classmethod
-    def of(cls, quadratics: Sequence[EvidenceQuadratic]) -> QuadraticsOfMotions:
-        """Stack the quadratics of single motions."""
-        return cls(
-            matrix=np.stack([q.matrix for q in quadratics]),
-            right=np.stack([q.right for q in quadratics]),
-            squares=np.array([q.squares for q in quadratics]),
-            constant=np.array([q.constant for q in quadratics]),
-        )
-
-    def part(self, some: slice) -> QuadraticsOfMotions:
-        """Return the quadratics of some motions: views."""
-        return QuadraticsOfMotions(
-            matrix=self.matrix[some],
-            right=self.right[some],
-            squares=self.squares[some],
-            constant=self.constant[some],
-        )
-
-    def one(self, i: int) -> EvidenceQuadratic:
-        """Return the quadratic of one motion."""
-        return EvidenceQuadratic(
-            matrix=self.matrix[i],
-            right=self.right[i],
-            squares=float(self.squares[i]),
-            constant=float(self.constant[i]),
-        )
-
-    def mean(self) -> EvidenceQuadratic:
-        """Return the mean of the motions."""
-        return EvidenceQuadratic(
-            matrix=self.matrix.mean(axis=0),
-            right=self.right.mean(axis=0),
-            squares=float(self.squares.mean()),
-            constant=float(self.constant.mean()),
-        )
-
-    def at(self, x: Floats) -> Floats:
-        """Return the evidence per second (n,) [nats] at refitted values x (k,)."""
-        return np.asarray(self.constant + 0.5 * (self.squares - 2 * self.right @ x + (self.matrix @ x) @ x))
