@@ -106,8 +106,7 @@ def candidate_motions(space: DrivableSpace, rng: np.random.Generator) -> list[Ca
             out.append(CandidateMotion(kind=MotionKind.SWEEP, place=_xy(p), heading=heading))
     i, j = np.triu_indices(len(places), 1)
     length = np.hypot(*(places[j] - places[i]).T)
-    pairs = np.flatnonzero(space.are_clear(places[i], places[j]))
-    for k in rng.permutation(pairs)[: settings.n_shuttles].tolist():
+    for k in np.flatnonzero(space.are_clear(places[i], places[j])).tolist():
         for a, b in ((places[i[k]], places[j[k]]), (places[j[k]], places[i[k]])):
             heading = float(np.arctan2(*(b - a)[::-1]))
             out.append(

@@ -177,14 +177,14 @@ def _rate(
 ) -> tuple[Floats, Floats]:
     """Return the expected evidence (n_questions, n_curves) [nats] of drives, and their scores (n_curves,).
 
-        score = sum over questions of log(1 + nats / half_weight_nats)
+        score = sum over questions of log(1 + nats)
 
     The evidence of a drive that exceeds the duration is reduced in proportion.
     """
     nats = expected_evidence(questions, [_drive_samples(c) for c in curves], arena, robot, duration)
     length = np.array([c.duration for c in curves])
     nats = nats * np.minimum(duration / length, 1.0)  # a longer drive gets no credit for the extra time
-    score = np.log1p(nats / NEXT_RUN.forecast.half_weight_nats).sum(axis=0)  # each question counts
+    score = np.log1p(nats).sum(axis=0)  # each question counts
     score -= 1e3 * (length > NEXT_RUN.drives.max_overtime * duration)  # only as a last resort
     return nats, score
 

@@ -45,7 +45,6 @@ def build_drives(
     seen = set()
     for time in allocations:
         order = np.argsort(-time)
-        order = order[time[order] > settings.min_time_share * time.max()]
         for count in settings.counts:
             for rounds in settings.rounds:
                 some = order[:count]
@@ -83,7 +82,7 @@ class DriveBuilder:
             place = np.array(motions[k].place)
             distance = float(np.hypot(*(place - self.curve_builder.pose[:2])))
             arrival = self.curve_builder.clock + distance / self.limits.v
-            if used and arrival > self.duration - NEXT_RUN.drives.min_time_left:
+            if used and arrival > self.duration:
                 break
             if self._drive_to(place):
                 clock = self.curve_builder.clock
@@ -127,7 +126,7 @@ class DriveBuilder:
         while True:
             distance = min(motion.length, self._reach(self.limits.v, self.limits.a))
             builder.move(distance, "pass")
-            if self.duration - builder.clock > NEXT_RUN.drives.min_time_left / 2:
+            if builder.clock < self.duration:
                 builder.move(-min(distance, self._reach(self.limits.v, self.limits.a)), "pass")
             if builder.clock + motion.length / self.limits.v > until:
                 return
@@ -157,10 +156,10 @@ class DriveBuilder:
 
     def _path(self, here: Floats, there: Floats) -> Floats | None:
         """Return the shortest path (n, 2) over mutually visible places; without one, a path of OMPL."""
-        space, settings = self.space, NEXT_RUN.drives
+        space = self.space
         if space.are_clear(here[None], there[None])[0]:
             return np.array([here, there])
-        via = space.spread_places(settings.n_via_places, np.random.default_rng(self.seed))
+        via = space.spread_places(NEXT_RUN.candidates.n_places, np.random.default_rng(self.seed))
         points = np.concatenate([here[None], there[None], via])
         i, j = np.triu_indices(len(points), 1)
         cost = np.hypot(*(points[j] - points[i]).T)

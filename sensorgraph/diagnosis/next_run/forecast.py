@@ -135,10 +135,7 @@ class EvidenceForecast:
         true_beams, beams = true_cast.beams, alternative_cast.beams
         bent = [~b.straight for b in (true_beams, beams) if b.straight is not None]
         same_wall = np.asarray((true_beams.wall == beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
-        variance_ratio = np.clip(
-            np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12),
-            *NEXT_RUN.forecast.variance_ratio,
-        )
+        variance_ratio = np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12)
         weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
         self.weight, self.constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
 

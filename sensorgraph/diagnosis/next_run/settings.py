@@ -16,9 +16,7 @@ class CandidateSettings:
     """Candidate motions."""
 
     n_places: int = 14
-    """Number of places in the whole room at which motions start."""
-    n_shuttles: int = 16
-    """Maximum number of straight paths between two places for shuttles."""
+    """Number of places in the whole room at which motions start, or through which the paths between them lead."""
     n_sweep_headings: int = 6
     """Number of headings at each place for sweeps."""
     sweep_angle: float = float(np.radians(60.0))
@@ -37,18 +35,12 @@ class CandidateSettings:
 class DriveSettings:
     """Composition of drives from motions, and random drives for comparison."""
 
-    counts: tuple[int, ...] = (1, 2, 4, 7)
+    counts: tuple[int, ...] = (1, 4)
     """Numbers of motions in a drive, one version each."""
     rounds: tuple[int, ...] = (1, 2)
     """Numbers of passes through the motions, so that changes over time are observable; one version each."""
-    min_time_share: float = 0.05
-    """Share of the longest motion's time, below which a motion is omitted."""
-    min_time_left: float = 4.0
-    """[s] minimum remaining time for a further place; half of it for the return of a shuttle."""
     end_pause: float = 0.2
     """[s] standstill at the end."""
-    n_via_places: int = 24
-    """Number of places through which a path between two motions may lead."""
     max_overtime: float = 1.05
     """Maximum duration of a drive, as a multiple of the requested one."""
     n_random: int = 9
@@ -87,10 +79,6 @@ class ForecastSettings:
     """Probability of a missing return or an outlier under any hypothesis."""
     max_p_alternative: float = 2e-3
     """Probability of reading the other side of a depth edge, above which a ray does not count."""
-    variance_ratio: tuple[float, float] = (0.01, 100.0)
-    """Limits of the ratio of the variances of two models."""
-    half_weight_nats: float = 10.0
-    """[nats] evidence on one question, at which further evidence counts half."""
     n_allocation_steps: int = 24
     """Number of steps of the Frank-Wolfe method."""
     decided_nats: float = 50.0

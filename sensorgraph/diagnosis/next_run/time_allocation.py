@@ -1,6 +1,6 @@
 """Allocate the time of a run among motions, so that together they bring the most evidence.
 
-    maximise  sum over questions of log(half_weight_nats + nats)   subject to   sum of time = duration, time >= 0
+    maximise  sum over questions of log(1 + nats)   subject to   sum of time = duration, time >= 0
 
 The evidence nats of a question is the minimum, over the refitted values, of functions that are linear in time
 (`forecast`). It is therefore concave in time, and so is the sum.
@@ -44,7 +44,7 @@ def allocate_time(
         slope = np.zeros(len(time))
         for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
             x = forecast.refitted(total)
-            slope += quadratics.at(x) / (NEXT_RUN.forecast.half_weight_nats + max(float(total.at(x)), 0.0))
+            slope += quadratics.at(x) / (1.0 + max(float(total.at(x)), 0.0))
         size = 2.0 / (step + 3.0)
         best = int(slope.argmax())
         time *= 1 - size
