@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-SIDEWAYS = "sideways "
-"""Before the kind of a family of motion across the heading, where another family has the same kind."""
-
 ODOMETRY_FAMILIES = {
     "time": ("wheels_over_time", "wheel scales that change over time"),
     "steady change": ("wheels_steady_change", "wheels that change steadily, as a tyre that loses air"),
@@ -27,10 +24,10 @@ ODOMETRY_FAMILIES = {
     "reference yaw": ("reference_yaw_by_place", "a heading error of the reference that depends on the place"),
     "reference place": ("reference_by_place", "a position error of the reference that depends on the place"),
     "reference jumps": ("reference_jumps", "jumps of the reference at single moments"),
-    SIDEWAYS + "curve": ("sliding_in_curves", "sideways sliding in curves"),
-    SIDEWAYS + "direction": ("sideways_by_direction", "a sideways motion that differs between directions"),
-    SIDEWAYS + "heading": ("sideways_by_heading", "a sideways motion that depends on the heading"),
-    SIDEWAYS + "time": ("sideways_over_time", "a sideways motion that changes over time"),
+    "sideways curve": ("sliding_in_curves", "sideways sliding in curves"),
+    "sideways direction": ("sideways_by_direction", "a sideways motion that differs between directions"),
+    "sideways heading": ("sideways_by_heading", "a sideways motion that depends on the heading"),
+    "sideways time": ("sideways_over_time", "a sideways motion that changes over time"),
     "askew": ("askew", "a direction of travel at an angle to the heading"),
 }
 """Kind -> name in the ledger, and noun phrase."""

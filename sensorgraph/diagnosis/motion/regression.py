@@ -15,12 +15,44 @@ import numpy as np
 
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.types import Floats, Ints
+from sensorgraph.effects import Effect
+from sensorgraph.types import Bools, Floats, Ints
 
 SHUT_SIGMA = 1e-9
 """Prior standard deviation of a coefficient that is fixed at 0."""
 RIDGE = 1e-8
 """Share of the mean square of the columns; keeps normal equations without a prior regular."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect and its column in the regression."""
+
+    effect: Effect
+    column: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Rows of one or several kinds, for instance translation and rotation, at the same moments."""
+
+    valid: Bools
+    """(n,) valid rows of each kind."""
+
+    @property
+    def n(self) -> int:
+        """Number of rows of one kind."""
+        return len(self.valid)
+
+    @property
+    def n_valid(self) -> int:
+        """Number of valid rows of one kind."""
+        return int(self.valid.sum())
+
+    def masked(self, rows: Floats) -> Floats:
+        """Return rows of one kind or several (n_kinds n, ...), 0 where not valid."""
+        some = np.tile(self.valid, len(rows) // self.n)
+        return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -83,8 +83,6 @@ class TestedStructure:
     """The family with sufficient evidence; None without one."""
     is_material: bool = True
     """Whether it matters to a user."""
-    prefix: str = ""
-    """Of the names in the ledger, where two tests have families of the same kind."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

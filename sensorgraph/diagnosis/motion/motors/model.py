@@ -9,7 +9,7 @@ and a clock offset within the accuracy that the reference poses give.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.motion.regression import (
     BoundedPrior,
     Regression,
     RegressionFit,
+    Term,
     clusters_of,
 )
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -68,27 +69,10 @@ GAINS = (Column.GAIN_V, Column.GAIN_OMEGA, Column.TURN_PER_DISTANCE)
 """Possible errors of the odometry in every motion: gain of the distance, gain of the turn, turn per distance."""
 
 
-@dataclass(frozen=True)
-class MotorTerm:
-    """An effect of the motors and its column in the regression."""
-
-    effect: Effect
-    column: int
-    size: Callable[[MotorParameters, MotorParameters, float], float]
-    """Return the effect's parameter from the fitted motors, the nominal ones, and the last step of its column."""
-    blur: float = 0.0
-    """[unit of the parameter] uncertainty due to the controller."""
-
-
 SIMULATED_TERMS = (
-    MotorTerm(ACTUATOR_LAG, Column.LAG, lambda fitted, nominal, step: fitted.tau + step - nominal.tau),
-    MotorTerm(
-        DEAD_TIME,
-        Column.DELAY,
-        lambda fitted, nominal, step: fitted.delay + step - nominal.delay,
-        DRIVE.control_step,
-    ),
-    MotorTerm(SPEED_SATURATION, Column.V_MAX, lambda fitted, nominal, step: fitted.v_max + step),
+    Term(ACTUATOR_LAG, Column.LAG),
+    Term(DEAD_TIME, Column.DELAY),
+    Term(SPEED_SATURATION, Column.V_MAX),
 )
 """Effects that are parameters of the simulated motors."""
 
@@ -109,12 +93,9 @@ class MotorColumns:
         )
 
     @property
-    def terms(self) -> tuple[MotorTerm, ...]:
+    def terms(self) -> tuple[Term, ...]:
         """All effects of the motors."""
-        own = (
-            MotorTerm(effect, k, lambda fitted, nominal, step: step)
-            for k, (effect, _) in enumerate(self.regressors, start=len(Column))
-        )
+        own = (Term(effect, k) for k, (effect, _) in enumerate(self.regressors, start=len(Column)))
         return (*SIMULATED_TERMS, *own)
 
     @property
@@ -197,7 +178,7 @@ class DriveModel:
         return self.layout.n + int(self.misread.shape[1])
 
     @property
-    def terms(self) -> list[MotorTerm]:
+    def terms(self) -> list[Term]:
         """Effects that this run could show."""
         can_saturate = self.top_speed > DRIVE.min_top_speed
         return [term for term in self.library_terms if term.effect is not SPEED_SATURATION or can_saturate]
@@ -235,7 +216,7 @@ class DriveModel:
             A = np.concatenate([A, self.structure.columns], axis=1)
         return base, A
 
-    def prior(self, terms: Sequence[MotorTerm], motors: MotorParameters) -> BoundedPrior:
+    def prior(self, terms: Sequence[Term], motors: MotorParameters) -> BoundedPrior:
         """Return the prior of the columns, as steps from `motors`."""
         base = self.robot.wheels.base
         sigma = np.array(
@@ -262,7 +243,7 @@ class DriveModel:
             prior.reach[list(GAINS)] = np.inf
         return prior.freed([term.column for term in terms]).unbounded_from(self.layout.n)
 
-    def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
+    def fit(self, terms: Sequence[Term], start: MotorParameters | None = None) -> DriveFit:
         """Return the bounded optimum of a set of effects, by Gauss-Newton steps."""
         motors = start or self.nominal
         has_limit = any(term.effect is SPEED_SATURATION for term in terms)
@@ -299,20 +280,28 @@ class DriveModel:
         fastest = min(float(np.abs(v[self.rows.valid]).max()), self.top_speed)
         return max(fastest, FIT.min_v_max)
 
-    def size_of(self, term: MotorTerm, fit: DriveFit) -> float:
+    def size_of(self, term: Term, fit: DriveFit) -> float:
         """Return the parameter of an effect in a fit."""
-        return float(term.size(fit.motors, self.nominal, fit.solution.theta[term.column]))
+        motors, nominal = fit.motors, self.nominal
+        simulated: dict[int, float] = {
+            Column.LAG: motors.tau - nominal.tau,
+            Column.DELAY: motors.delay - nominal.delay,
+            Column.V_MAX: motors.v_max,
+        }
+        return float(simulated.get(term.column, 0.0) + fit.solution.theta[term.column])
 
-    def blur_of(self, term: MotorTerm, fit: DriveFit) -> float:
+    def blur_of(self, term: Term, fit: DriveFit) -> float:
         """Return the uncertainty [unit of the parameter] of an effect that more data does not reduce.
 
         The time constant of robot.yaml may contain a second lag in series, which bends the start of a step.
         Any share of it, from none to all, is equally likely; the RMS error is the second lag over sqrt 3.
         """
-        if term.column is not Column.LAG:
-            return term.blur
+        if term.effect is DEAD_TIME:
+            return DRIVE.control_step
+        if term.effect is not ACTUATOR_LAG:
+            return 0.0
         second = abs(float(fit.solution.theta[Column.SECOND_LAG])) * _second_lag(fit.motors)
-        return float(np.hypot(term.blur, second / np.sqrt(3)))
+        return second / float(np.sqrt(3))
 
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it afterwards."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
+from sensorgraph.diagnosis.motion.regression import Rows
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
 from sensorgraph.types import Bools, Floats
@@ -53,15 +54,13 @@ def commands_of(run: Run) -> CommandSignal:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DriveRows:
+class DriveRows(Rows):
     """Mean rates between two stamps of the odometry, on the clock of the commands."""
 
     start: Floats
     """(n,) [s]"""
     end: Floats
     """(n,) [s]"""
-    valid: Bools
-    """(n,)"""
     y: Floats
     """(2 n,) [m/s], then [rad/s]; 0 where not valid."""
     late: float
@@ -72,26 +71,6 @@ class DriveRows:
     """Whether the clock offset is known from reference poses."""
     source: str
     """Origin of the odometry: `poses` or `twists`."""
-
-    @property
-    def n(self) -> int:
-        """Number of rows of one kind."""
-        return len(self.start)
-
-    @property
-    def n_valid(self) -> int:
-        """Number of valid rows of one kind."""
-        return int(self.valid.sum())
-
-    @property
-    def valid_rows(self) -> Bools:
-        """(2 n,)"""
-        return np.concatenate([self.valid, self.valid])
-
-    def masked(self, rows: Floats) -> Floats:
-        """Return rows (2 n, ...), 0 where not valid."""
-        some = self.valid_rows
-        return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
 
 
 def drive_rows(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.motion.consequence import sure_share
-from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import (
@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.motion.motors.structure import (
     SLOWED_DOWN,
     drive_families,
 )
+from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
@@ -40,7 +41,7 @@ TIMING = (ACTUATOR_LAG, DEAD_TIME)
 class MotorSelection:
     """Selected effects of the motors, and their fit."""
 
-    terms: tuple[MotorTerm, ...]
+    terms: tuple[Term, ...]
     fit: DriveFit
     structure: AcceptedStructure | None = None
 
@@ -64,9 +65,9 @@ class MotorChannel:
 
     def __init__(self, model: DriveModel, fit: DriveFit) -> None:
         self.model, self.fit = model, fit
-        self._fits: dict[frozenset[MotorTerm], DriveFit] = {}
+        self._fits: dict[frozenset[Term], DriveFit] = {}
 
-    def best(self, model: Sequence[MotorTerm]) -> tuple[MotorTerm, float] | None:
+    def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
         """Return the best further effect and its evidence [nats]."""
         gains = {
             term: self._fit([*model, term]).log_posterior for term in self.model.terms if term not in model
@@ -76,25 +77,25 @@ class MotorChannel:
         best = max(gains, key=lambda term: gains[term])
         return best, gains[best] - self.fit.log_posterior - EVIDENCE.price
 
-    def added(self, model: Sequence[MotorTerm]) -> None:
+    def added(self, model: Sequence[Term]) -> None:
         """Fit a changed model from the present motors."""
         self.fit = self._fit(model)
         self._fits = {}
 
     removed = added
 
-    def _fit(self, model: Sequence[MotorTerm]) -> DriveFit:
+    def _fit(self, model: Sequence[Term]) -> DriveFit:
         key = frozenset(model)
         if key not in self._fits:
             self._fits[key] = self.model.fit(model, self.fit.motors)
         return self._fits[key]
 
-    def evidence(self, model: Sequence[MotorTerm], hypothesis: MotorTerm) -> float:
+    def evidence(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] for an effect in addition to the others."""
         rest = [term for term in model if term != hypothesis]
         return self.fit.log_posterior - self._fit(rest).log_posterior - EVIDENCE.price
 
-    def needed(self, model: Sequence[MotorTerm], hypothesis: MotorTerm) -> float:
+    def needed(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] that an effect needs."""
         return EVIDENCE.threshold
 
@@ -112,17 +113,11 @@ def _fit_noise_with_all_effects(model: DriveModel) -> None:
         full = model.fit(model.terms, full.motors)
 
 
-def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[MotorTerm, float]:
-    """Return the evidence of each effect of a set, less its complexity penalty [nats]."""
-    channel = MotorChannel(model, fit)
-    return {term: channel.evidence(terms, term) for term in terms}
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Leftover:
     """Residual of some motor effects, prepared for the test for structure."""
 
-    terms: list[MotorTerm]
+    terms: list[Term]
     fit: DriveFit
     own: Floats
     """(2 n, k) columns of the model."""
@@ -130,7 +125,7 @@ class _Leftover:
     families: list[StructureFamily]
 
 
-def _left_by(model: DriveModel, terms: Sequence[MotorTerm], here: DriveFit) -> _Leftover:
+def _left_by(model: DriveModel, terms: Sequence[Term], here: DriveFit) -> _Leftover:
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
     own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
     left = model.rows.masked(model.rows.y - here.simulated)
@@ -208,7 +203,7 @@ def _each_time(family: StructureFamily, missing: Floats) -> float:
     return float(np.abs(missing[rolls]).sum()) / max(times, 1)
 
 
-def _is_large(model: DriveModel, term: MotorTerm, fit: DriveFit) -> bool:
+def _is_large(model: DriveModel, term: Term, fit: DriveFit) -> bool:
     return abs(model.size_of(term, fit)) >= max(term.effect.sizes.values())
 
 

@@ -56,7 +56,7 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
     columns = WheelColumns.of_library()
     A = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
     y = wheel_rows(rows, signals.wheels)
-    some = rows.valid_rows
+    some = np.tile(rows.valid, 2)
     residual = y
     theta: Floats = np.zeros(0)
     for _ in range(2):

@@ -11,19 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.types import Floats
-
-
-@dataclass(frozen=True)
-class WheelTerm:
-    """An effect and its column in the regression."""
-
-    effect: Effect
-    column: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +35,10 @@ class WheelColumns:
         )
 
     @property
-    def terms(self) -> tuple[WheelTerm, ...]:
+    def terms(self) -> tuple[Term, ...]:
         """Effects that act everywhere, the clock last."""
         effects = [*(effect for effect, _ in self.regressors), POSE_CLOCK_OFFSET]
-        return tuple(WheelTerm(effect, k) for k, effect in enumerate(effects))
+        return tuple(Term(effect, k) for k, effect in enumerate(effects))
 
     @property
     def clock(self) -> int:

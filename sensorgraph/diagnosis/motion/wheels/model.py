@@ -20,12 +20,13 @@ from sensorgraph.diagnosis.motion.regression import (
     SHUT_SIGMA,
     BoundedPrior,
     Regression,
+    Term,
     clusters_of,
     ridge_solution,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
-from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
+from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.wheels.slip_kernel import lost_inside
@@ -155,11 +156,11 @@ class WheelModel:
 
     # evidence
 
-    def patch_term(self, i: int) -> WheelTerm:
+    def patch_term(self, i: int) -> Term:
         """Return the term of a patch."""
-        return WheelTerm(WHEEL_SLIP, self.layout.n + i)
+        return Term(WHEEL_SLIP, self.layout.n + i)
 
-    def prior(self, terms: Sequence[WheelTerm]) -> BoundedPrior:
+    def prior(self, terms: Sequence[Term]) -> BoundedPrior:
         """Return the prior of the columns with some effects free; other patches are fixed at 0."""
         sigma = [regressor.tolerance for _, regressor in self.layout.regressors]
         sigma += [clock_sigma(self.robot), ODOMETRY.marker_sigma]
@@ -184,16 +185,16 @@ class WheelModel:
         theta = self.regression.solve(self.prior(self.layout.terms)).theta
         return float(np.clip(theta[self.layout.clock], -most, most))
 
-    def log_posterior(self, terms: Sequence[WheelTerm]) -> float:
+    def log_posterior(self, terms: Sequence[Term]) -> float:
         """Return the penalised log-likelihood of a set of effects [nats]."""
         return self.regression.solve(self.prior(terms)).log_posterior
 
-    def evidence(self, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
+    def evidence(self, terms: Sequence[Term], term: Term) -> float:
         """Return the evidence of an effect in addition to a set, less its complexity penalty [nats]."""
         rest = [other for other in terms if other != term]
         return self.log_posterior([*rest, term]) - self.log_posterior(rest) - price(term)
 
 
-def price(term: WheelTerm) -> float:
+def price(term: Term) -> float:
     """Return the complexity penalty of an effect [nats]."""
     return EVIDENCE.price * len(term.effect.parameters)

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
+from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
@@ -35,7 +35,7 @@ LEAST_EFFECTIVE = 20
 
 
 def best_patch(
-    model: WheelModel, terms: Sequence[WheelTerm], rng: np.random.Generator
+    model: WheelModel, terms: Sequence[Term], rng: np.random.Generator
 ) -> tuple[SlipPatch, float] | None:
     """Return the most likely patch in addition to other effects, and its evidence [nats].
 
@@ -56,7 +56,7 @@ def best_patch(
 
 
 def _best_disc(
-    model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm], rng: np.random.Generator
+    model: WheelModel, discs: Floats, track: float, terms: Sequence[Term], rng: np.random.Generator
 ) -> tuple[SlipPatch, float]:
     """Return the best of discs (n, 3) and of the samples around it, and its evidence [nats]."""
     gains, _ = gains_of_discs(model, discs, track, terms)
@@ -67,7 +67,7 @@ def _best_disc(
 
 
 def gains_of_discs(
-    model: WheelModel, discs: Floats, track: float, terms: Sequence[WheelTerm]
+    model: WheelModel, discs: Floats, track: float, terms: Sequence[Term]
 ) -> tuple[Floats, Floats]:
     """Return the gain [nats] and the lost share of the motion (n_discs,) of each disc, given a set of effects.
 
@@ -96,7 +96,7 @@ def gains_of_discs(
     return gains, lost
 
 
-def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.random.Generator) -> None:
+def refine_patch(model: WheelModel, i: int, terms: Sequence[Term], rng: np.random.Generator) -> None:
     """Move a patch to the disc nearest to its posterior mean, and compute the covariance of s, x, y, r around it."""
     rest = [term for term in terms if term != model.patch_term(i)]
     track = model.patches[i].track
@@ -113,7 +113,7 @@ def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.
 
 
 def _sampled(
-    model: WheelModel, disc: Floats, track: float, terms: Sequence[WheelTerm], rng: np.random.Generator
+    model: WheelModel, disc: Floats, track: float, terms: Sequence[Term], rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return discs (n, 3), the given one first, with their gains [nats], lost shares and weights (n,)."""
     low, high = np.log(PATCH.radius_range)

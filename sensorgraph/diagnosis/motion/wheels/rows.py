@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.regression import Rows
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Bools, Floats, Ints
@@ -26,7 +27,7 @@ FEW_INCREMENTS = 0.995
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OdometryRows:
+class OdometryRows(Rows):
     """Both sides of the comparison, for one assumed clock offset."""
 
     clock: float
@@ -37,8 +38,6 @@ class OdometryRows:
     """(n, 3) reference pose between both averages."""
     averages: Floats
     """(n + 1, 3) averaged reference poses, positions smoothed with the wheels, yaw unwrapped."""
-    valid: Bools
-    """(n,)"""
     along: Floats
     """(n,) [m] of the reference along its heading."""
     across: Floats
@@ -56,16 +55,6 @@ class OdometryRows:
     increment_poses: Floats
     """(n_increments, 3) reference pose in the middle of each increment."""
 
-    @property
-    def n(self) -> int:
-        """Number of rows of one kind."""
-        return len(self.stamps)
-
-    @property
-    def valid_rows(self) -> Bools:
-        """(2 n,)"""
-        return np.concatenate([self.valid, self.valid])
-
     def of_wheels(self, distance: Floats, turn: Floats) -> Floats:
         """Return rows (2 n, ...) of distances and turns of the increments (n_increments, ...); 0 where not valid."""
         rows = np.concatenate([self.D_along @ distance, self.D_yaw @ turn])
@@ -74,11 +63,6 @@ class OdometryRows:
     def of_sides(self, left: Floats, right: Floats, base: float) -> Floats:
         """Return rows of the distances of the left and the right wheel (n_increments, ...), `base` [m] apart."""
         return self.of_wheels((left + right) / 2, (right - left) / base)
-
-    def masked(self, rows: Floats) -> Floats:
-        """Return rows of one kind or several (n_kinds n, ...), 0 where not valid."""
-        some = np.tile(self.valid, len(rows) // self.n)
-        return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
 
 
 def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:

@@ -15,6 +15,7 @@ from sensorgraph.diagnosis.motion.consequence import (
     reference_error,
 )
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
+from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
@@ -22,7 +23,6 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
     TestedStructure,
 )
-from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
 from sensorgraph.diagnosis.motion.wheels.reference_structure import reference_jumps
@@ -39,9 +39,7 @@ N_REFINED = 2
 """Number of refinements of the moment of a change."""
 
 
-def select(
-    model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False
-) -> list[WheelTerm]:
+def select(model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False) -> list[Term]:
     """Add effects to the model while the evidence suffices, then remove superfluous ones.
 
     Structure that no effect explains competes with the effects, and replaces them if it explains more. If the
@@ -63,7 +61,7 @@ class WheelChannel:
     def __init__(self, model: WheelModel, rng: np.random.Generator) -> None:
         self.model, self.rng = model, rng
 
-    def best(self, model: Sequence[WheelTerm]) -> tuple[WheelTerm, float] | None:
+    def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
         """Return the best further effect or patch, and its evidence [nats]."""
         wheels = self.model
         gains = {term: wheels.evidence(model, term) for term in wheels.layout.terms if term not in model}
@@ -76,26 +74,26 @@ class WheelChannel:
             return wheels.patch_term(len(wheels.patches) - 1), found[1]
         return None if best is None else (best, top)
 
-    def added(self, model: Sequence[WheelTerm]) -> None:
+    def added(self, model: Sequence[Term]) -> None:
         """Refine a patch that has entered, and fit the noise."""
         if model[-1].effect is WHEEL_SLIP:
             self.model.whiten()
             refine_patch(self.model, len(self.model.patches) - 1, model, self.rng)
         self.model.fit_noise()
 
-    def removed(self, model: Sequence[WheelTerm]) -> None:
+    def removed(self, model: Sequence[Term]) -> None:
         """Keep the noise, which was fitted with all effects free."""
 
-    def evidence(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
+    def evidence(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] for an effect in addition to the others."""
         return self.model.evidence(model, hypothesis)
 
-    def needed(self, model: Sequence[WheelTerm], hypothesis: WheelTerm) -> float:
+    def needed(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] that an effect needs."""
         return EVIDENCE.threshold
 
 
-def _join_patches(model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator) -> None:
+def _join_patches(model: WheelModel, terms: list[Term], rng: np.random.Generator) -> None:
     """Replace several patches by one if that is more likely, or if two of them contain each other's centre.
 
     The filter absorbs a patch outside the model as noise, and more of it the longer the robot stays there. A
@@ -143,7 +141,7 @@ class StructureCandidate:
 
 
 def _admit_structure(
-    model: WheelModel, terms: list[WheelTerm], rng: np.random.Generator, *, is_reference_straight: bool
+    model: WheelModel, terms: list[Term], rng: np.random.Generator, *, is_reference_straight: bool
 ) -> None:
     """Let structure that no effect explains enter the model, in addition to the effects or instead of patches."""
     model.denoise_motion()
@@ -236,7 +234,7 @@ def _in_stead_of_patches(
     return beside
 
 
-def _left_by_rims(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
+def _left_by_rims(model: WheelModel, terms: Sequence[Term]) -> float:
     """Return the evidence for structure [nats] that the rim of a patch may cause.
 
     Beside several patches it is 0: they imitate something else.

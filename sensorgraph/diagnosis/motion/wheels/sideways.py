@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error, sure_share
-from sensorgraph.diagnosis.motion.families import SIDEWAYS
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, NoiseLimits, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
@@ -27,9 +26,6 @@ from sensorgraph.diagnosis.motion.structure_test import (
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.types import Floats
-
-CURVE = "curve"
-"""Kind of the family of sliding in curves."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +114,7 @@ def _sliding(
     family, gain = test.best(own, families)
     needed = ODOMETRY.structure.threshold * test.dispersion(EVIDENCE.cluster, limits[0].period)
     if gain < needed:
-        model.tested.append(TestedStructure(families=test.tested, threshold=needed, prefix=SIDEWAYS))
+        model.tested.append(TestedStructure(families=test.tested, threshold=needed))
         return None
     # the size of all sliding; with the nuisance, the clock would absorb a part
     missing = StructureTest(rows.valid, aside.y, noise).explained(own, [family])
@@ -131,9 +127,7 @@ def _sliding(
         family=family, evidence=gain, threshold=needed, size=size, rivals=tuple(rivals[:2])
     )
     model.tested.append(
-        TestedStructure(
-            families=test.tested, threshold=needed, best=found, is_material=is_material, prefix=SIDEWAYS
-        )
+        TestedStructure(families=test.tested, threshold=needed, best=found, is_material=is_material)
     )
     return found if is_material else None
 
@@ -146,22 +140,22 @@ def sideways_families(rows: OdometryRows, aside: SidewaysRows) -> list[Structure
     pieces = [piece == k for k in range(1, EVIDENCE.n_pieces)]
     kinds: list[tuple[str, str, list[Floats]]] = [
         (
-            CURVE,
+            "sideways curve",
             "sideways sliding in curves, or positions that are older than the headings",
             [aside.distance * aside.rate],
         ),
         (
-            "direction",
+            "sideways direction",
             "a sideways motion that differs forward and backward, or to the left and to the right",
             [aside.distance * backward, aside.turn * to_right],
         ),
         (
-            "heading",
+            "sideways heading",
             "a sideways motion that depends on the heading",
             [-way * np.sin(aside.heading), way * np.cos(aside.heading)],
         ),
         (
-            "time",
+            "sideways time",
             "a sideways motion from a heading error that changes over time",
             [aside.distance * part for part in pieces],
         ),
