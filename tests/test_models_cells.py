@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_models import features_plain, stop_candidates_plain, traverse_plain
 
 from logs import read
 from logs.run import RangeSensor
@@ -17,7 +18,7 @@ from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.models.base import OFF_DISTANCE, TrainingScans
 from sensorgraph.models.cells.distribution import NORMAL_TAILS
 from sensorgraph.models.cells.evidence import CellEvidence
-from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plain
+from sensorgraph.models.cells.grid import max_cells_met, traverse
 from sensorgraph.models.cells.key_frames import is_key_frame
 from sensorgraph.models.cells.learning import fit_logistic, list_at_risk
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
@@ -27,7 +28,6 @@ from sensorgraph.models.cells.ray_march import (
     CellTable,
     list_candidates,
     stop_candidates,
-    stop_candidates_plain,
     tabulate,
 )
 from sensorgraph.models.cells.set_aside import shipped_visibility
@@ -38,7 +38,6 @@ from sensorgraph.models.cells.visibility import (
     evaluate_logit,
     expand_products,
     features,
-    features_plain,
     logits,
 )
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from conftest import further
+from plain_models import information_share_plain, log_density_plain
 from scipy.stats import norm
 
 import sensorgraph as sg
@@ -21,9 +22,7 @@ from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.likelihood import (
     information_share,
-    information_share_plain,
     log_density,
-    log_density_plain,
 )
 from sensorgraph.models.residual_memory import MEMORY, ResidualMemory
 from sensorgraph.types import Floats

@@ -10,8 +10,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensorgraph.types import Floats
-from sensorgraph.world.fewest_segments import closed_corners, open_corners, plain_open_corners
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.fewest_segments import closed_corners, open_corners
 
 TOLERANCE = 0.99
 
@@ -23,6 +23,37 @@ def staircase(rng: np.random.Generator, n: int) -> Floats:
     x = np.arange(n)
     y = np.round(rng.normal() * x + rng.uniform() + (x > n // 2) * rng.integers(0, 3))
     return np.stack([x, y], axis=1).astype(np.float64)
+
+
+def plain_open_corners(points: Floats, tolerance: float) -> Ints:
+    """Return the result of `open_corners` by direct evaluation of each segment."""
+    n = len(points)
+    best: list[tuple[float, float, list[int]]] = [(0, 0.0, [0])]
+    for j in range(1, n):
+        options = []
+        for i in range(j):
+            own = points[i : j + 1]
+            if _is_within(own, tolerance):
+                squares = np.linalg.svd(own - own.mean(axis=0), compute_uv=False)
+                fewest, left, way = best[i]
+                options.append((fewest + 1, left + float(squares[-1] ** 2), [*way, j]))
+        best.append(min(options, key=lambda o: (o[0], o[1])))
+    return np.array(best[-1][2])
+
+
+def _is_within(points: Floats, tolerance: float) -> bool:
+    """Return whether points (n, 2) stay within a tolerance of the chord from the first to the last."""
+    chord = points[-1] - points[0]
+    inner = points[1:-1] - points[0]
+    length = float(np.hypot(*chord))
+    if not len(inner):
+        return True
+    far = np.hypot(*inner.T)
+    if length == 0.0:
+        return bool((far <= tolerance).all())
+    ahead, across = inner @ chord / length, inner @ np.array([-chord[1], chord[0]]) / length
+    near = (np.abs(across) <= tolerance) & ((ahead >= 0) | (far <= tolerance))
+    return bool(near.all() and far.max() <= length + tolerance)
 
 
 @settings(max_examples=300, deadline=None)

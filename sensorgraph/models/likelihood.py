@@ -83,23 +83,6 @@ def log_density(mixture: Mixture, ranges: Floats, range_min: float, stray: float
     return out
 
 
-def log_density_plain(mixture: Mixture, ranges: Floats, range_min: float, stray: float) -> Floats:
-    """Compute `log_density` in numpy: the reference implementation that tests compare the kernel with."""
-    from scipy.special import ndtr
-
-    z = np.broadcast_to(ranges, mixture.p_no_return.shape)[..., None]
-    used = mixture.weights > 0
-    with np.errstate(invalid="ignore"):
-        x = np.where(used & np.isfinite(z), (z - mixture.means) / mixture.widths, 0.0)
-        near = np.where(used, (range_min - mixture.means) / mixture.widths, -np.inf)
-    w = mixture.weights
-    density = w * np.exp(-0.5 * x**2) / mixture.widths / math.sqrt(2 * math.pi)
-    value = density.sum(axis=-1) + stray
-    value = np.where(np.isposinf(z[..., 0]), mixture.p_no_return, value)
-    value = np.where(np.isneginf(z[..., 0]), (w * ndtr(near)).sum(axis=-1), value)
-    return np.where(np.isnan(z[..., 0]), 0.0, np.log(np.maximum(value, MIN_DENSITY)))
-
-
 def information_share(memory: ResidualMemory, ends: Floats) -> Floats:
     """Return n_e / n (n_scans,): the share of independent readings in each scan.
 
@@ -131,19 +114,3 @@ def _fill_shares(ends: Floats, sizes: Floats, noise: Floats, out: Floats) -> Non
                         total += 2.0 * noise[k] * (1.0 - (4.0 - ratio) * ratio / math.pi)
         if n > 0:
             out[i] = n / (n + total)
-
-
-def information_share_plain(memory: ResidualMemory, ends: Floats) -> Floats:
-    """Compute `information_share` in numpy: the reference implementation that tests compare the kernel with."""
-    out = np.ones(len(ends))
-    noise = memory.noise.sum(axis=1)
-    for i, points in enumerate(ends):
-        there = points[np.isfinite(points).all(axis=1)]
-        if len(there) == 0:
-            continue
-        apart = np.hypot(*np.moveaxis(there[:, None] - there[None], -1, 0))
-        ratio = np.minimum(apart[..., None] / memory.sizes, 1.0)  # (n, n, n_sizes)
-        correlation = np.where(ratio < 1.0, 1.0 - (4.0 - ratio) * ratio / np.pi, 0.0) @ noise
-        np.fill_diagonal(correlation, 1.0)
-        out[i] = len(there) / correlation.sum()
-    return out

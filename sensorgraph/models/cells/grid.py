@@ -130,22 +130,3 @@ def traverse(
 def max_cells_met(far: float, cell: float) -> int:
     """Return the maximum number of cells that a ray of length `far` [m] can cross."""
     return int(DIAGONAL * far / cell) + 4
-
-
-def traverse_plain(
-    x: float, y: float, c: float, s: float, far: float, cell: float
-) -> tuple[CellIndices, Floats]:
-    """Compute `traverse` by sorting the crossings with all grid lines; reference implementation in numpy."""
-    crossings = [np.array([far])]
-    for start, slope in ((x, c), (y, s)):
-        if slope != 0.0:
-            lines = np.arange(
-                np.floor(min(start, start + far * slope) / cell),
-                np.ceil(max(start, start + far * slope) / cell) + 1,
-            )
-            crossings.append((lines * cell - start) / slope)
-    ends = np.unique(np.concatenate(crossings))
-    ends = ends[(ends > 0) & (ends <= far)]
-    middle = (np.concatenate([[0.0], ends[:-1]]) + ends) / 2
-    at = np.column_stack([np.floor((x + middle * c) / cell), np.floor((y + middle * s) / cell)])
-    return at.astype(np.int64), ends

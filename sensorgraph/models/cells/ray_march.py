@@ -19,13 +19,11 @@ from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import (
-    N_SECTORS,
     CellIndices,
     RowGrid,
     max_cells_met,
     sector_of,
     traverse,
-    traverse_plain,
 )
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, Codes, Offsets, local_lines
 from sensorgraph.models.cells.settings import CELLS
@@ -295,52 +293,3 @@ def list_candidates(
     survival = np.empty(shape)
     n = room * fill_candidates(poses, bearings, table, r, w, sigma, survival)
     return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), survival
-
-
-def stop_candidates_plain(
-    x: float, y: float, c: float, s: float, table: CellTable
-) -> tuple[Floats, Floats, Floats, Floats, float]:
-    """Compute `stop_candidates` in numpy: r, w, sigma, unseen (n,), survival; reference implementation for tests."""
-    x0, y0 = np.array([x, y]) - table.low
-    at, ends = traverse_plain(x0, y0, c, s, table.reach, table.cell)
-    chord = np.diff(ends, prepend=0.0)
-    middle = ends - chord / 2
-    inside = np.all((at >= 0) & (at < np.array(table.rows.shape)), axis=1)
-    row = np.where(inside, table.rows[tuple(np.where(inside[:, None], at, 0).T)], -1)
-    b = round(math.atan2(s, c) / (2 * math.pi / N_SECTORS)) % N_SECTORS
-    stop = -np.expm1(-np.where(ends > MIN_RANGE, RATES[table.rate[row, b]], 0.0) * chord)
-    survival = np.cumprod(1.0 - stop)
-    last = int(np.argmax(survival < MIN_SURVIVAL)) + 1 if (survival < MIN_SURVIVAL).any() else len(stop)
-    w = stop * np.concatenate([[1.0], survival[:-1]])
-    unseen_chord = np.where(table.is_seen[row] == 0, chord, 0.0)
-    crossed = np.cumsum(unseen_chord)  # [m] unseen up to the end of each cell
-    code, d = table.angle[row, b], table.offset[row, b] * OFFSET_STEP
-    to_middle = (at + 0.5) * table.cell - [x0, y0]
-    n = np.column_stack([np.append(COS, c)[code], np.append(SIN, s)[code]])  # NO_LINE is the last code
-    den = n @ [c, s]
-    with np.errstate(divide="ignore"):
-        r = ((n * to_middle).sum(axis=1) + d) / den
-    known = np.where(
-        code == NO_LINE, d != 0, (np.abs(den) > MIN_SINE) & (np.abs(r - middle) < 2 * table.cell)
-    )
-    r = np.maximum(np.where(known, r, middle), 0.0)
-    tangent_2 = 1.0 / np.where(known & (code != NO_LINE), den, 1.0) ** 2 - 1.0
-    on_line = np.sqrt(table.sigma**2 + table.across**2 * tangent_2)
-    sigma = np.where(known & (code != NO_LINE), on_line, table.rough)
-    groups: list[list[int]] = []  # each candidate's cells
-    for k in range(last):
-        if groups and w[groups[-1]].sum() + w[k] < MAX_MERGED:
-            groups[-1].append(k)
-        else:
-            groups.append([k])
-    found = []
-    for own in groups:
-        total = w[own].sum()
-        if total >= MAX_MERGED:
-            found.append((r[own[0]], total, sigma[own[0]], crossed[own[0]] - unseen_chord[own[0]]))
-        elif total > 0.0:
-            mean = np.average(middle[own], weights=w[own])
-            spread = math.sqrt(table.rough**2 + np.average((middle[own] - mean) ** 2, weights=w[own]))
-            found.append((mean, total, spread, crossed[own[-1]]))
-    each = np.array(sorted(found, key=lambda one: one[0])).reshape(-1, 4)
-    return each[:, 0], each[:, 1], each[:, 2], each[:, 3], float(survival[last - 1])
