@@ -3,23 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-
-from sensorgraph.cli.options import (
-    AmendArena,
-    AmendDryRun,
-    AmendEffects,
-    AmendFiles,
-    AmendLaser,
-    AmendOut,
-    AmendRun,
-)
 
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
+
+
+AmendFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        help="URDF, xacro with its includes, SDF, MJCF, nav2_params.yaml or robot.yaml.",
+    ),
+]
+AmendEffects = Annotated[Path, typer.Option(metavar="FILE", help="effects.yaml, as `diagnose` writes it.")]
+AmendRun = Annotated[
+    Path | None,
+    typer.Option(
+        help="Run whose rate, angles and ranges of the laser are written; for Nav2, also AMCL's parameters."
+    ),
+]
+AmendArena = Annotated[
+    str | None,
+    typer.Option(help="Map of the run, for AMCL's parameters; default: the arena kept in the run."),
+]
+AmendLaser = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Sensor, link, body or site of the laser, if there are several."),
+]
+AmendOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", help="File, or folder for several files; default: replace the given files."),
+]
+AmendDryRun = Annotated[bool, typer.Option("--dry-run", help="Print the changes, and write nothing.")]
 
 
 def amend(

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.options import (
-    BuildArena,
-    BuildCalibrate,
-    BuildDask,
-    BuildDegree,
-    BuildHarmonics,
-    BuildLags,
-    BuildMemory,
-    BuildModel,
-    BuildOutput,
-    BuildRobot,
-    BuildRuns,
-    BuildSplit,
-    BuildTerms,
-    BuildUpdate,
     Force,
     NoReturn,
     PosesFrom,
+    RunRobot,
     Slice,
     Topics,
 )
@@ -41,11 +29,61 @@ if TYPE_CHECKING:
     from sensorgraph.graph import Sensorgraph
 
 
+BuildRuns = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUN...", help="Runs of one sensor: MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV."
+    ),
+]
+BuildOutput = Annotated[
+    Path, typer.Option("-o", "--out", metavar="GRAPH", help="Sensorgraph to write, *.sensorgraph.")
+]
+BuildArena = Annotated[
+    str | None,
+    typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena; its bounds scale x and y."),
+]
+BuildModel = Annotated[
+    str, typer.Option(help="faces, cells, polynomial (published in 2004) or narmax (uses past scans).")
+]
+BuildSplit = Annotated[
+    str | None, typer.Option(help="Hold scans out for evaluation: every10 or block; default: none.")
+]
+BuildDegree = Annotated[
+    str,
+    typer.Option(help="Degree in x and y (polynomial), or in poses and twist (narmax); or auto."),
+]
+BuildHarmonics = Annotated[
+    str, typer.Option(help="Number of harmonics of the heading (polynomial), or auto.")
+]
+BuildTerms = Annotated[
+    str, typer.Option(help="Number of terms of each ray (polynomial), or their maximum (narmax); or auto.")
+]
+BuildLags = Annotated[str, typer.Option(help="Number of past scans (narmax), or auto (3).")]
+BuildCalibrate = Annotated[
+    bool | None,
+    typer.Option(
+        "--calibrate/--no-calibrate",
+        help="Estimate the laser with the faces: mount, ray terms, training poses; default: if it improves the fit.",
+    ),
+]
+BuildMemory = Annotated[
+    bool,
+    typer.Option("--memory", help="Also identify the correlation of residuals in time and between rays."),
+]
+BuildUpdate = Annotated[
+    Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this sensorgraph (model faces).")
+]
+BuildDask = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler that reduces the scans (model faces)."),
+]
+
+
 def build(
     runs: BuildRuns,
     output: BuildOutput,
     arena: BuildArena = None,
-    robot: BuildRobot = None,
+    robot: RunRobot = None,
     model: BuildModel = "faces",
     split: BuildSplit = None,
     degree: BuildDegree = "auto",

@@ -4,14 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sensorgraph.cli.options import DemoArena, DemoFull, DemoOut, DemoReal, DemoSeed, RobotFile
+from sensorgraph.cli.options import RobotFile
 
 if TYPE_CHECKING:
     from sensorgraph.demo_effect import HiddenEffect
+
+
+DemoOut = Annotated[
+    Path | None, typer.Option("-o", "--out", help="Folder for the results; default: runs/demo-DATE-TIME.")
+]
+DemoArena = Annotated[
+    str, typer.Option(help="GeoJSON file, map_server yaml, or a shipped arena: square, office.")
+]
+DemoFull = Annotated[
+    bool,
+    typer.Option("--full", help="Compare with a random drive of the same length and with the model of 2004."),
+]
+DemoReal = Annotated[
+    bool, typer.Option("--real", help="Use a shipped real log instead: locate, build, evaluate, review.")
+]
+DemoSeed = Annotated[int, typer.Option(min=0, help="Random seed of planning and noise.")]
 
 
 def demo(

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sensorgraph.cli.options import (
-    DiagnoseArena,
-    DiagnoseCommissioning,
-    DiagnoseEffects,
-    DiagnoseOut,
-    DiagnoseRobot,
-    DiagnoseRuns,
-    DiagnoseSeed,
-    DiagnoseSimulation,
-    DiagnoseWhy,
     Force,
     NoReturn,
     PosesFrom,
@@ -32,6 +23,56 @@ if TYPE_CHECKING:
     from sensorgraph.diagnosis.site_baseline import SiteBaseline
     from sensorgraph.effects import Amendment
     from sensorgraph.world.robot import Robot
+
+
+DiagnoseRuns = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUN...",
+        help="Run to diagnose; a second run of the same place serves only to verify the result.",
+    ),
+]
+DiagnoseArena = Annotated[
+    str | None,
+    typer.Option(
+        help="GeoJSON file, map_server yaml, log with /map, or a shipped arena; default: the arena kept in the run."
+    ),
+]
+DiagnoseRobot = Annotated[
+    Path | None,
+    typer.Option(
+        help="robot.yaml; default: the robot kept in the run. The sensor's unstated values are those of the run."
+    ),
+]
+DiagnoseOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")]
+DiagnoseEffects = Annotated[
+    Path | None, typer.Option(help="effects.yaml with effects that the simulation already includes.")
+]
+DiagnoseCommissioning = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="RUN",
+        help="Run of the same robot and place that is known to be good; only differences from it are reported. "
+        "Repeatable: several good runs show their normal spread.",
+    ),
+]
+DiagnoseSimulation = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="RUN",
+        help="Log of your own simulator (Gazebo, Isaac, MuJoCo, ir-sim, ...) in the same arena; only differences "
+        "between the two logs are reported.",
+    ),
+]
+DiagnoseSeed = Annotated[
+    int, typer.Option(min=0, help="Random seed of the simulated replicates; same seed, same report.")
+]
+DiagnoseWhy = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Also explain why this effect, or family of differences, was or was not named."
+    ),
+]
 
 
 def diagnose(

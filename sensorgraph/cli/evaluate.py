@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sensorgraph.cli.options import (
-    EvaluateBeside,
-    EvaluateCap,
-    EvaluateEffects,
-    EvaluateJson,
-    EvaluatePoint,
-    EvaluateRun,
-    EvaluateSplit,
     Force,
     GraphFile,
     NoReturn,
     PosesFrom,
+    RunFile,
     RunRobot,
     Slice,
     Topics,
@@ -49,9 +43,39 @@ ROWS = (
 )
 
 
+EvaluateSplit = Annotated[
+    str | None, typer.Option(help="Score only the held-out scans of this split: every10 or block.")
+]
+EvaluateCap = Annotated[
+    float | None,
+    typer.Option(help="Longest return that is scored (m); default: 10, or the sensor's range if shorter."),
+]
+EvaluatePoint = Annotated[
+    str | None,
+    typer.Option(
+        help="Point value for all scores: mode, median or mean; default: the best one for each score."
+    ),
+]
+EvaluateEffects = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="effects.yaml: also score the simulator, without and with these effects."
+    ),
+]
+EvaluateBeside = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--beside", metavar="GRAPH", help="Also score this sensorgraph on the same rays; repeatable."
+    ),
+]
+EvaluateJson = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Also write all scores to this JSON file.")
+]
+
+
 def evaluate(
     graph: GraphFile,
-    run: EvaluateRun,
+    run: RunFile,
     split: EvaluateSplit = None,
     cap: EvaluateCap = None,
     point: EvaluatePoint = None,

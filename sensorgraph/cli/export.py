@@ -3,24 +3,51 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-
-from sensorgraph.cli.options import (
-    ExportEffects,
-    ExportNoGo,
-    ExportOut,
-    ExportRobot,
-    ExportRun,
-    ExportSource,
-    ExportTarget,
-    WallHeight,
-)
 
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
+
+
+ExportSource = Annotated[
+    str,
+    typer.Argument(
+        metavar="GRAPH|ARENA",
+        help="Sensorgraph (model faces), GeoJSON file, map_server yaml, or a shipped arena: square, office.",
+    ),
+]
+ExportTarget = Annotated[
+    str, typer.Option("--to", metavar="TARGET", help="Target: mujoco, irsim, gazebo or nav2.")
+]
+ExportOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the exported files.")]
+ExportEffects = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="effects.yaml: effects to build in, as far as the target supports them."
+    ),
+]
+ExportRobot = Annotated[
+    Path | None,
+    typer.Option(
+        "--robot",
+        help="robot.yaml; default: the robot of --run, else the shipped one with the laser of the sensorgraph.",
+    ),
+]
+ExportRun = Annotated[
+    Path | None, typer.Option(help="nav2: run from which the AMCL parameters are estimated.")
+]
+ExportNoGo = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="nav2: keepout zone, as GeoJSON of kind no_go or as corners x,y,x,y,x,y (m); repeatable."
+    ),
+]
+WallHeight = Annotated[
+    float | None, typer.Option(help="Height of the walls (m); default: 0.5 m above the laser.")
+]
 
 
 def export(

@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from sensorgraph.cli.options import (
-    FleetArena,
-    FleetGraph,
-    FleetLogs,
-    FleetMemory,
-    FleetMinutes,
-    FleetOut,
-    FleetPattern,
-    FleetRobot,
-    FleetScheduler,
-    FleetWorkers,
     Topics,
 )
+
+FleetLogs = Annotated[
+    list[str], typer.Argument(metavar="LOG|FOLDER|PATTERN...", help="Logs, folders with logs, or patterns.")
+]
+FleetOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+FleetGraph = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="GRAPH",
+        help="Sensorgraph of a place; repeatable. Default: each log is located in a new map.",
+    ),
+]
+FleetArena = Annotated[
+    list[str] | None,
+    typer.Option(metavar="MAP", help="GeoJSON file or map_server yaml of a place; repeatable."),
+]
+FleetRobot = Annotated[
+    Path | None, typer.Option(help="robot.yaml of all robots; default: the one kept in each log.")
+]
+FleetPattern = Annotated[
+    str | None,
+    typer.Option(
+        metavar="REGEX",
+        help="Robot's name in the path of a log. Default: robot.yaml in the log, the prefix of the laser's frame, or the folder.",
+    ),
+]
+FleetScheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Dask scheduler whose workers read the same paths; default: this machine."
+    ),
+]
+FleetWorkers = Annotated[
+    int | None, typer.Option(min=1, help="Logs at a time on this machine; default: one for each processor.")
+]
+FleetMinutes = Annotated[float, typer.Option(min=0.01, help="Maximum time of a log (min).")]
+FleetMemory = Annotated[float, typer.Option(min=100, help="Maximum memory of a log's process (MB).")]
 
 
 def fleet(

@@ -5,24 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from sensorgraph.cli.options import (
-    IdentifyAuto,
-    IdentifyCriterion,
-    IdentifyDegree,
-    IdentifyEvery,
-    IdentifyFile,
-    IdentifyInputs,
-    IdentifyLags,
-    IdentifyNoiseLags,
-    IdentifyOut,
-    IdentifyOutput,
-    IdentifyOutputLags,
-    IdentifySplit,
-    IdentifyTerms,
     Topics,
 )
 
@@ -35,6 +22,51 @@ MAX_NOISE_LAGS = 100
 MAX_NOTES = 4
 MIN_P_VALUE = 0.001
 """p-value of the residual test below which the standard errors are too small."""
+
+
+IdentifyFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE", help="Run, or CSV with named columns (a column `record` separates records)."
+    ),
+]
+IdentifyOutput = Annotated[list[str], typer.Option(metavar="NAME", help="Signal to explain.")]
+IdentifyOut = Annotated[
+    Path, typer.Option("-o", "--out", metavar="MODEL.json", help="Model file to write, *.json.")
+]
+IdentifyInputs = Annotated[
+    str, typer.Option(metavar="NAME,...", help="Signals that explain the output, separated by commas.")
+]
+IdentifyLags = Annotated[
+    int, typer.Option(min=0, max=1000, metavar="N", help="Input lags: use inputs at k, k-1, ..., k-N.")
+]
+IdentifyOutputLags = Annotated[
+    int, typer.Option(min=0, max=1000, metavar="N", help="Output lags: use outputs at k-1, ..., k-N.")
+]
+IdentifyDegree = Annotated[int, typer.Option(min=1, max=8, help="Degree of the polynomial.")]
+IdentifyNoiseLags = Annotated[
+    str,
+    typer.Option(
+        metavar="N|auto", help="Noise lags: use e(k-1), ..., e(k-N); auto: chosen from the residual."
+    ),
+]
+IdentifySplit = Annotated[
+    str,
+    typer.Option(
+        metavar="half|block|none",
+        help="Test data: half (the second half), block (every second tenth) or none (the training data).",
+    ),
+]
+IdentifyEvery = Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")]
+IdentifyCriterion = Annotated[
+    str | None, typer.Option(help="Selects the number of terms: bic, aic, ebic, cv, err_tol or n_terms.")
+]
+IdentifyTerms = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Number of terms, or their maximum with --criterion.")
+]
+IdentifyAuto = Annotated[
+    bool, typer.Option("--auto", help="Choose lags, degree and terms with the best free run.")
+]
 
 
 def identify(

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.options import (
-    InspectArena,
-    InspectFile,
-    InspectJson,
-    InspectPolicy,
-    InspectTopic,
     NoReturn,
     RunRobot,
     Slice,
+    Topics,
 )
 
 if TYPE_CHECKING:
@@ -26,9 +22,29 @@ if TYPE_CHECKING:
     from sensorgraph.world.orientation import Orientation
 
 
+InspectFile = Annotated[
+    Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log, CSV table, or a map.")
+]
+InspectArena = Annotated[
+    str | None,
+    typer.Option(
+        help="Map to check the orientation of the scan against; default: the arena kept in the run."
+    ),
+]
+InspectJson = Annotated[Path | None, typer.Option(help="Also write the findings to this JSON file.")]
+InspectPolicy = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        help="Limits of `watch --init-policy` for topics, rates, gaps and stamps; they decide the exit code: 0 ok, "
+        "1 warning, 2 error.",
+    ),
+]
+
+
 def inspect(
     file: InspectFile,
-    topic: InspectTopic = None,
+    topic: Topics = None,
     arena: InspectArena = None,
     json: InspectJson = None,
     policy: InspectPolicy = None,

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sensorgraph.cli.options import (
-    LocateArena,
-    LocateCsv,
-    LocateJson,
-    LocateOut,
-    LocatePicture,
-    LocateRun,
     NoReturn,
+    RunFile,
     RunRobot,
     Slice,
     Topics,
@@ -26,8 +21,38 @@ if TYPE_CHECKING:
     from sensorgraph.types import Floats
 
 
+LocateArena = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MAP|GRAPH",
+        help="Known place: GeoJSON file, map_server yaml, log with /map, shipped arena or sensorgraph; default: build a map.",
+    ),
+]
+LocateOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", metavar="OUT.mcap", help="Run to write, with /pose, covariances and /tf."),
+]
+LocateCsv = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="POSES.csv",
+        help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status,map to this file, one row per scan.",
+    ),
+]
+LocateJson = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Write scan counts, located intervals, wheel parameters and loop closures."
+    ),
+]
+LocatePicture = Annotated[
+    Path | None,
+    typer.Option(metavar="PNG", help="Draw returns, trajectory, and accepted and rejected loop closures."),
+]
+
+
 def locate(
-    run: LocateRun,
+    run: RunFile,
     arena: LocateArena = None,
     out: LocateOut = None,
     csv: LocateCsv = None,

@@ -6,32 +6,11 @@ import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sensorgraph.cli.options import (
-    PlanArena,
-    PlanBattery,
-    PlanBudget,
-    PlanCell,
-    PlanDock,
-    PlanDuration,
-    PlanEnd,
-    PlanGraph,
-    PlanHeadings,
-    PlanJoinPlanner,
-    PlanMargin,
-    PlanNoGo,
-    PlanOrder,
-    PlanOut,
-    PlanPlanner,
-    PlanPriority,
-    PlanResume,
-    PlanRobot,
-    PlanSeed,
-    PlanStart,
-    PlanViews,
     PosesFrom,
 )
 
@@ -42,6 +21,101 @@ if TYPE_CHECKING:
     from sensorgraph.world.robot import Robot
 
 INTERRUPTED = 130
+
+
+MAX_VIEWS = 1000
+"""A plan of more views takes longer than covering (x, y, φ)."""
+PlanArena = Annotated[
+    str | None,
+    typer.Argument(
+        help="GeoJSON file, map_server yaml, sensorgraph, square or office; "
+        "default: the arena kept in the --resume run, else that of --graph."
+    ),
+]
+PlanRobot = Annotated[
+    Path | None,
+    typer.Option(help="robot.yaml; default: the robot kept in the --resume run, else the shipped robot."),
+]
+PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder for the plan.")]
+PlanPlanner = Annotated[
+    str,
+    typer.Option(
+        help="coverage, stop_and_spin, views (with --views), or a baseline: random_bounce, wall_following."
+    ),
+]
+PlanOrder = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fast|anytime",
+        help="fast: shortest complete drive, room by room. anytime: the whole floor coarsely, then finer until complete, "
+        "so that a drive cut short shows the most. Default: anytime with --budget or --graph (drive: diff), else fast.",
+    ),
+]
+PlanGraph = Annotated[
+    Path | None,
+    typer.Option(help="A sensorgraph: look first where its expected error is highest (order anytime)."),
+]
+PlanViews = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=MAX_VIEWS,
+        help="Visit this number of poses that see the most surface, instead of covering (x, y, φ).",
+    ),
+]
+PlanCell = Annotated[float, typer.Option(help="Side of a position cell (m).")]
+PlanHeadings = Annotated[int, typer.Option(help="Number of heading bins in a full turn.")]
+PlanStart = Annotated[
+    str | None,
+    typer.Option(
+        help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg); default: chosen by the planner."
+    ),
+]
+PlanEnd = Annotated[str | None, typer.Option(help="End pose X,Y,PHI (m, m, rad); default: at the last bin.")]
+PlanBattery = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MIN", help="Split the plan into runs of this many minutes, from the dock and back."
+    ),
+]
+PlanDock = Annotated[
+    str | None, typer.Option(help="Dock pose X,Y,PHI (m, m, rad); default: the start of the plan.")
+]
+PlanBudget = Annotated[
+    float | None,
+    typer.Option(metavar="MIN", help="Limit the drive to this many minutes and report its coverage."),
+]
+PlanMargin = Annotated[
+    float,
+    typer.Option(min=0.0, help="Clearance between robot and walls (m); a larger margin reaches fewer bins."),
+]
+PlanJoinPlanner = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="OMPL planner for paths around obstacles: RRTConnect, BITstar, ..., or your own as module:Class.",
+    ),
+]
+PlanNoGo = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE|x,y,x,y,...",
+        help="Zone that the robot must not enter but can see through: GeoJSON polygons of kind no_go, or "
+        "corners (m); repeatable.",
+    ),
+]
+PlanDuration = Annotated[
+    float | None,
+    typer.Option(help="Duration of random_bounce and wall_following (s); default: the reference time."),
+]
+PlanResume = Annotated[
+    list[Path] | None, typer.Option(help="Run already driven: plan only the bins it missed; repeatable.")
+]
+PlanPriority = Annotated[
+    Path | None,
+    typer.Option(help="A sensorgraph: drive first where it does not answer, then where it is least certain."),
+]
+PlanSeed = Annotated[int, typer.Option(help="Random seed; the same seed gives the same plan.")]
 
 
 def plan(

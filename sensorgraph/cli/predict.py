@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from sensorgraph.cli.options import GraphFile, PredictOutput, PredictPoint, PredictPoses
+from sensorgraph.cli.options import GraphFile
+
+PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi (m, m, rad).")]
+PredictOutput = Annotated[Path, typer.Option("-o", "--out", metavar="NPZ", help="File to write, *.npz.")]
+PredictPoint = Annotated[str, typer.Option(help="Point value in `ranges`: mode, median or mean.")]
 
 
 def predict(

@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sensorgraph.cli.options import (
-    RecordArena,
-    RecordController,
-    RecordEffects,
-    RecordGraph,
-    RecordOut,
-    RecordPlan,
-    RecordRobot,
-    RecordSeed,
-    RecordStart,
     Topics,
 )
 from sensorgraph.cli.record_live import (
@@ -38,6 +29,45 @@ if TYPE_CHECKING:
     from sensorgraph.recording.closed_loop import ClosedLoopDrive
     from sensorgraph.recording.drive_source import DriveSource
     from sensorgraph.world.robot import Robot
+
+
+RecordPlan = Annotated[
+    Path | None,
+    typer.Argument(help="Folder of a plan, its trajectory.csv, or a run whose /cmd_vel is replayed."),
+]
+RecordOut = Annotated[Path, typer.Option("-o", "--out", help="Run to write, *.mcap.")]
+RecordArena = Annotated[
+    str | None,
+    typer.Option(
+        help="GeoJSON file, map_server yaml, or a shipped arena: square, office; default: the arena of the plan."
+    ),
+]
+RecordRobot = Annotated[
+    Path | None, typer.Option(help="robot.yaml; default: the robot of the plan, else the shipped robot.")
+]
+RecordGraph = Annotated[
+    Path | None,
+    typer.Option(metavar="GRAPH", help="Drive in the identified world of this sensorgraph."),
+]
+RecordController = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="plan, wall_following, random_bounce, a MODEL.json of `identify`, or TURN.json,SPEED.json; "
+        "repeatable, to compare controllers."
+    ),
+]
+RecordStart = Annotated[
+    str | None,
+    typer.Option(
+        help="Start pose X,Y,PHI (m, m, rad, or with units: 90 deg) of a controller or of a replay of commands; "
+        "default: that of the plan or of the run."
+    ),
+]
+RecordEffects = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="effects.yaml: effects of robot, sensor and environment to simulate."),
+]
+RecordSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
 
 
 def record(

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from sensorgraph.cli.options import RecoverFile, RecoverOut
+RecoverFile = Annotated[
+    Path,
+    typer.Argument(
+        help="Truncated or damaged MCAP file or ROS 1 bag, also the .part or .active file of a killed recorder."
+    ),
+]
+RecoverOut = Annotated[Path, typer.Option("-o", "--out", help="MCAP file for the recovered messages.")]
 
 
 def recover(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -11,22 +12,30 @@ from sensorgraph.cli.options import (
     Force,
     NoReturn,
     PosesFrom,
-    ReviewArena,
-    ReviewGraph,
-    ReviewOut,
-    ReviewPlan,
-    ReviewRay,
-    ReviewRun,
-    ReviewServe,
-    ReviewShow,
+    RunFile,
     RunRobot,
     Slice,
     TopicsByExample,
 )
 
+ReviewOut = Annotated[Path, typer.Option("-o", "--out", help="Rerun file to write, *.rrd.")]
+ReviewGraph = Annotated[Path | None, typer.Option(help="Sensorgraph to compare with the run.")]
+ReviewPlan = Annotated[Path | None, typer.Option(help="Folder of a plan whose path is drawn.")]
+ReviewArena = Annotated[
+    str | None, typer.Option(help="Arena whose walls are drawn; default: the arena kept in the run.")
+]
+ReviewRay = Annotated[
+    int | None,
+    typer.Option(metavar="INDEX", help="Ray whose time series is shown; default: straight ahead."),
+]
+ReviewShow = Annotated[bool, typer.Option("--show", help="Open the review in rerun's viewer.")]
+ReviewServe = Annotated[
+    bool, typer.Option("--serve", help="Serve the review to a browser on this machine until Ctrl-C.")
+]
+
 
 def review(
-    run: ReviewRun,
+    run: RunFile,
     out: ReviewOut,
     graph: ReviewGraph = None,
     plan: ReviewPlan = None,

@@ -3,14 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sensorgraph.cli.options import Bearing, GraphFile, ShowAll, ShowFigure, ShowRay, ShowRun, TopicsByExample
+from sensorgraph.cli.options import Bearing, GraphFile, TopicsByExample
 
 if TYPE_CHECKING:
     from sensorgraph.graph import Sensorgraph
+
+
+ShowRay = Annotated[
+    int | None, typer.Option(metavar="INDEX", help="Print the equation of the ray with this index.")
+]
+ShowAll = Annotated[
+    bool,
+    typer.Option(
+        "--all", help="Print all faces of the ray, also those that stop it at less than 1 % of poses."
+    ),
+]
+ShowFigure = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--out",
+        metavar="PNG",
+        help="Draw faces, visibility and unobserved space to this *.png file.",
+    ),
+]
+ShowRun = Annotated[
+    Path | None, typer.Option(help="With --out: run whose mean residuals are drawn on the faces.")
+]
 
 
 def show(

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from sensorgraph.cli.options import WhyName, WhyReport
+WhyReport = Annotated[
+    Path, typer.Argument(metavar="REPORT", help="Folder of a diagnosis, or its report.json.")
+]
+WhyName = Annotated[
+    str,
+    typer.Argument(metavar="NAME", help="Effect, or family of differences that no effect explains."),
+]
 
 
 def why(report: WhyReport, name: WhyName) -> None:
