@@ -7,7 +7,7 @@ error `spread` of an edge, alpha = before + (level - before) Φ(off / spread), a
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,18 @@ from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.calibration.ray_terms import incidence_bias
 from sensorgraph.models.distribution import SQRT_HALF
 from sensorgraph.models.faces.observed_space import is_ray_observed
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MAX_CANDIDATES, crossed_faces
+from sensorgraph.models.faces.ray_march import (
+    CANDIDATE_SLOTS,
+    MAX_CANDIDATES,
+    BucketGrid,
+    FaceSet,
+    crossed_faces,
+)
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import variance
 from sensorgraph.models.likelihood import log_density_of
 from sensorgraph.models.mixture import summarise
+from sensorgraph.types import Floats
 
 PREDICTION = FACES.prediction
 SUPPORT_MARGIN, MIN_SURVIVAL, MIN_SHARE = (
@@ -33,36 +40,65 @@ MAX_OFF_SIGMAS = 4.5
 EDGE_GATE, MIN_EDGE_VARIANCE = PREDICTION.edge_sigmas**2, PREDICTION.min_edge_variance
 
 
+class LaserBeams(NamedTuple):
+    """What the kernels of thin rays share: lasers, rays, faces, noise and calibration."""
+
+    x: Floats
+    """(n_poses,) [m] place of the laser in map; `y` likewise."""
+    y: Floats
+    cos: Floats
+    """(n_poses,) direction of the laser; `sin` likewise."""
+    sin: Floats
+    ray_cos: Floats
+    """(n_rays,) direction of each ray from the laser; `ray_sin` likewise."""
+    ray_sin: Floats
+    range_max: float
+    """[m]"""
+    faces: FaceSet
+    buckets: BucketGrid
+    noise: Floats
+    """(4,) variances [m², m², rad²] of range, position and heading, and density [1/m] of outliers."""
+    constant: Floats
+    """(n_rays,) [m] ray terms; `slope` (n_rays,) and `incidence` likewise."""
+    slope: Floats
+    incidence: Floats
+    is_biased: bool
+    """Whether there are ray terms."""
+
+
+def new_candidates() -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Return memory for one ray: what `crossed_faces` fills, and what `ray_mixture` fills."""
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    return (r, k, j, t), (rho, w, s, np.empty(CANDIDATE_SLOTS, np.int64))
+
+
 @inlined_kernel
-def ray_mixture(
-    x: Any,
-    y: Any,
-    ux: Any,
-    uy: Any,
-    range_max: Any,
-    faces: Any,
-    buckets: Any,
-    noise: Any,
-    terms: Any,
-    work: Any,
-    mixture: Any,
-) -> Any:
-    """List the candidates of the mixture of one ray; return their number and the probability that none stops it.
+def direction(i: Any, b: Any, beams: Any) -> Any:
+    """Return the direction of ray b from pose i in map."""
+    cos, sin, ray_cos, ray_sin = beams.cos[i], beams.sin[i], beams.ray_cos[b], beams.ray_sin[b]
+    return cos * ray_cos - sin * ray_sin, sin * ray_cos + cos * ray_sin
+
+
+@inlined_kernel
+def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
+    """List the candidates of ray b from pose i; return their number and the probability that none stops it.
 
     Parameters
     ----------
-    x, y, ux, uy : Start [m] in map and direction of the ray.
-    noise : (4,) Variances [m², m², rad²] of range, position and heading, and density [1/m] of outliers.
-    terms : Constant [m], slope, incidence terms of the ray, and whether there are any.
     work : Arrays of length `CANDIDATE_SLOTS`, filled by `crossed_faces`.
     mixture : Arrays of length `CANDIDATE_SLOTS`, filled: range [m], weight, standard deviation [m], face.
     """
-    normals, _, first, edges, levels, blur, neighbour = faces
+    normals, _, first, edges, levels, blur, neighbour = beams.faces
+    noise, constant, slope = beams.noise, beams.constant[b], beams.slope[b]
     r, k, j, t = work
     rho, w, s, source = mixture
-    constant, slope, incidence, is_biased = terms
     is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # there is noise of poses
-    n = crossed_faces(x, y, ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
+    ux, uy = direction(i, b, beams)
+    n = crossed_faces(
+        beams.x[i], beams.y[i], ux, uy, beams.range_max, MIN_SURVIVAL, beams.faces, beams.buckets, r, k, j, t
+    )
     survival, c = 1.0, 0
     for m in range(n):
         f = k[m]
@@ -84,8 +120,8 @@ def ray_mixture(
         if alpha < MIN_SHARE:
             continue
         rho[c], w[c], source[c] = r[m], survival * alpha, f
-        if is_biased:
-            rho[c] += constant + slope * r[m] + incidence_bias(den, r[m], incidence)
+        if beams.is_biased:
+            rho[c] += constant + slope * r[m] + incidence_bias(den, r[m], beams.incidence)
         s[c] = sigma
         if is_moved:
             s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
@@ -96,33 +132,29 @@ def ray_mixture(
     return c, survival
 
 
+@inlined_kernel
+def is_supported(i: Any, b: Any, reach: Any, beams: Any, work: Any, observed: Any) -> Any:
+    """Return whether ray b from pose i was observed up to a range [m], and meets no face from behind before it."""
+    ux, uy = direction(i, b, beams)
+    origin, cell, clearance = observed
+    return work[0][MAX_CANDIDATES] > reach and is_ray_observed(
+        beams.x[i], beams.y[i], ux, uy, reach, origin, cell, clearance
+    )
+
+
 @kernel
-def predict_rays(
-    beams: Any,
-    observed: Any,
-    which: Any,
-    table: Any,
-    supported: Any,
-) -> Any:
+def predict_rays(beams: Any, candidates: Any, observed: Any, which: Any, table: Any, supported: Any) -> Any:
     """Fill table (n_poses, n_rays, 6) as `mixture.summarise`, and `supported` (n_poses, n_rays): the ray was observed.
 
-    The function is one loop over rays without temporary arrays: march, blur edges, mix, look up the observed space.
+    Parameters
+    ----------
+    observed : Origin [m], cell [m] and clearance of the observed space.
     """
-    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
-        beams
-    )
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    source = np.empty(CANDIDATE_SLOTS, np.int64)
-    origin, cell, clearance = observed
-    for i in range(len(x)):
-        for b in range(len(cos_b)):
-            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            c, survival = ray_mixture(
-                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
-                (constant[b], slope[b], incidence, is_biased), (r, k, j, t), (rho, w, s, source),
-            )  # fmt: skip
+    work, mixture = candidates
+    rho, w, s, _ = mixture
+    for i in range(len(beams.x)):
+        for b in range(len(beams.ray_cos)):
+            c, survival = ray_mixture(i, b, beams, work, mixture)
             row = table[i, b]
             if c == 1:  # most rays have one candidate
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], survival
@@ -133,57 +165,33 @@ def predict_rays(
                 )
             else:
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
-                    rho, w, s, c, survival, range_max, which
+                    rho, w, s, c, survival, beams.range_max, which
                 )
-            reach = range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
-            supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
-                x[i], y[i], ux, uy, reach, origin, cell, clearance
-            )
+            reach = beams.range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
+            supported[i, b] = is_supported(i, b, reach, beams, work, observed)
 
 
 @kernel
-def list_rays(
-    beams: Any,
-    rho: Any,
-    w: Any,
-    s: Any,
-    source: Any,
-    survival: Any,
-) -> Any:
+def list_rays(beams: Any, work: Any, rho: Any, w: Any, s: Any, source: Any, survival: Any) -> Any:
     """Fill the mixtures of all rays; return the largest number of candidates.
 
     Parameters
     ----------
-    beams : Lasers, rays, faces and noise, as `Faces` passes them to all kernels of thin rays.
     rho, w, s, source : (n_poses, n_rays, `CANDIDATE_SLOTS`) As `ray_mixture` fills them; unused entries stay.
     survival : (n_poses, n_rays) Probability that no candidate stops the ray.
     """
-    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
-        beams
-    )
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     most = 0
-    for i in range(len(x)):
-        for b in range(len(cos_b)):
-            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            c, survival[i, b] = ray_mixture(
-                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
-                (constant[b], slope[b], incidence, is_biased), (r, k, j, t),
-                (rho[i, b], w[i, b], s[i, b], source[i, b]),
-            )  # fmt: skip
+    for i in range(len(beams.x)):
+        for b in range(len(beams.ray_cos)):
+            mixture = rho[i, b], w[i, b], s[i, b], source[i, b]
+            c, survival[i, b] = ray_mixture(i, b, beams, work, mixture)
             most = max(most, c)
     return most
 
 
 @kernel
 def log_likelihood_rays(
-    beams: Any,
-    observed: Any,
-    ranges: Any,
-    range_min: Any,
-    out: Any,
-    supported: Any,
+    beams: Any, candidates: Any, observed: Any, ranges: Any, range_min: Any, out: Any, supported: Any
 ) -> Any:
     """Fill out (n_poses, n_rays) with the log-likelihood of readings, as `likelihood.log_density` defines it.
 
@@ -194,28 +202,36 @@ def log_likelihood_rays(
     range_min : [m] Closer surfaces give the reading -inf.
     supported : (n_poses, n_rays) Filled: the ray was observed up to the most probable surface.
     """
-    x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, constant, slope, incidence, is_biased = (
-        beams
-    )
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    source = np.empty(CANDIDATE_SLOTS, np.int64)
-    origin, cell, clearance = observed
-    for i in range(len(x)):
-        for b in range(len(cos_b)):
-            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            c, survival = ray_mixture(
-                x[i], y[i], ux, uy, range_max, faces, buckets, noise,
-                (constant[b], slope[b], incidence, is_biased), (r, k, j, t), (rho, w, s, source),
-            )  # fmt: skip
+    work, mixture = candidates
+    rho, w, s, _ = mixture
+    for i in range(len(beams.x)):
+        for b in range(len(beams.ray_cos)):
+            c, survival = ray_mixture(i, b, beams, work, mixture)
             z = ranges[min(i, len(ranges) - 1), b]
-            out[i, b] = log_density_of(z, rho, w, s, c, survival, range_min, noise[3])
+            out[i, b] = log_density_of(z, rho, w, s, c, survival, range_min, beams.noise[3])
             heaviest = 0
             for m in range(1, c):
                 if w[m] > w[heaviest]:
                     heaviest = m
-            reach = range_max if survival > 0.5 or c == 0 else rho[heaviest] - SUPPORT_MARGIN
-            supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
-                x[i], y[i], ux, uy, reach, origin, cell, clearance
-            )
+            reach = beams.range_max if survival > 0.5 or c == 0 else rho[heaviest] - SUPPORT_MARGIN
+            supported[i, b] = is_supported(i, b, reach, beams, work, observed)
+
+
+@kernel
+def draw_rays(beams: Any, candidates: Any, uniform: Any, normal: Any, out: Any) -> Any:
+    """Fill out (n_poses, n_rays) [m] with one outcome of each ray's mixture, or +inf.
+
+    It is the first candidate m for which uniform >= 1 - sum_{i<=m} w_i; the reading is rho_m + s_m normal.
+    """
+    work, mixture = candidates
+    rho, w, s, _ = mixture
+    for i in range(len(beams.x)):
+        for b in range(len(beams.ray_cos)):
+            c, _ = ray_mixture(i, b, beams, work, mixture)
+            survival = 1.0
+            out[i, b] = np.inf
+            for m in range(c):
+                survival -= w[m]
+                if uniform[i, b] >= survival:
+                    out[i, b] = rho[m] + s[m] * normal[i, b]
+                    break

@@ -242,7 +242,7 @@ class FaceFitSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class FacePredictionSettings:
-    """Answers of a prediction (`prediction`, `sampling`, `observed_space`, `model`)."""
+    """Answers of a prediction (`prediction`, `observed_space`, `model`)."""
 
     observed_cell: float = 0.10
     """[m] Side of the cells of observed space."""

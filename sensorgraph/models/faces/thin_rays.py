@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.data import FacesData
-from sensorgraph.models.faces.prediction import list_rays, log_likelihood_rays, predict_rays
+from sensorgraph.models.faces.prediction import (
+    LaserBeams,
+    draw_rays,
+    list_rays,
+    log_likelihood_rays,
+    new_candidates,
+    predict_rays,
+)
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, BucketGrid
-from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.visibility import ReturnNoise
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -24,7 +29,7 @@ def thin_table(
     table = np.empty((len(poses), len(rays), 6))
     supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
     observed = model.observed.origin, model.observed.cell, model.observed.distance_to_unobserved
-    predict_rays(beams_of(model, buckets, poses, rays), observed, which, table, supported)
+    predict_rays(beams_of(model, buckets, poses, rays), new_candidates(), observed, which, table, supported)
     return table, supported
 
 
@@ -33,7 +38,8 @@ def thin_mixtures(model: FacesData, buckets: BucketGrid, poses: Floats, rays: In
     shape = (len(poses), len(rays), CANDIDATE_SLOTS)
     means, weights, widths = np.full(shape, np.inf), np.zeros(shape), np.ones(shape)
     sources, survival = np.full(shape, -1), np.empty(shape[:2])
-    most = max(list_rays(beams_of(model, buckets, poses, rays), means, weights, widths, sources, survival), 1)
+    beams, (work, _) = beams_of(model, buckets, poses, rays), new_candidates()
+    most = max(list_rays(beams, work, means, weights, widths, sources, survival), 1)
     return Mixture(
         means=means[..., :most],
         weights=weights[..., :most],
@@ -50,18 +56,21 @@ def thin_likelihoods(
     out, supported = np.empty((len(poses), len(rays))), np.empty((len(poses), len(rays)), dtype=np.bool_)
     observed = model.observed.origin, model.observed.cell, model.observed.distance_to_unobserved
     log_likelihood_rays(
-        beams_of(model, buckets, poses, rays), observed, np.ascontiguousarray(ranges), model.sensor.range_min,
+        beams_of(model, buckets, poses, rays), new_candidates(), observed, np.ascontiguousarray(ranges), model.sensor.range_min,
         out, supported,
     )  # fmt: skip
     return out, supported
 
 
-def beams_of(model: FacesData, buckets: BucketGrid, poses: Floats, rays: Ints) -> tuple[Any, ...]:
-    """Return what the kernels of thin rays share: lasers, rays, faces, noise and calibration."""
+def beams_of(
+    model: FacesData, buckets: BucketGrid, poses: Floats, rays: Ints | slice, noise: ReturnNoise | None = None
+) -> LaserBeams:
+    """Return the input of the kernels for rays at poses (n_poses, 3); the noise is by default that of the model."""
     bearings, terms = model.sensor.bearings[rays], model.calibration.terms
-    return (
+    return LaserBeams(
         *lasers(poses, model.mount), np.cos(bearings), np.sin(bearings), model.sensor.range_max, model.faces,
-        buckets, model.noise.array, terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
+        buckets, (noise or model.noise).array, terms.constant[rays], terms.slope[rays], terms.incidence,
+        not terms.is_none,
     )  # fmt: skip
 
 
@@ -87,10 +96,6 @@ def draw_thin_rays(
 ) -> Floats:
     """Return one reading (n_poses, n_rays) [m] of rays at poses (n_poses, 3), as `Faces.draw` describes it."""
     out = np.empty(uniform.shape)
-    x, y, cos, sin = lasers(poses, model.mount)
-    bearings, terms = model.sensor.bearings[rays], model.calibration.terms
-    draw_rays(
-        x, y, cos, sin, np.cos(bearings), np.sin(bearings), model.sensor.range_max, model.faces,
-        buckets, model.noise.sigma, terms.constant[rays], terms.slope[rays], terms.incidence, uniform, normal, out,
-    )  # fmt: skip
+    beams = beams_of(model, buckets, poses, rays, noise_of_poses(model, 0.0, 0.0))
+    draw_rays(beams, new_candidates(), uniform, normal, out)
     return out
