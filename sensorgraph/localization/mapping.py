@@ -92,8 +92,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if not placed.matched.all():
         placed = _placed_again(scans, tracked, placed, smoothed)
         smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
-    wheels = steps.parameters(refined.poses)
-    wheels = None if wheels is None else wheels.at_least(np.sqrt(np.diag(placed.wheels)))
+    wheels = steps.parameters(refined.poses, np.sqrt(np.diag(placed.wheels)))
     reckoned = with_dead_reckoning(placed.shared, tracked, refined, wheels)
     placed = replace(placed, shared=reckoned)
     verdict = verdict_on(run, scans, smoothed.poses, odometry, wheels)

@@ -71,13 +71,17 @@ class WheelSteps:
             first=first, steps=steps, has_odometry=True, is_seen=is_seen, deviations=took[:, None] * rates
         )
 
-    def parameters(self, poses: Floats) -> WheelParameters | None:
-        """Identify the wheel parameters from the poses (n_key, 3); None without odometry."""
+    def parameters(self, poses: Floats, least: Floats | None = None) -> WheelParameters | None:
+        """Identify the wheel parameters from the poses (n_key, 3), with standard errors of at least `least` (3,).
+
+        Without odometry they are None.
+        """
         if not self.has_odometry:
             return None
         seen = self.is_seen
         both = None if seen is None else np.column_stack([seen[:, 0] & seen[:, 1], seen[:, 2]])
-        return identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=both)
+        found = identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=both)
+        return found if least is None else found.at_least(least)
 
     def at(self, poses: Floats) -> WheelEdges:
         """Return the edges at the poses (n_key, 3), with wheel parameters and noise estimated from them."""

@@ -221,17 +221,18 @@ def log_likelihood_rays(
 def draw_rays(beams: Any, candidates: Any, uniform: Any, normal: Any, out: Any) -> Any:
     """Fill out (n_poses, n_rays) [m] with one outcome of each ray's mixture, or +inf.
 
-    It is the first candidate m for which uniform >= 1 - sum_{i<=m} w_i; the reading is rho_m + s_m normal.
+    It is the first candidate m for which uniform >= 1 - sum_{i<=m} w_i; the reading is rho_m + s_m normal. What is left behind the
+    last one, if it is below `MIN_SURVIVAL`, counts to that.
     """
     work, mixture = candidates
     rho, w, s, _ = mixture
     for i in range(len(beams.x)):
         for b in range(len(beams.ray_cos)):
-            c, _ = ray_mixture(i, b, beams, work, mixture)
+            c, left = ray_mixture(i, b, beams, work, mixture)
             survival = 1.0
             out[i, b] = np.inf
             for m in range(c):
                 survival -= w[m]
-                if uniform[i, b] >= survival:
+                if uniform[i, b] >= survival or (m == c - 1 and left < MIN_SURVIVAL):
                     out[i, b] = rho[m] + s[m] * normal[i, b]
                     break
