@@ -18,6 +18,7 @@ import logs
 import sensorgraph as sg
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.surveying import limited
 from sensorgraph.surveying.building import changed_places
 from sensorgraph.surveying.causes import Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, task
@@ -170,6 +171,22 @@ def test_a_hang_a_crash_and_a_full_memory_cost_only_their_task() -> None:
     with pytest.raises(TaskError, match="ZeroDivisionError"):
         run_limited("fleet_tasks:fail", {}, limits)
     assert run_limited("builtins:len", {"a": 1, "b": 2}, limits) == 2
+
+
+def test_an_interrupt_does_not_wait_for_running_logs() -> None:
+    pytest.importorskip("distributed")
+    limits, others = TaskLimits(seconds=90.0, megabytes=1500), set(limited._all)
+    with pytest.raises(KeyboardInterrupt), cluster(None, 1) as client:
+        futures = [client.submit(run_limited, "fleet_tasks:hang", {}, limits, pure=False) for _ in range(3)]
+        until = time.monotonic() + 60
+        while not any(worker.n_tasks for worker in limited._all - others):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        begin = time.monotonic()
+        raise KeyboardInterrupt
+    assert time.monotonic() - begin < 30  # each task hangs for 90 s
+    assert len(futures) == 3 and not limited._all
+    assert run_limited("builtins:len", {"a": 1}, limits) == 1  # the next call starts processes again
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,9 @@ from sensorgraph.surveying.limited import (
     TaskKilledError,
     TaskLimitError,
     TaskLimits,
+    end_all,
     run_limited,
+    start_again,
 )
 
 CONNECT_TIMEOUT = 10.0
@@ -62,8 +64,14 @@ def cluster(address: str | None, n_workers: int | None) -> Iterator[Any]:
                 n_workers=1, threads_per_worker=n, processes=False, dashboard_address=DASHBOARD,
                 worker_dashboard_address="127.0.0.1:0", silence_logs=50, memory_limit=0,
             )  # fmt: skip
-        with local, Client(local, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-            yield client
+        try:
+            with local, Client(local, set_as_default=False) as client:  # type: ignore[no-untyped-call]
+                try:
+                    yield client
+                finally:
+                    end_all()  # after Ctrl-C, the cluster would wait for the logs that its threads analyse
+        finally:
+            start_again()
         return
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]

@@ -20,7 +20,7 @@ from sensorgraph.loading import load_arena
 from sensorgraph.localization.locate import place_of
 from sensorgraph.surveying.causes import MEASURED, SHOWN_IN, CausedStep, Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, surveyed
-from sensorgraph.surveying.limited import TaskLimits, end_all
+from sensorgraph.surveying.limited import TaskLimits
 from sensorgraph.surveying.page import fleet_page, log_page
 from sensorgraph.surveying.parquet import write_parquet
 from sensorgraph.surveying.quantities import LABELS, QUANTITIES, quantities_of
@@ -148,14 +148,11 @@ def _analysed(
     """Analyse logs on the cluster, and yield each result by the hash of its log once it is kept."""
     if not jobs:
         return
-    try:
-        with cluster(scheduler, workers) as client:
-            for key, result in surveyed(client, jobs.items(), limits):
-                if not result.get("is_passing"):
-                    store.put(key, result)
-                yield key, result
-    finally:
-        end_all()
+    with cluster(scheduler, workers) as client:
+        for key, result in surveyed(client, jobs.items(), limits):
+            if not result.get("is_passing"):
+                store.put(key, result)
+            yield key, result
 
 
 def _compared(rows: list[dict[str, Any]], **facts: Any) -> Fleet:

@@ -102,6 +102,7 @@ class _Worker:
 
 _local = threading.local()
 _all: set[_Worker] = set()
+_is_ending = threading.Event()
 
 
 def run_limited(work: str, arguments: Mapping[str, Any], limits: TaskLimits) -> Any:
@@ -116,6 +117,8 @@ def run_limited(work: str, arguments: Mapping[str, Any], limits: TaskLimits) -> 
     TaskError : The function failed, or its process crashed, hung or took too much memory.
     """
     worker: _Worker | None = getattr(_local, "worker", None)
+    if worker not in _all:  # ended by `end_all`
+        worker = None
     if worker is not None and (worker.megabytes != limits.megabytes or worker.n_tasks >= TASKS_OF_PROCESS):
         _drop(worker)
         worker = None
@@ -123,6 +126,8 @@ def run_limited(work: str, arguments: Mapping[str, Any], limits: TaskLimits) -> 
         worker = _local.worker = _Worker(limits.megabytes)
         _all.add(worker)
     try:
+        if _is_ending.is_set():
+            raise TaskKilledError("no task is started any more")
         if not worker.is_ready:
             worker.line(START_SECONDS)
             worker.is_ready = True
@@ -163,7 +168,13 @@ def _drop(worker: _Worker) -> None:
 
 @atexit.register
 def end_all() -> None:
-    """End all processes of this module."""
+    """End all processes of this module; tasks end at once, until `start_again`."""
+    _is_ending.set()
     for worker in list(_all):
         worker.end()
         _all.discard(worker)
+
+
+def start_again() -> None:
+    """Allow tasks again after `end_all`."""
+    _is_ending.clear()
