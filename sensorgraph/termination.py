@@ -14,9 +14,12 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType
+from typing import Any
 
 TERMINATED = 143
 """Exit code: 128 + SIGTERM."""
@@ -87,7 +90,14 @@ def install(line: str = "") -> None:
     _watch = _Watch(line)
     threading.Thread(target=_watch.watch, args=(read,), name="SIGTERM", daemon=True).start()
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    sys.unraisablehook = partial(_report_unraisable, sys.unraisablehook)
     signal.signal(signal.SIGTERM, _watch.handle)
+
+
+def _report_unraisable(report: Callable[[Any], Any], args: Any) -> None:
+    """Report an exception that a finalizer or callback swallowed; `Terminated` is none: the second thread ends us."""
+    if not issubclass(args.exc_type, Terminated):
+        report(args)
 
 
 def allow_to_finish() -> None:

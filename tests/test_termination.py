@@ -163,6 +163,21 @@ def test_a_compiler_helper_ends_with_its_parent(tmp_path: Path) -> None:
     assert helper.wait(PROMPT) == 1
 
 
+def test_a_signal_in_a_finalizer_is_no_traceback() -> None:
+    """Python prints and swallows what a finalizer raises; the process still ends, by its second thread."""
+    code = (
+        "import os, signal, sys, time\nfrom sensorgraph.termination import install\n"
+        "class Late:\n    def __del__(self):\n        os.kill(os.getpid(), signal.SIGTERM)\n        time.sleep(0.1)\n"
+        "class Wrong:\n    def __del__(self):\n        raise ValueError('told')\n"
+        "install('terminated')\nlate = Wrong()\ndel late\nlate = Late()\ndel late\ntime.sleep(30)\n"
+    )
+    begin = time.monotonic()
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert made.returncode == 143 and time.monotonic() - begin < 20
+    assert "told" in made.stderr  # other exceptions are still reported
+    assert "Terminated" not in made.stderr and made.stderr.endswith("terminated\n")
+
+
 def test_terminated_is_no_error_that_a_command_reports(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
