@@ -11,9 +11,15 @@ import yaml
 
 import logs
 import sensorgraph
+from planners.maps import no_go
+from planners.maps.no_go import without
+from planners.planning import WALL_MARGIN
 from sensorgraph.cli import COMMANDS
 from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.effects.effects_file import loads
+from sensorgraph.loading import load_arena
+from sensorgraph.world.robot import default_robot
+from sensorgraph.world.wall_distance import WallDistance
 
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "docs" / "pages"
@@ -71,6 +77,26 @@ def test_the_examples_have_the_arena_and_the_robot_of_the_quickstart() -> None:
     assert sorted(given) == ["lab.geojson", "robot.yaml"]
     for name, text in given.items():
         assert yaml.safe_load((ROOT / "docs" / "examples" / name).read_text()) == yaml.safe_load(text)
+
+
+def test_poses_of_commands_in_shipped_arenas_are_free() -> None:
+    """A pose that a page or the help of `plan` gives is one that the shipped robot can reach."""
+    text = "\n".join(page.read_text() for page in [*PAGES, ROOT / "sensorgraph" / "cli" / "plan.py"])
+    radius = default_robot().footprint_radius + WALL_MARGIN
+    found = [
+        (arena, *map(float, pose))
+        for arena, options in re.findall(r"sensorgraph plan (square|office)\b([^\n`]*)", text)
+        for pose in re.findall(r"--(?:start|end|dock) ([\d.]+),([\d.]+)", options)
+    ]
+    assert len(found) >= 6
+    assert not [one for one in found if WallDistance(load_arena(one[0]))(*one[1:]) < radius]
+
+
+def test_the_zone_of_the_page_is_in_the_lab(tmp_path: Path) -> None:
+    (zone,) = re.findall(r"```json\n(.*?)```", (SITE / "how-to" / "no-go.md").read_text(), re.S)
+    (tmp_path / "zones.geojson").write_text(zone)
+    lab = load_arena(ROOT / "docs" / "examples" / "lab.geojson")
+    assert without(lab, no_go.zones(str(tmp_path / "zones.geojson"))).free.area < lab.free.area
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -152,11 +152,11 @@ def plan(
 
       sensorgraph plan office --views 100 -o runs/views
 
-      sensorgraph plan office --battery 60 --dock 1.0,1.0,0 -o runs/office
+      sensorgraph plan office --battery 60 --dock 1.5,1.5,0 -o runs/office
 
       sensorgraph plan office --budget 10 --resume 1.mcap --resume 2.mcap --graph lab.sensorgraph -o runs/third
 
-      sensorgraph plan office --budget 30 --end 1.0,1.0,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
+      sensorgraph plan office --budget 30 --end 1.5,1.5,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
 
     Ctrl-C saves the plan so far as a shorter, valid plan.
     """
