@@ -32,7 +32,9 @@ DesignArena = Annotated[
         help="Arena to drive the controller in, for comparison: GeoJSON file, map_server yaml or shipped."
     ),
 ]
-DesignRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
+DesignRobot = Annotated[
+    Path | None, typer.Option(help="robot.yaml; default: the shipped robot, with the laser of the graph.")
+]
 DesignSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
 DesignOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")]
 LABELS = {

@@ -25,7 +25,9 @@ InfluenceRows = Annotated[
     typer.Option(help="Rows of the sample, a power of 2; the number of drives is rows × (factors + 2)."),
 ]
 InfluenceDuration = Annotated[float, typer.Option(help="Duration of a drive (s).")]
-InfluenceRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
+InfluenceRobot = Annotated[
+    Path | None, typer.Option(help="robot.yaml; default: the shipped robot, with the laser of the graph.")
+]
 InfluenceSeed = Annotated[int, typer.Option(min=0, help="Random seed of all noise; same seed, same bytes.")]
 InfluenceOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")]
 
